@@ -1,0 +1,32 @@
+"""eldenet: light-weight monocular depth for robots and edge cameras.
+
+Public names load when they are first used, so that importing the package stays light.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet, EncoderDecoder
+    from eldenet.zoo import list_models, load
+
+__version__ = "0.1.0"
+__all__ = ["DepthNet", "EncoderDecoder", "__version__", "list_models", "load"]
+
+_HOME_OF = {
+    "DepthNet": "eldenet.model",
+    "EncoderDecoder": "eldenet.model",
+    "list_models": "eldenet.zoo",
+    "load": "eldenet.zoo",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'eldenet' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOME_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,87 @@
+"""Any convolutional network of timm as a backbone."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from eldenet.backbones.base import Backbone
+from eldenet.backbones.weights import Weights, read_weights
+from eldenet.types import FeatureInfo
+
+
+class TimmBackbone(Backbone):
+    """A network of the timm library by its name, with every stage it offers as a feature.
+
+    Needs the extra ``pip install eldenet[timm]``. Channels and strides are those that timm declares for
+    ``features_only=True``; most networks begin at stride 2, some at 1 or 4. Networks that keep one stride
+    (plain vision transformers) cannot feed a decoder and are refused, as are those whose input size is
+    fixed to something else than the image's, by timm, when they run.
+
+    Convention: how odd sizes are rounded is the network's own affair; most round up, some (EdgeNeXt, VGG)
+    down.
+
+    Args:
+        name: such as ``"mobilenetv4_conv_small"``; ``timm.list_models("*mobile*")`` finds more.
+        pretrained: ``True`` for timm's default weights of that name, or a local file of timm's layout.
+
+    Raises:
+        ImportError: timm is not installed.
+        ValueError: timm has no such network, its features do not fit a decoder, or the file does not fit it.
+        RuntimeError: the weights cannot be downloaded.
+    """
+
+    def __init__(self, name: str, *, pretrained: bool | str = False) -> None:
+        super().__init__()
+        try:
+            import timm
+        except ImportError as error:
+            raise ImportError("timm's backbones need the package timm: pip install eldenet[timm]") from error
+
+        weights = read_weights(pretrained) if isinstance(pretrained, str) else None
+        overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None
+        if not timm.is_model(name):
+            similar = ", ".join(timm.list_models(f"*{name.split('_')[0]}*")[:10]) or "nothing like it"
+            raise ValueError(f"timm has no network {name!r}; it has {similar}")
+        try:
+            self.body = timm.create_model(
+                name, pretrained=bool(pretrained), features_only=True, pretrained_cfg_overlay=overlay
+            )
+        except OSError as error:
+            raise RuntimeError(
+                f"could not fetch timm's weights of {name} ({error}). Fetch them where there is a network "
+                "and give the file instead: pretrained: /path/to/file"
+            ) from error
+        except RuntimeError as error:  # shapes that differ
+            raise ValueError(f"{name} cannot load the weights {pretrained!r}: {error}") from error
+        if weights is not None:
+            self._check_all_loaded(weights, f"{pretrained} into {name}")
+
+        info: Any = self.body.feature_info
+        channels, strides = info.channels(), info.reduction()
+        if strides != sorted(set(strides)):
+            raise ValueError(f"{name} has features of strides {strides}; a decoder needs each stride once")
+        self.feature_info = tuple(map(FeatureInfo, channels, strides))
+        # Swin and its kin put channels last.
+        self.channels_last = str(getattr(self.body, "output_fmt", "NCHW")).endswith("NHWC")
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Encode ``(B, 3, H, W)``; the maps are described in the base class."""
+        features = self.body(image)
+        if self.channels_last:
+            features = [feature.permute(0, 3, 1, 2).contiguous() for feature in features]
+        return tuple(features)
+
+    def _check_all_loaded(self, weights: Weights, what: str) -> None:
+        # timm leaves a parameter without weights as it is, and the network would pass for a trained one.
+        missing = [
+            name
+            for name, parameter in self.body.named_parameters()
+            if not any(torch.equal(parameter, tensor.to(parameter.dtype)) for tensor in weights.values())
+        ]
+        if missing:
+            raise ValueError(
+                f"loading {what} left {len(missing)} parameters untouched, {missing[0]} the first of them: "
+                "the file is not of timm's layout of this network"
+            )

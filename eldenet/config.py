@@ -1,0 +1,126 @@
+"""The one place where Hydra and OmegaConf live: a config is composed here and leaves as plain objects."""
+
+import functools
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from eldenet.resources import prepare_environment
+
+prepare_environment()
+
+import hydra  # noqa: E402
+from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
+from hydra._internal.utils import create_config_search_path  # noqa: E402
+from hydra.core.hydra_config import HydraConfig  # noqa: E402
+from hydra.types import RunMode  # noqa: E402
+from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+
+USER_ERRORS = (ValueError, FileNotFoundError, FloatingPointError, NotADirectoryError, ImportError)
+
+
+def config_folder() -> Path:
+    """Where the YAML files lie: ``configs/`` of a checkout, ``eldenet/configs`` of an installed wheel."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "configs", package.parent / "configs"):
+        if (folder / "train.yaml").is_file():
+            return folder
+    raise FileNotFoundError(f"no configs beside {package}: the installation is incomplete, reinstall eldenet")
+
+
+def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
+    """Compose a config as the command line would, without touching Hydra's global state.
+
+    So it works inside somebody else's Hydra application.
+    """
+    loader = ConfigLoaderImpl(create_config_search_path(str(config_folder())))
+    config = loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
+    with open_dict(config):
+        config.pop("hydra", None)
+    return config
+
+
+def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], Any]]:
+    """Make ``main(config, run_folder)`` a command with Hydra's command line.
+
+    A user's mistake (a wrong value, a missing file) ends in one line and exit code 1; the traceback goes to
+    the run's log file. Anything else is our bug and shows its traceback.
+    """
+
+    def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], Any]:
+        @functools.wraps(main)
+        def task(config: DictConfig) -> Any:
+            folder = Path(HydraConfig.get().runtime.output_dir)
+            try:
+                return main(config, folder)
+            except USER_ERRORS as error:
+                logging.getLogger("eldenet").debug("", exc_info=True)
+                print(f"error: {error}", file=sys.stderr)  # noqa: T201
+                raise SystemExit(1) from None
+
+        return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
+
+    return decorate
+
+
+def plain(config: Any) -> Any:
+    """Resolved dicts, lists and values; what ``run.json`` stores."""
+    return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+
+
+def instantiate(config: Any, **arguments: Any) -> Any:
+    """Build what a config node describes; the object gets plain lists and dicts, never OmegaConf's.
+
+    Raises:
+        ValueError: a class or argument in the config does not exist, or the class refused its arguments.
+    """
+    from hydra.errors import InstantiationException
+
+    try:
+        return hydra.utils.instantiate(config, _convert_="all", **arguments)
+    except InstantiationException as error:
+        cause = error.__cause__
+        if isinstance(cause, USER_ERRORS):
+            raise cause from None
+        raise ValueError(str(error)) from error
+
+
+def build_model(config: DictConfig) -> Any:
+    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``."""
+    return instantiate(config)
+
+
+def build_protocol(config: DictConfig) -> Any:
+    """The protocol named on the command line, else the data set's own."""
+    chosen = config.get("protocol")
+    return instantiate(chosen if chosen is not None else config.data.protocol)
+
+
+def build_split(config: DictConfig, split: str, protocol: Any, *, augment: bool = False, seed: int = 0) -> Any:
+    """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
+
+    Args:
+        config: the whole config, with ``data`` and, to augment, ``augmentation``.
+        split: "train", "val" or "test": an entry of ``config.data``.
+        protocol: whose frame geometry (resize, centre crop) is applied first.
+        augment: for training.
+        seed: of the augmentation.
+    """
+    from eldenet.data.base import Chain
+    from eldenet.data.transforms import ResizeCrop
+
+    if config.data.get(split) is None:
+        raise ValueError(f"data={config.data.name} has no split '{split}'")
+    steps: list[Any] = []
+    if protocol.resize is not None or protocol.frame_crop is not None:
+        steps.append(ResizeCrop(resize=protocol.resize, crop=protocol.frame_crop))
+    if augment and config.get("augmentation") is not None:
+        steps.append(instantiate(config.augmentation))
+    return instantiate(
+        config.data[split],
+        transform=Chain(steps) if steps else None,
+        resize_depth=split == "train",
+        seed=seed,
+    )

@@ -1,0 +1,104 @@
+"""Parts that remember how they were built, and a builder that trusts nothing it was not told to trust.
+
+A part's ``config`` is what Hydra's YAML would say: ``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
+``config.json`` files come from elsewhere, so :func:`build` checks a target's module by name *before* it
+imports anything, and then accepts nothing but subclasses of :class:`Configurable`.
+"""
+
+import functools
+import importlib
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+TRUSTED_MODULES = (
+    "eldenet.backbones",
+    "eldenet.decoders",
+    "eldenet.heads",
+    "eldenet.baselines",
+    "eldenet.model",
+    "eldenet.refinement",
+)
+
+
+class Configurable:
+    """Mixin, placed first: records the constructor's arguments, so that a part can be written down.
+
+    ``transient_arguments`` names arguments that say where values came from (such as ``pretrained``) and
+    not what the part is; they are left out. ``supplied_arguments`` names those that the surrounding
+    part fills in (a decoder's ``feature_info``), which makes the written part a partial one.
+    """
+
+    transient_arguments: tuple[str, ...] = ()
+    supplied_arguments: tuple[str, ...] = ()
+    config: dict[str, Any]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        part = super().__new__(cls)
+        signature = inspect.signature(cls.__init__)
+        given = signature.bind_partial(part, *args, **kwargs)
+        given.apply_defaults()
+        arguments = dict(list(given.arguments.items())[1:])
+        unsaved = {*cls.transient_arguments, *cls.supplied_arguments}
+        config = {"_target_": f"{cls.__module__}.{cls.__qualname__}"}
+        if cls.supplied_arguments:
+            config["_partial_"] = True  # type: ignore[assignment]
+        config |= {name: _plain(value) for name, value in arguments.items() if name not in unsaved}
+        object.__setattr__(part, "config", config)
+        return part
+
+
+def _plain(value: Any) -> Any:
+    """Write an argument as JSON can hold it; a part becomes its own config."""
+    if isinstance(value, Configurable):
+        return value.config
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_plain(item) for item in value]
+    if isinstance(value, functools.partial):
+        return {"_target_": f"{value.func.__module__}.{value.func.__qualname__}", "_partial_": True} | {
+            name: _plain(item) for name, item in value.keywords.items()
+        }
+    return value
+
+
+def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
+    """Build the part that a ``config`` describes.
+
+    Args:
+        config: nested mappings with ``_target_`` (and ``_partial_``), as :class:`Configurable` writes them.
+        trusted_modules: packages or modules beyond our own model parts whose classes may be built.
+
+    Raises:
+        ValueError: a target lies outside the trusted modules (nothing is imported then), is not a
+            :class:`Configurable` class, or does not take the arguments given.
+    """
+    if isinstance(config, Mapping):
+        arguments = {key: build(value, trusted_modules) for key, value in config.items() if key[:1] != "_"}
+        if "_target_" not in config:
+            return arguments
+        part = _resolve(str(config["_target_"]), trusted_modules)
+        if config.get("_partial_"):
+            return functools.partial(part, **arguments)
+        try:
+            return part(**arguments)
+        except TypeError as error:
+            raise ValueError(f"config of {config['_target_']} does not fit: {error}") from error
+    if isinstance(config, list | tuple):
+        return [build(item, trusted_modules) for item in config]
+    return config
+
+
+def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
+    module, _, name = target.rpartition(".")
+    trusted = (*TRUSTED_MODULES, *trusted_modules)
+    if not any(module == allowed or module.startswith(f"{allowed}.") for allowed in trusted):
+        raise ValueError(
+            f"refused to build {target!r}: its module is not among the trusted ones ({', '.join(trusted)}). "
+            "If you know and trust that code, name it: trusted_modules=[...]"
+        )
+    part = getattr(importlib.import_module(module), name, None)
+    if not (isinstance(part, type) and issubclass(part, Configurable)):
+        raise ValueError(f"refused to build {target!r}: not a Configurable class of {module}")
+    return part

@@ -1,0 +1,147 @@
+"""What every data set shares: frames in, samples out, seeded per sample, split named by a hash."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import TypedDict
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from eldenet.geometry import resize_intrinsics
+from eldenet.types import DepthSample, Frame
+
+Transform = Callable[[Frame, np.random.Generator], Frame]
+SampleKey = int | tuple[int, int]
+
+
+class SampleOptions(TypedDict, total=False):
+    """The keyword arguments that every data set takes and hands on to :class:`DepthDataset`."""
+
+    min_depth: float
+    max_depth: float
+    input_size: Sequence[int] | None
+    transform: Transform | None
+    resize_depth: bool
+    seed: int
+    load_size: Sequence[int] | None
+    cache: bool
+
+
+class DepthDataset(Dataset[DepthSample]):
+    """A list of frames with depth. An adapter fills ``names`` and implements :meth:`load_frame`.
+
+    An index may be ``i`` or ``(epoch, i)``: the augmentation of a sample is drawn from
+    ``(seed, epoch, i)`` alone, so neither the number of workers nor a resumed run changes it.
+
+    Args:
+        names: the frames of this split, in a fixed order.
+        min_depth: nearest depth that counts as known [m].
+        max_depth: farthest depth that counts as known [m].
+        input_size: ``(height, width)`` of the image that leaves the data set [px]; None keeps the frame's.
+        transform: augmentation or protocol geometry, ``(frame, generator) -> frame``.
+        resize_depth: True brings depth to ``input_size`` too (training); False keeps the ground truth's
+            own resolution (evaluation).
+        seed: of the augmentation.
+        load_size: ``(height, width)`` a frame is resized to as soon as it is read, before the transform [px]:
+            an augmentation at the training size costs a tenth of one at the camera's. None keeps the frame's.
+        cache: keep the frames in memory once read (and resized), one copy per worker.
+    """
+
+    ground_truth = "raw"
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        *,
+        min_depth: float,
+        max_depth: float,
+        input_size: Sequence[int] | None = None,
+        transform: Transform | None = None,
+        resize_depth: bool = True,
+        seed: int = 0,
+        load_size: Sequence[int] | None = None,
+        cache: bool = False,
+    ) -> None:
+        if not names:
+            raise ValueError(f"{type(self).__name__} found no frames: check root and split")
+        self.names = list(names)
+        self.min_depth, self.max_depth = min_depth, max_depth
+        self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
+        self.transform = transform
+        self.resize_depth = resize_depth
+        self.seed = seed
+        self.load_size = None if load_size is None else (int(load_size[0]), int(load_size[1]))
+        self._cache: dict[int, Frame] | None = {} if cache else None
+
+    def load_frame(self, index: int) -> Frame:
+        """Read frame ``index`` from disk, decoded to RGB and metres."""
+        raise NotImplementedError
+
+    @property
+    def split_hash(self) -> str:
+        """First 16 hex digits of the SHA-256 over the frame names in order: names the split in reports."""
+        return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, key: SampleKey) -> DepthSample:
+        epoch, index = key if isinstance(key, tuple) else (0, key)
+        frame = self._ready_frame(index)
+        if self.transform is not None:
+            frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
+        if self.input_size is not None:
+            frame = resize_frame(frame, self.input_size, resize_depth=self.resize_depth)
+        return to_sample(frame, self.min_depth, self.max_depth)
+
+    def _ready_frame(self, index: int) -> Frame:
+        if self._cache is not None and index in self._cache:
+            return self._cache[index]
+        frame = self.load_frame(index)
+        if self.load_size is not None:
+            frame = resize_frame(frame, self.load_size, resize_depth=self.resize_depth)
+        if self._cache is not None:
+            self._cache[index] = frame
+        return frame
+
+
+def resize_frame(frame: Frame, size: tuple[int, int], *, resize_depth: bool = True) -> Frame:
+    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix)."""
+    import cv2
+
+    image, depth, intrinsics, name = frame
+    if image.shape[:2] != size:
+        shrink = image.shape[0] > size[0]
+        if intrinsics is not None:
+            intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
+        image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+    if resize_depth and depth.shape != size:
+        depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+    return Frame(image, depth, intrinsics, name)
+
+
+def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
+    """Turn a camera frame into tensors; depth outside the range is unknown from here on."""
+    known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
+    depth = np.where(known, frame.depth, 0.0).astype(np.float32)
+    intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
+    return {
+        "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))).float().div_(255.0),
+        "depth": torch.from_numpy(depth)[None],
+        "mask": torch.from_numpy(known)[None],
+        "intrinsics": torch.from_numpy(np.array(intrinsics, dtype=np.float32)),
+        "name": frame.name,
+    }
+
+
+class Chain:
+    """Several transforms one after the other, drawing from one generator."""
+
+    def __init__(self, steps: Sequence[Transform]) -> None:
+        self.steps = list(steps)
+
+    def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
+        for step in self.steps:
+            frame = step(frame, generator)
+        return frame

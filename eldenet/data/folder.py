@@ -1,0 +1,171 @@
+"""Anyone's own pictures with depth: two folders, or a CSV of pairs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from eldenet.data.base import DepthDataset, SampleOptions
+from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
+from eldenet.data.roots import check_files, csv_pairs, find_root, one_of
+from eldenet.geometry import pinhole
+from eldenet.types import Frame
+
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
+DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm")
+FOLDER_TREE = """
+images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)
+"""
+
+
+class FolderDataset(DepthDataset):
+    """Pictures and depth maps matched by name, or paired by a CSV.
+
+    The split is by blocks of frames that follow each other in name order, because neighbours in a recording
+    show nearly the same: a frame-by-frame split would test on what was trained. Better still, name the
+    validation frames of other places in ``val_names``.
+
+    Args:
+        root: the data set's folder.
+        images: folder of pictures below ``root``.
+        depths: folder of depth maps below ``root``, of the same names but for the ending.
+        csv: CSV below ``root`` without a header, ``image,depth`` a line, relative to ``root``; replaces
+            ``images`` and ``depths``.
+        encoding: of the depth files: a name of :data:`eldenet.data.io.ENCODINGS`, or
+            ``{scale: metres per step, offset: steps, dtype: uint8 | uint16 | float}``.
+        intrinsics: ``[fx, fy, cx, cy]`` of the pictures as they lie on disk [px], None where unknown.
+        split: "train", "val" or "all".
+        val_fraction: share of the blocks that is for validation.
+        blocks: how many blocks the frames are cut into.
+        gap: frames left out of both parts on each side of a block for validation.
+        split_seed: decides which blocks are for validation.
+        val_names: frames for validation, instead of blocks: names, or a text file with one a line.
+        ground_truth: "raw", "inpainted" or "sparse": what the depth is, for reports.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; ``max_depth`` has no default here.
+
+    Raises:
+        FileNotFoundError: naming pictures without depth, depth without a picture, and missing files.
+        ValueError: for settings that do not fit together.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        *,
+        images: str = "images",
+        depths: str = "depths",
+        csv: str | None = None,
+        encoding: Encoding = "mm",
+        intrinsics: Sequence[float] | None = None,
+        split: str = "all",
+        val_fraction: float = 0.1,
+        blocks: int = 10,
+        gap: int = 0,
+        split_seed: int = 0,
+        val_names: Sequence[str] | str | Path | None = None,
+        ground_truth: str = "raw",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "all"))
+        one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
+        if intrinsics is not None and len(intrinsics) != 4:
+            raise ValueError(f"intrinsics={list(intrinsics)}: give [fx, fy, cx, cy] in pixels")
+        if "max_depth" not in options:
+            raise ValueError("max_depth is missing: give the farthest depth [m] that counts as known")
+        options.setdefault("min_depth", 1e-3)
+        self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
+        self.intrinsics = None if intrinsics is None else pinhole(*(float(v) for v in intrinsics))
+
+        self.root = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
+        pairs = _csv_frames(self.root, csv) if csv else _folder_frames(self.root, images, depths)
+        names = sorted(pairs)
+        if split != "all":
+            if val_names is None:
+                val, left_out = _val_blocks(len(names), val_fraction, blocks, gap, split_seed)
+                chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
+                names = [names[i] for i in chosen]
+            else:
+                names = _named(names, val_names, wanted=split == "val")
+        super().__init__(names, **options)
+        self.pairs = [pairs[name] for name in names]
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one picture and its depth."""
+        image_file, depth_file = self.pairs[index]
+        image = read_image(self.root / image_file)
+        depth = read_depth(self.root / depth_file, self.encoding)
+        if image.shape[:2] != depth.shape:
+            raise ValueError(
+                f"{self.root / image_file} is {image.shape[:2]}, {self.root / depth_file} is {depth.shape} "
+                "(height, width): write both in one size"
+            )
+        return Frame(image, depth, self.intrinsics, self.names[index])
+
+
+def _csv_frames(root: Path, table: str) -> dict[str, tuple[str, str]]:
+    pairs = csv_pairs(root / table)
+    check_files(root, [file for pair in pairs for file in pair])
+    frames = {image.rsplit(".", 1)[0]: (image, depth) for image, depth in pairs}
+    if len(frames) != len(pairs):
+        raise ValueError(f"{root / table} has {len(pairs)} lines, but only {len(frames)} different pictures")
+    return frames
+
+
+def _folder_frames(root: Path, images: str, depths: str) -> dict[str, tuple[str, str]]:
+    """Pairs by the path below their folder, without the ending."""
+    pictures = _files(root, images, IMAGE_ENDINGS)
+    maps = _files(root, depths, DEPTH_ENDINGS)
+    lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
+    lonely += [f"{maps[n]} (no picture in {images})" for n in sorted(set(maps) - set(pictures))]
+    if lonely:
+        more = f" and {len(lonely) - 10} more" if len(lonely) > 10 else ""
+        raise FileNotFoundError(
+            f"{len(lonely)} files in {root} have no partner of that name: {', '.join(lonely[:10])}{more}. "
+            "Complete them, or pair files of different names in a CSV (csv=...)"
+        )
+    return {name: (pictures[name], maps[name]) for name in pictures}
+
+
+def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for path in sorted((root / folder).rglob("*")):
+        if path.suffix.lower() not in endings:
+            continue
+        name = path.relative_to(root / folder).with_suffix("").as_posix()
+        file = path.relative_to(root).as_posix()
+        if name in found:
+            raise ValueError(f"{root}: {found[name]} and {file} have the same name: which one is it?")
+        found[name] = file
+    return found
+
+
+def _val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
+    """Frames for validation, and frames beside them that belong to neither part."""
+    if not 0.0 < fraction < 1.0 or blocks < 2 or gap < 0:
+        raise ValueError(
+            f"val_fraction={fraction}, blocks={blocks}, gap={gap}: give a fraction between 0 and 1, at least "
+            "two blocks and no negative gap"
+        )
+    if count < 2:
+        raise ValueError(f"{count} frame cannot be split: use split='all'")
+    parts = np.array_split(np.arange(count), min(blocks, count))
+    chosen = np.random.default_rng(seed).permutation(len(parts))
+    chosen = np.sort(chosen[: min(max(1, round(fraction * len(parts))), len(parts) - 1)])
+    val = {int(i) for part in chosen for i in parts[part]}
+    beside = {i + step for i in val for step in range(-gap, gap + 1)} - val
+    return sorted(val), sorted(i for i in beside if 0 <= i < count)
+
+
+def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:
+    if isinstance(val_names, str | Path):
+        if not Path(val_names).is_file():
+            raise FileNotFoundError(f"{val_names} does not exist: val_names is a list, or a text file")
+        val_names = [line.strip() for line in Path(val_names).read_text().splitlines() if line.strip()]
+    unknown = sorted(set(val_names) - set(names))
+    if unknown:
+        raise ValueError(
+            f"{len(unknown)} of val_names are no frames of the data set: {', '.join(unknown[:10])}; names "
+            f"look like {names[0]!r}"
+        )
+    return [name for name in names if (name in set(val_names)) == wanted]

@@ -1,0 +1,104 @@
+"""Loaders whose order depends on nothing but (seed, epoch): resumable at any batch, shared by processes."""
+
+from collections.abc import Iterator
+
+import torch
+from torch.utils.data import DataLoader, Sampler, default_collate
+
+from eldenet.data.base import DepthDataset
+from eldenet.types import DepthSample
+
+
+class EpochSampler(Sampler[list[tuple[int, int]]]):
+    """Batches of ``(epoch, index)``: a seeded shuffle per epoch, dealt to processes batch by batch.
+
+    Args:
+        length: of the data set.
+        batch_size: per process.
+        seed: of the shuffle.
+        rank: of this process.
+        processes: that train together.
+
+    Attributes:
+        epoch: whose order comes next.
+        start: first batch to yield, so that a resumed epoch goes on where it stopped.
+    """
+
+    def __init__(self, length: int, batch_size: int, *, seed: int, rank: int = 0, processes: int = 1) -> None:
+        self.length, self.batch_size, self.seed = length, batch_size, seed
+        self.rank, self.processes = rank, processes
+        self.epoch, self.start = 0, 0
+        # a smaller last batch would make one step noisier than the others; a tiny data set keeps it
+        together = batch_size * processes
+        self.batches = length // together if length >= together else 1
+
+    def __len__(self) -> int:
+        return self.batches - self.start
+
+    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        order = torch.randperm(self.length, generator=generator).tolist()
+        for batch in range(self.start, self.batches):
+            first = (batch * self.processes + self.rank) * self.batch_size
+            indices = order[first : first + self.batch_size] or order[: self.batch_size]
+            yield [(self.epoch, index) for index in indices]
+
+
+def collate(samples: list[DepthSample]) -> dict[str, object]:
+    """Stack samples; names the frames if their sizes differ."""
+    sizes = {(tuple(sample["image"].shape[-2:]), tuple(sample["depth"].shape[-2:])) for sample in samples}
+    if len(sizes) > 1:
+        names = ", ".join(sample["name"] for sample in samples[:4])
+        raise ValueError(
+            f"frames of different sizes in one batch ({names}, ...: {sorted(sizes)}): set data.input_size, "
+            "or evaluate with batch_size=1"
+        )
+    return default_collate(samples)
+
+
+def training_loader(
+    dataset: DepthDataset,
+    batch_size: int,
+    *,
+    seed: int,
+    workers: int = 0,
+    rank: int = 0,
+    processes: int = 1,
+    pin_memory: bool = False,
+) -> DataLoader:
+    """Loader over an :class:`EpochSampler`; set ``loader.batch_sampler.epoch`` and ``.start`` before iterating."""
+    sampler = EpochSampler(len(dataset), batch_size, seed=seed, rank=rank, processes=processes)
+    return DataLoader(
+        dataset,
+        batch_sampler=sampler,
+        num_workers=workers,
+        collate_fn=collate,
+        persistent_workers=workers > 0,
+        pin_memory=pin_memory,
+        worker_init_fn=_quiet_worker if workers else None,
+        multiprocessing_context="forkserver" if workers else None,
+    )
+
+
+def evaluation_loader(
+    dataset: DepthDataset, batch_size: int, *, workers: int = 0, rank: int = 0, processes: int = 1
+) -> DataLoader:
+    """Loader that gives this process its share of the frames: every frame once, none padded."""
+    mine = list(range(rank, len(dataset), processes))
+    return DataLoader(
+        dataset,
+        batch_size=batch_size,
+        sampler=mine,
+        num_workers=workers,
+        collate_fn=collate,
+        worker_init_fn=_quiet_worker if workers else None,
+        multiprocessing_context="forkserver" if workers else None,
+    )
+
+
+def _quiet_worker(_: int) -> None:
+    """One thread per worker: its core is already counted."""
+    import cv2
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(0)

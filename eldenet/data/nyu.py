@@ -1,0 +1,238 @@
+"""NYU Depth V2 in the layouts people have on disk, one class per layout.
+
+Silberman et al., "Indoor Segmentation and Support Inference from RGBD Images", ECCV 2012. The official split
+is 795 training and 654 test frames of the 1,449 labelled ones. Which ground truth a test uses (in-painted
+``depths`` or ``rawDepths`` with holes) changes every number, so each class says it in ``ground_truth``.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from eldenet.data.base import DepthDataset, SampleOptions
+from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
+from eldenet.data.roots import check_files, csv_pairs, find_root, one_of
+from eldenet.geometry import pinhole, resize_intrinsics
+from eldenet.types import Frame
+
+NYU_SIZE = (480, 640)
+NYU_FOCAL = 518.8579
+NYU_MIN_DEPTH, NYU_MAX_DEPTH = 1e-3, 10.0
+
+# Own validation part of the 795 official training frames: first and last frame number (1-based, of the
+# labelled .mat), 130 frames. Frames of a scene follow each other in the .mat, and the official split never
+# cuts a scene, so training frames between two test frames hold whole scenes. The blocks below are such runs,
+# taken whole, spread so that every kind of room of which there are several is met (office, classroom, study,
+# bath, kitchen, bedroom, living and dining room ...). Checked on the pictures: of all pairs across the border
+# none has more than 12 SIFT inliers, which is chance; within the runs hundreds do.
+VAL_FRAMES: tuple[tuple[int, int], ...] = (
+    *((22, 27), (80, 83), (120, 124), (203, 206), (265, 270), (303, 309), (391, 394), (436, 440)),
+    *((584, 590), (614, 616), (639, 643), (665, 667), (719, 723), (805, 809), (824, 832), (909, 916)),
+    *((1005, 1009), (1110, 1116), (1185, 1191), (1221, 1225), (1266, 1274), (1341, 1346), (1402, 1406)),
+)
+
+
+def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:
+    """Intrinsics ``(3, 3)`` [px] of the colour camera for a picture of ``size`` ``(height, width)``."""
+    return resize_intrinsics(pinhole(NYU_FOCAL, 519.4696, 325.5824, 253.7362), NYU_SIZE, size)
+
+
+def is_val_frame(number: int) -> bool:
+    """Whether the labelled frame ``number`` (1-based) belongs to the own validation part."""
+    return any(first <= number <= last for first, last in VAL_FRAMES)
+
+
+class NYUFrames(DepthDataset):
+    """What the layouts share: the depth range of the field's tables, unless the caller gives another."""
+
+    def __init__(self, names: Sequence[str], **options: Unpack[SampleOptions]) -> None:
+        options.setdefault("min_depth", NYU_MIN_DEPTH)
+        options.setdefault("max_depth", NYU_MAX_DEPTH)
+        super().__init__(names, **options)
+
+
+class _NYUPairs(NYUFrames):
+    """Frames that are one picture and one depth file each."""
+
+    def __init__(
+        self,
+        root: Path,
+        pairs: Sequence[tuple[str, str]],
+        names: Sequence[str],
+        encoding: Encoding,
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        super().__init__(names, **options)
+        check_files(root, [file for pair in pairs for file in pair])
+        self.root, self.pairs, self.encoding = root, list(pairs), depth_encoding(encoding)
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one picture and its depth."""
+        image_file, depth_file = self.pairs[index]
+        image = read_image(self.root / image_file)
+        depth = read_depth(self.root / depth_file, self.encoding)
+        if image.shape[:2] != depth.shape:
+            raise ValueError(
+                f"{self.root / image_file} is {image.shape[:2]}, {self.root / depth_file} is {depth.shape} "
+                "(height, width): they are no pair"
+            )
+        return Frame(image, depth, nyu_intrinsics((image.shape[0], image.shape[1])), self.names[index])
+
+
+DENSEDEPTH_TREE = """
+data/nyu2_train.csv      no header: data/nyu2_train/<scene>_out/1.jpg,data/nyu2_train/<scene>_out/1.png
+data/nyu2_train/<scene>_out/1.jpg, 1.png                            (colour, depth)
+data/nyu2_test.csv, data/nyu2_test/00000_colors.png, 00000_depth.png
+"""
+
+
+class NYUDenseDepth(_NYUPairs):
+    """DenseDepth's zip (also on Kaggle): a CSV of pairs, in-painted depth.
+
+    Convention: training depth is 8 bits over 10 m (``nyu8``), so known to 4 cm; test depth is 16 bits, mm.
+
+    Args:
+        root: the folder that holds ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/densedepth``.
+        split: "train" or "test".
+        encoding: of the depth files; None for DenseDepth's own.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown split or a line of the CSV that is no pair.
+    """
+
+    ground_truth = "inpainted"
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        encoding: Encoding | None = None,
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "test"))
+        table = f"data/nyu2_{split}.csv"
+        folder = find_root(root, "nyu_depth_v2/densedepth", [table], DENSEDEPTH_TREE)
+        pairs = csv_pairs(folder / table)
+        names = [_stem(image, f"data/nyu2_{split}/") for image, _ in pairs]
+        super().__init__(folder, pairs, names, encoding or {"train": "nyu8", "test": "mm"}[split], **options)
+
+
+class NYULabelled(_NYUPairs):
+    """The 795 official training frames of the labelled set, in DenseDepth's layout, split in two.
+
+    Args:
+        root: the folder that holds ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``. The file names
+            are the frame numbers of the labelled .mat (1-based).
+        split: "train" or "val", which share no scene (see ``VAL_FRAMES``), or "all" for the 795.
+        encoding: of the depth files.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown split or a file name that is no frame number.
+    """
+
+    ground_truth = "inpainted"
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        encoding: Encoding = "nyu8_labelled",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "all"))
+        table = "data/nyu2_train.csv"
+        folder = find_root(root, "nyu_depth_v2/labeled", [table], DENSEDEPTH_TREE)
+        pairs = csv_pairs(folder / table)
+        if split != "all":
+            pairs = [p for p in pairs if is_val_frame(_frame_number(p[0])) == (split == "val")]
+        names = [_stem(image, "data/nyu2_train/") for image, _ in pairs]
+        super().__init__(folder, pairs, names, encoding, **options)
+
+
+SYNC_TREE = """
+<scene>/rgb_00000.jpg, sync_depth_00000.png           (BTS's sync folder; depth 16 bits, mm, 0 = unknown)
+"""
+
+
+class NYUSync(_NYUPairs):
+    """BTS's extraction of the raw set: colour with depth brought into its view, holes left as they are.
+
+    BTS, AdaBins and GLPDepth read the test frames the same way, from ``official_splits/test`` and its list.
+
+    Args:
+        root: the folder that holds the scenes; None for ``$ELDENET_DATA/nyu_depth_v2/sync``.
+        list_file: list of ``image depth [focal]`` lines, relative to ``root`` even where they start with "/"
+            (BTS's do); None takes every pair below ``root``.
+        encoding: of the depth files.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing, a picture without depth included.
+        ValueError: for a line of the list that is no pair, or another camera's focal length.
+    """
+
+    ground_truth = "raw"
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        list_file: str | Path | None = None,
+        encoding: Encoding = "mm",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        folder = find_root(root, "nyu_depth_v2/sync", [], SYNC_TREE)
+        pairs = _sync_pairs(folder) if list_file is None else _list_pairs(Path(list_file))
+        super().__init__(folder, pairs, [_stem(image, "") for image, _ in pairs], encoding, **options)
+
+
+def _sync_pairs(folder: Path) -> list[tuple[str, str]]:
+    """Every ``rgb_*`` or ``sync_depth_*`` file below ``folder`` with the partner it must have."""
+    stems = set()
+    for kind, ending in (("rgb_", ".jpg"), ("sync_depth_", ".png")):
+        for path in folder.rglob(f"{kind}*{ending}"):
+            stems.add((path.parent.relative_to(folder), path.stem.removeprefix(kind)))
+    return [
+        ((d / f"rgb_{n}.jpg").as_posix(), (d / f"sync_depth_{n}.png").as_posix()) for d, n in sorted(stems)
+    ]
+
+
+def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
+    if not list_file.is_file():
+        raise FileNotFoundError(f"{list_file} does not exist: list_file names the list of frames")
+    pairs = []
+    for number, line in enumerate(list_file.read_text().splitlines(), 1):
+        cells = line.split()
+        if not cells:
+            continue
+        if len(cells) not in (2, 3):
+            raise ValueError(f"{list_file}, line {number}: wants 'image depth [focal]' but holds {line!r}")
+        if len(cells) == 3 and abs(float(cells[2]) - NYU_FOCAL) > 1.0:
+            raise ValueError(
+                f"{list_file}, line {number}: focal length {cells[2]} px, NYU's camera has {NYU_FOCAL}: is "
+                "it another data set's list?"
+            )
+        # Joined as it stands, a path that starts with "/" would drop the root.
+        pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
+    return pairs
+
+
+def _stem(file: str, prefix: str) -> str:
+    return file.removeprefix(prefix).rsplit(".", 1)[0]
+
+
+def _frame_number(file: str) -> int:
+    stem = Path(file).stem
+    if not stem.isdecimal():
+        raise ValueError(
+            f"{file}: the labelled frames are named by their number in the .mat, such as 0003.jpg"
+        )
+    return int(stem)

@@ -1,0 +1,176 @@
+"""NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labelled .mat."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from eldenet.data.base import SampleOptions
+from eldenet.data.io import decode_depth
+from eldenet.data.nyu import NYUFrames, is_val_frame, nyu_intrinsics
+from eldenet.data.roots import find_root, one_of
+from eldenet.types import Frame
+
+HDF5_TREE = """
+train/<scene>/00001.h5 ...     (47,584 frames)      keys: rgb (3, 480, 640) uint8, depth (480, 640) float32 m
+val/official/00001.h5 ...      (654 frames)
+"""
+MAT_TREE = """
+nyu_depth_v2_labeled.mat       (1,449 frames, 2.8 GB, MATLAB 7.3 = HDF5)
+splits.mat                     (the official split: trainNdxs, testNdxs)
+"""
+
+
+class NYUHDF5(NYUFrames):
+    """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
+
+    Args:
+        root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.
+        split: "train" or "val" (the 654 official test frames).
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: where there is no such folder.
+        ValueError: for an unknown split; on reading, for a cut file or a key that is missing.
+    """
+
+    ground_truth = "inpainted"
+
+    def __init__(
+        self, root: str | Path | None = None, *, split: str = "train", **options: Unpack[SampleOptions]
+    ) -> None:
+        one_of("split", split, ("train", "val"))
+        self.root = find_root(root, "nyudepthv2", [split], HDF5_TREE)
+        files = sorted(path.relative_to(self.root) for path in (self.root / split).glob("*/*.h5"))
+        super().__init__([file.with_suffix("").as_posix() for file in files], **options)
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one file."""
+        name = self.names[index]
+        path = self.root / f"{name}.h5"
+        with _open(path) as file:
+            image, depth = _take(file, "rgb", path)[()], _take(file, "depth", path)[()]
+        if (
+            image.ndim != 3
+            or image.shape[0] != 3
+            or image.dtype != np.uint8
+            or image.shape[1:] != depth.shape
+        ):
+            raise ValueError(
+                f"{path}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, wanted (3, H, W) uint8 "
+                "and (H, W)"
+            )
+        size = (depth.shape[0], depth.shape[1])
+        image = np.ascontiguousarray(image.transpose(1, 2, 0))
+        return Frame(image, decode_depth(depth, "metres", path), nyu_intrinsics(size), name)
+
+
+class NYUMat(NYUFrames):
+    """The original ``nyu_depth_v2_labeled.mat``.
+
+    Convention: MATLAB writes the axes in reverse, so images come as ``(N, 3, 640, 480)`` and depth as
+    ``(N, 640, 480)``; frame numbers, here and in ``splits.mat``, start at 1.
+
+    Args:
+        root: the folder that holds the files; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``.
+        split: "train" and "val", the own scene-disjoint parts of the 795 official training frames
+            (:data:`eldenet.data.nyu.VAL_FRAMES`), "trainval" for the 795, "test" for the 654, or "all", the
+            one that needs no ``splits.mat``.
+        ground_truth: "inpainted" for ``depths``, "raw" for ``rawDepths`` with its holes.
+        file: name of the .mat.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown split or ground truth, or a .mat without it or with too few frames.
+    """
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        ground_truth: str = "inpainted",
+        file: str = "nyu_depth_v2_labeled.mat",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "trainval", "test", "all"))
+        one_of("ground_truth", ground_truth, ("raw", "inpainted"))
+        needed = [file] if split == "all" else [file, "splits.mat"]
+        folder = find_root(root, "nyu_depth_v2/labeled", needed, MAT_TREE)
+        self.path, self.ground_truth = folder / file, ground_truth
+        self.depth_key = {"raw": "rawDepths", "inpainted": "depths"}[ground_truth]
+        self._handle: Any = None
+        self._process = -1
+        with _open(self.path) as mat:
+            count = _mat_frames(mat, self.path, self.depth_key)
+        self.numbers = range(1, count + 1) if split == "all" else _split_numbers(folder / "splits.mat", split)
+        if max(self.numbers, default=0) > count:
+            raise ValueError(
+                f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
+            )
+        super().__init__([f"{number:04d}" for number in self.numbers], **options)
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one frame."""
+        mat, at = self._mat(), self.numbers[index] - 1
+        image = np.ascontiguousarray(mat["images"][at].transpose(2, 1, 0))
+        depth = decode_depth(
+            np.ascontiguousarray(mat[self.depth_key][at].T), "metres", f"{self.path}, frame {at + 1}"
+        )
+        return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
+
+    def _mat(self) -> Any:
+        """The open file, opened once in each process: a handle must not cross a fork or a pickle."""
+        if self._handle is None or self._process != os.getpid():
+            self._handle, self._process = _open(self.path), os.getpid()
+        return self._handle
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_handle": None}
+
+
+def _open(path: Path) -> Any:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist: check root, or fetch the file again")
+    try:
+        import h5py
+    except ImportError as error:
+        raise ImportError("reading NYU's HDF5 files needs h5py: pip install 'eldenet[nyu]'") from error
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise ValueError(f"{path} is cut or is no HDF5 file ({error}): fetch it again") from error
+
+
+def _take(file: Any, key: str, path: Path) -> Any:
+    if key not in file:
+        raise ValueError(f"{path} has no {key!r}, only {', '.join(sorted(file))}: is it the right file?")
+    return file[key]
+
+
+def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:
+    images, depths = _take(mat, "images", path), _take(mat, depth_key, path)
+    axes_fit = (
+        images.ndim == 4 and images.shape[1] == 3 and depths.shape == (images.shape[0], *images.shape[2:])
+    )
+    if not axes_fit:
+        raise ValueError(
+            f"{path}: images {images.shape} and {depth_key} {depths.shape}, wanted (N, 3, 640, 480) and "
+            "(N, 640, 480)"
+        )
+    return int(images.shape[0])
+
+
+def _split_numbers(path: Path, split: str) -> Sequence[int]:
+    """Frame numbers, from 1, of a part of the official split."""
+    try:
+        from scipy.io import loadmat
+    except ImportError as error:
+        raise ImportError("reading splits.mat needs scipy: pip install 'eldenet[nyu]'") from error
+    numbers = [int(n) for n in loadmat(path)["testNdxs" if split == "test" else "trainNdxs"].ravel()]
+    if split in ("train", "val"):
+        numbers = [n for n in numbers if is_val_frame(n) == (split == "val")]
+    return numbers

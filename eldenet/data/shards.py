@@ -1,0 +1,128 @@
+"""Rendered frames on disk: shards of memory-mapped arrays, written whole or not at all.
+
+A shard is a folder with ``image.npy`` (F, H, W, 3) uint8, ``depth.npy`` (F, H, W) uint16 in steps of 0.2 mm
+(0 = unknown), ``intrinsics.npy`` (F, 3, 3) float64 [px] and ``shard.json`` with their checksums. It is written
+under another name and renamed when complete: a killed render leaves whole shards only, and of two processes
+that render the same shard one wins and the other drops its copy.
+
+``python -m eldenet.data.shards`` is the worker process of a render; it loads neither torch nor the caller's
+main module.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+import uuid
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+#: Metres per step of the stored depth; uint16 then reaches 13.1 m.
+DEPTH_STEP = 0.0002
+#: Rooms per shard.
+SHARD_ROOMS = 8
+
+_SOURCES = ("camera", "furniture", "kinds", "materials", "mjcf", "render", "rooms", "sensor", "shading", "textures")
+_ARRAYS = ("image", "depth", "intrinsics")
+
+
+def default_cache() -> Path:
+    """``$ELDENET_CACHE``, or ``~/.cache/eldenet``."""
+    return Path(os.environ.get("ELDENET_CACHE") or Path.home() / ".cache" / "eldenet")
+
+
+def generator_hash(settings: dict[str, object]) -> str:
+    """First 12 hex digits of the SHA-256 over the generator's sources and settings: names the cache's folder."""
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
+    folder = Path(__file__).parent.parent / "simulation"
+    for name in _SOURCES:
+        digest.update((folder / f"{name}.py").read_bytes().replace(b"\r\n", b"\n"))
+    return digest.hexdigest()[:12]
+
+
+def shard_folder(root: Path, split: str, shard: int) -> Path:
+    """Where a shard lies."""
+    return root / split / f"{shard:06d}"
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether a shard is there, complete and unharmed (checksums over every byte, about 10 ms)."""
+    try:
+        sums = json.loads((folder / "shard.json").read_text())
+        return all(zlib.crc32((folder / f"{name}.npy").read_bytes()) == sums[name] for name in _ARRAYS)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def write_shard(folder: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write a shard atomically; a broken one of that name is replaced, a whole one is kept."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = folder.with_name(f".{folder.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}")
+    scratch.mkdir()
+    try:
+        sums = {}
+        for name in _ARRAYS:
+            path = scratch / f"{name}.npy"
+            np.save(path, arrays[name])
+            sums[name] = zlib.crc32(path.read_bytes())
+        (scratch / "shard.json").write_text(json.dumps(sums))
+        if folder.exists() and not is_whole(folder):
+            trash = scratch.with_name(scratch.name + "-broken")
+            os.replace(folder, trash)
+            shutil.rmtree(trash, ignore_errors=True)
+        try:
+            os.rename(scratch, folder)
+        except OSError:
+            if not is_whole(folder):  # not "another process was first" but a real failure
+                raise
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def open_shard(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Memory maps of image, depth (steps) and intrinsics."""
+    image, depth, intrinsics = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in _ARRAYS)
+    return image, depth, intrinsics
+
+
+def encode_depth(depth: np.ndarray) -> np.ndarray:
+    """Metres to steps; what does not fit is unknown."""
+    steps = np.rint(np.asarray(depth, dtype=np.float64) / DEPTH_STEP)
+    return np.where((steps > 0) & (steps < 65536), steps, 0).astype(np.uint16)
+
+
+def render_shard(
+    root: Path, split: str, shard: int, size: tuple[int, int], on_room: Callable[[int], None] = lambda frames: None
+) -> None:
+    """Render the rooms of one shard and write it; ``on_room`` hears of every room's frames."""
+    from eldenet.simulation.render import render_room
+
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in _ARRAYS}
+    for index in range(shard * SHARD_ROOMS, (shard + 1) * SHARD_ROOMS):
+        views = render_room(split, index, size)
+        columns["image"].append(views.image)
+        columns["depth"].append(encode_depth(views.depth))
+        columns["intrinsics"].append(views.intrinsics)
+        on_room(len(views.image))
+    write_shard(shard_folder(root, split, shard), {name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _worker() -> None:
+    """Render the shards of the job on stdin; print the number of frames after every room."""
+    job = json.loads(sys.stdin.readline())
+    for shard in job["shards"]:
+        if not is_whole(shard_folder(Path(job["root"]), job["split"], shard)):
+            render_shard(Path(job["root"]), job["split"], shard, tuple(job["size"]), _report)
+
+
+def _report(frames: int) -> None:
+    sys.stdout.write(f"{frames}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    _worker()

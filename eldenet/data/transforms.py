@@ -1,0 +1,273 @@
+"""Augmentation and protocol geometry of a camera frame: the only file that knows albumentations."""
+
+import os
+import random
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eldenet.geometry import crop_intrinsics, resize_intrinsics
+from eldenet.types import Frame
+
+BORDER_COLOUR = (124, 116, 104)  # ImageNet's mean: a border that says nothing once the network normalises it
+
+
+class Augmentation:
+    """Random flip, zoom, shift, rotation and colour change of a frame, the geometry kept true.
+
+    Every probability is 0 for "off". Nothing but the generator handed to a call decides what happens to a
+    frame: not earlier calls, not the worker. Where the frame is moved away from the border, the image is
+    filled with one colour and the depth is unknown (0): a mirrored border would invent depth.
+
+    Zooming by s shows the scene as from s times nearer: depth is divided by s, the focal length stays, X and
+    Y of every point in the camera frame stay the same (as in sparse-to-dense and FastDepth). Flip, rotation
+    and shift keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 %
+    apart for NYU) shears the scene by that difference times the sine of the angle, which is left in.
+
+    Args:
+        flip: probability of mirroring left and right.
+        affine: probability of zoom, shift and rotation together.
+        scale: range of the zoom factor s.
+        shift: largest shift, as a fraction of width and height.
+        rotate: largest rotation [deg].
+        brightness_contrast: probability of a change of brightness and contrast by up to ``brightness`` and
+            ``contrast`` (fractions).
+        brightness: see ``brightness_contrast``.
+        contrast: see ``brightness_contrast``.
+        color_jitter: probability of torchvision-like jitter of brightness, contrast, saturation by up to
+            ``jitter`` (fraction) and of hue by up to ``jitter_hue`` (fraction of the circle).
+        jitter: see ``color_jitter``.
+        jitter_hue: see ``color_jitter``.
+        hue_saturation: probability of a change of hue by up to ``hue`` (OpenCV's half degrees), of saturation
+            and value by up to ``saturation`` and ``value`` (of 255).
+        hue: see ``hue_saturation``.
+        saturation: see ``hue_saturation``.
+        value: see ``hue_saturation``.
+
+    Raises:
+        ValueError: for a probability outside [0, 1] or a range that is none.
+    """
+
+    def __init__(
+        self,
+        *,
+        flip: float = 0.5,
+        affine: float = 0.5,
+        scale: Sequence[float] = (1.0, 1.3),
+        shift: float = 0.05,
+        rotate: float = 5.0,
+        brightness_contrast: float = 0.3,
+        brightness: float = 0.2,
+        contrast: float = 0.2,
+        color_jitter: float = 0.3,
+        jitter: float = 0.2,
+        jitter_hue: float = 0.0,
+        hue_saturation: float = 0.3,
+        hue: float = 10.0,
+        saturation: float = 20.0,
+        value: float = 10.0,
+    ) -> None:
+        chances = {
+            "flip": flip,
+            "affine": affine,
+            "brightness_contrast": brightness_contrast,
+            "color_jitter": color_jitter,
+            "hue_saturation": hue_saturation,
+        }
+        for name, chance in chances.items():
+            if not 0.0 <= chance <= 1.0:
+                raise ValueError(
+                    f"{name}={chance} is a probability: give a number from 0 (off) to 1 (always)"
+                )
+        fractions = {"shift": shift, "brightness": brightness, "contrast": contrast, "jitter": jitter}
+        for name, fraction in fractions.items():
+            if not 0.0 <= fraction <= 1.0:
+                raise ValueError(f"{name}={fraction} is a fraction: give a number from 0 to 1")
+        low, high = (float(s) for s in scale)
+        if not 0.1 <= low <= high:
+            raise ValueError(
+                f"scale={list(scale)} is a range of zoom factors: give [low, high], 0.1 <= low <= high"
+            )
+
+        A = _albumentations()
+        geometry: list[Any] = [A.HorizontalFlip(p=flip)] if flip else []
+        if affine:
+            geometry.append(
+                A.Affine(
+                    scale=(low, high),
+                    keep_ratio=True,
+                    translate_percent=(-shift, shift),
+                    rotate=(-rotate, rotate),
+                    border_mode=0,  # cv2.BORDER_CONSTANT; the reflecting modes would multiply the keypoints
+                    fill=BORDER_COLOUR,
+                    fill_mask=0,
+                    p=affine,
+                )
+            )
+        colour: list[Any] = []
+        if brightness_contrast:
+            colour.append(
+                A.RandomBrightnessContrast(
+                    brightness_limit=brightness, contrast_limit=contrast, p=brightness_contrast
+                )
+            )
+        if color_jitter:
+            spread = (1.0 - jitter, 1.0 + jitter)
+            colour.append(
+                A.ColorJitter(spread, spread, spread, hue=(-jitter_hue, jitter_hue), p=color_jitter)
+            )
+        if hue_saturation:
+            colour.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
+        points = A.KeypointParams(format="xy", remove_invisible=False)
+        # Two passes: the keypoints that carry the geometry need not travel through the colour changes.
+        self.geometry = A.Compose(geometry, keypoint_params=points) if geometry else None
+        self.colour = A.Compose(colour) if colour else None
+
+    def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
+        """Augment one frame; see :class:`Augmentation`.
+
+        Raises:
+            ValueError: where image and depth differ in size.
+        """
+        image, depth, intrinsics, name = frame
+        _same_size(frame)
+        # A shared state, not Compose.set_random_seed: that one gives every transform the same seed, so that
+        # one throw of the dice decides flip, affine and colour alike.
+        chance = random.Random(int(generator.integers(2**63)))
+        if self.geometry is not None:
+            self.geometry.set_random_state(generator, chance)
+            height, width = depth.shape
+            corners = np.array([[0, 0], [width, 0], [0, height]], dtype=np.float32)
+            moved = self.geometry(image=image, mask=depth, keypoints=corners)
+            image, depth = moved["image"], moved["mask"]
+            matrix = _affine_through(corners, np.asarray(moved["keypoints"], dtype=np.float64))
+            depth, intrinsics = _move_camera(depth, intrinsics, matrix)
+        if self.colour is not None:
+            self.colour.set_random_state(generator, chance)
+            image = self.colour(image=image)["image"]
+        return Frame(image, depth, intrinsics, name)
+
+
+class ResizeCrop:
+    """Resize, then cut out the middle: the geometry of an evaluation protocol, on image and depth alike.
+
+    Example: sparse-to-dense scores 640x480 frames at ``resize=0.5, crop=(228, 304)``, all nearest;
+    FastDepth at ``resize=250 / 480``, the same crop, and ``size=(224, 224)``.
+
+    Convention: the crop starts at ``round((size - crop) / 2)``, half to even, as torchvision's centre crop.
+
+    Args:
+        resize: factor, or ``(height, width)`` [px], or None for none. A factor rounds the size down, as
+            sparse-to-dense does.
+        crop: ``(height, width)`` of the middle that stays [px], or None for all.
+        interpolation: of the image: "nearest", "bilinear" or "area". Depth is always "nearest".
+        size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
+    """
+
+    def __init__(
+        self,
+        *,
+        resize: float | Sequence[int] | None = None,
+        crop: Sequence[int] | None = None,
+        interpolation: str = "bilinear",
+        size: Sequence[int] | None = None,
+    ) -> None:
+        if interpolation not in ("nearest", "bilinear", "area"):
+            raise ValueError(f"interpolation={interpolation!r}: give 'nearest', 'bilinear' or 'area'")
+        if isinstance(resize, int | float) and not resize > 0:
+            raise ValueError(f"resize={resize}: give a factor above 0 or [height, width]")
+        self.resize = resize if resize is None or isinstance(resize, int | float) else _pair(resize)
+        self.crop = None if crop is None else _pair(crop)
+        self.size = None if size is None else _pair(size)
+        self.interpolation = interpolation
+
+    def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
+        """Resize and crop one frame; nothing here is random.
+
+        Raises:
+            ValueError: where image and depth differ in size, or the crop does not fit.
+        """
+        _same_size(frame)
+        height, width = frame.depth.shape
+        if isinstance(self.resize, tuple):
+            frame = self._resized(frame, self.resize)
+        elif self.resize is not None:
+            frame = self._resized(frame, (_scaled(height, self.resize), _scaled(width, self.resize)))
+        if self.crop is not None:
+            frame = self._cropped(frame, self.crop)
+        return frame if self.size is None else self._resized(frame, self.size)
+
+    def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
+        import cv2
+
+        image, depth, intrinsics, name = frame
+        if depth.shape == size:
+            return frame
+        how = {
+            "nearest": cv2.INTER_NEAREST_EXACT,
+            "bilinear": cv2.INTER_LINEAR,
+            "area": cv2.INTER_AREA,
+        }[self.interpolation]
+        if intrinsics is not None:
+            intrinsics = resize_intrinsics(intrinsics, (depth.shape[0], depth.shape[1]), size)
+        image = cv2.resize(image, size[::-1], interpolation=how)
+        depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        return Frame(image, depth, intrinsics, name)
+
+    def _cropped(self, frame: Frame, crop: tuple[int, int]) -> Frame:
+        image, depth, intrinsics, name = frame
+        (height, width), (rows, cols) = depth.shape, crop
+        if rows > height or cols > width:
+            raise ValueError(f"crop={list(crop)} does not fit into {name}, which is {height}x{width} here")
+        top, left = round((height - rows) / 2), round((width - cols) / 2)
+        if intrinsics is not None:
+            intrinsics = crop_intrinsics(intrinsics, top, left)
+        window = (slice(top, top + rows), slice(left, left + cols))
+        return Frame(image[window], depth[window], intrinsics, name)
+
+
+def _albumentations() -> Any:
+    """Import albumentations without letting it ask the network for a newer version of itself."""
+    os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
+    import albumentations
+
+    return albumentations
+
+
+def _scaled(length: int, factor: float) -> int:
+    return int(length * factor + 1e-6)  # 480 * (250 / 480) must not round down to 249
+
+
+def _pair(size: Sequence[int]) -> tuple[int, int]:
+    if len(size) != 2 or min(size) < 1:
+        raise ValueError(f"a size is [height, width] in pixels, got {list(size)}")
+    return int(size[0]), int(size[1])
+
+
+def _same_size(frame: Frame) -> None:
+    if frame.image.shape[:2] != frame.depth.shape:
+        raise ValueError(
+            f"{frame.name}: image {frame.image.shape[:2]} and depth {frame.depth.shape} differ in size, so "
+            "they cannot be moved together: resize one of them first"
+        )
+
+
+def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """The ``(2, 3)`` matrix [px] that takes three points ``(3, 2)`` to where they went."""
+    homogeneous = np.column_stack([before.astype(np.float64), np.ones(3)])
+    return np.linalg.solve(homogeneous, after).T
+
+
+def _move_camera(
+    depth: np.ndarray, intrinsics: np.ndarray | None, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Depth and intrinsics of a moved picture: zoom divides depth, the principal point moves along."""
+    zoom = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
+    if abs(zoom - 1.0) > 1e-5:  # below that it is the rounding of float32 keypoints
+        depth = depth / np.float32(zoom)
+    if intrinsics is not None:
+        moved = np.array(intrinsics, dtype=np.float64)
+        moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
+        intrinsics = moved
+    return depth, intrinsics

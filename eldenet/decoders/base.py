@@ -1,0 +1,43 @@
+"""What a decoder is: feature maps in, one raw map out, skips looked up by stride."""
+
+from collections.abc import Sequence
+
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from eldenet.configurable import Configurable
+from eldenet.types import FeatureInfo
+
+
+class Decoder(Configurable, nn.Module):
+    """Base of decoders.
+
+    Args:
+        feature_info: of the backbone's features, finest first; :class:`~eldenet.model.EncoderDecoder`
+            hands it over.
+
+    Attributes:
+        stride: of the raw map ``(B, 1, ceil(H / stride), ceil(W / stride))`` that :meth:`forward` returns.
+    """
+
+    supplied_arguments = ("feature_info",)
+    stride: int
+
+    def __init__(self, feature_info: Sequence[FeatureInfo]) -> None:
+        super().__init__()
+        self.index_of = {info.stride: index for index, info in enumerate(feature_info)}
+        self.channels_at = {info.stride: info.channels for info in feature_info}
+        if len(self.index_of) != len(feature_info):
+            raise ValueError(f"features need distinct strides, got {[info.stride for info in feature_info]}")
+
+    def forward(self, features: Sequence[Tensor]) -> Tensor:
+        """Features, finest first -> raw map ``(B, 1, h, w)`` at :attr:`stride`."""
+        raise NotImplementedError
+
+
+def crop_or_pad(x: Tensor, like: Tensor) -> Tensor:
+    """Bring ``x`` to the height and width of ``like``: odd sizes leave an up-sampled map a pixel off."""
+    missing_rows, missing_cols = like.shape[-2] - x.shape[-2], like.shape[-1] - x.shape[-1]
+    if missing_rows > 0 or missing_cols > 0:
+        x = F.pad(x, (0, max(missing_cols, 0), 0, max(missing_rows, 0)), mode="replicate")
+    return x[..., : like.shape[-2], : like.shape[-1]]

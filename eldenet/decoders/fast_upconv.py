@@ -1,0 +1,68 @@
+"""ELDE-Net's default decoder: four fast up-convolution modules fed by the encoder's stages."""
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+from eldenet.decoders.base import Decoder, crop_or_pad
+from eldenet.decoders.upconv import UpConvBlock
+from eldenet.types import FeatureInfo
+
+FUSIONS = ("add", "none")
+
+
+class FastUpConvDecoder(Decoder):
+    """Four fast up-convolution modules, each with the kernels 3x3, 3x2, 2x3 and 2x2 and a pixel shuffle.
+
+    The deepest feature is reduced by a 1x1 convolution, then four times doubled in size while its channels
+    are halved; after each module the encoder's feature of that stride is added through a 1x1 convolution.
+
+    Args:
+        feature_info: of the backbone, finest first.
+        width: channels after the first 1x1 convolution; None: half of the deepest feature's.
+        fusion: "add" sums the encoder's feature of the same stride in; "none" uses the deepest alone.
+        min_channels: no module gets narrower than this.
+    """
+
+    def __init__(
+        self,
+        feature_info: Sequence[FeatureInfo],
+        *,
+        width: int | None = None,
+        fusion: str = "add",
+        min_channels: int = 8,
+    ) -> None:
+        super().__init__(feature_info)
+        if fusion not in FUSIONS:
+            raise ValueError(f"fusion={fusion!r}: choose one of {FUSIONS}")
+        deepest = max(self.index_of)
+        if deepest < 16:
+            raise ValueError(f"four doublings need a feature of stride 16 or more, the deepest has {deepest}")
+        self.deepest, self.stride = self.index_of[deepest], deepest // 16
+        width = self.channels_at[deepest] // 2 if width is None else width
+        channels = [max(width // 2**step, min_channels) for step in range(5)]
+        self.reduce = nn.Sequential(
+            nn.Conv2d(self.channels_at[deepest], channels[0], 1, bias=False), nn.BatchNorm2d(channels[0])
+        )
+        self.up = nn.ModuleList()
+        self.lateral = nn.ModuleDict()  # by stride
+        for step in range(4):
+            self.up.append(UpConvBlock(channels[step], channels[step + 1]))
+            stride = deepest // 2 ** (step + 1)
+            if fusion == "add" and stride in self.channels_at:
+                self.lateral[str(stride)] = nn.Sequential(
+                    nn.Conv2d(self.channels_at[stride], channels[step + 1], 1, bias=False),
+                    nn.BatchNorm2d(channels[step + 1]),
+                )
+        self.strides = [deepest // 2 ** (step + 1) for step in range(4)]
+        self.predict = nn.Conv2d(channels[-1], 1, 3, padding=1)
+
+    def forward(self, features: Sequence[Tensor]) -> Tensor:
+        """Features, finest first -> raw map ``(B, 1, h, w)``."""
+        x = self.reduce(features[self.deepest])
+        for stride, module in zip(self.strides, self.up, strict=True):
+            x = module(x)
+            if str(stride) in self.lateral:
+                lateral = self.lateral[str(stride)](features[self.index_of[stride]])
+                x = crop_or_pad(x, lateral) + lateral
+        return self.predict(x)

@@ -1,0 +1,101 @@
+"""Unpool + 5x5 convolution, and the same operator at a quarter of the multiplications."""
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from eldenet.decoders.base import Decoder
+from eldenet.types import FeatureInfo
+
+# Per output parity (row, column): the taps of the 5x5 kernel that meet a value, and the padding
+# (left, right, top, bottom) that aligns them. The kernels are 3x3, 3x2, 2x3 and 2x2.
+PARITIES = (
+    (slice(0, None, 2), slice(0, None, 2), (1, 1, 1, 1)),
+    (slice(0, None, 2), slice(1, None, 2), (0, 1, 1, 1)),
+    (slice(1, None, 2), slice(0, None, 2), (1, 1, 0, 1)),
+    (slice(1, None, 2), slice(1, None, 2), (0, 1, 0, 1)),
+)
+
+
+class UpConv2d(nn.Module):
+    """Doubles height and width: zero-insert unpooling, then a 5x5 convolution (no bias).
+
+    With ``fast=True`` the four kernels 3x3, 3x2, 2x3 and 2x2 run on the map *before* unpooling and their
+    outputs are interleaved by a pixel shuffle (Laina et al. 2016, fast up-convolution). Both forms are the
+    same operator with the same weight; the fast one needs a quarter of the multiply-adds.
+
+    Convention: unpooling puts a value at the top-left of its 2x2 cell, as Ma & Karaman's ``Unpool`` does
+    (Laina's TensorFlow code pads on the other side: the same operator, one pixel shifted).
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, fast: bool = True) -> None:
+        super().__init__()
+        self.fast = fast
+        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, 5, 5))
+        # each output pixel meets only 25 / 4 of the 25 taps on average: that is its true fan
+        nn.init.normal_(self.weight, std=(2 / (in_channels * 25 / 4)) ** 0.5)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(B, in, H, W)`` -> ``(B, out, 2H, 2W)``."""
+        return self.interleaved(x) if self.fast else self.unpooled(x)
+
+    def unpooled(self, x: Tensor) -> Tensor:
+        """The operator as it is defined."""
+        batch, channels, height, width = x.shape
+        sparse = x.new_zeros(batch, channels, 2 * height, 2 * width)
+        sparse[..., ::2, ::2] = x
+        return F.conv2d(sparse, self.weight, padding=2)
+
+    def interleaved(self, x: Tensor) -> Tensor:
+        """The operator without the multiplications by zero."""
+        phases = [
+            F.conv2d(F.pad(x, padding), self.weight[:, :, rows, cols]) for rows, cols, padding in PARITIES
+        ]
+        return F.pixel_shuffle(torch.stack(phases, dim=2).flatten(1, 2), 2)
+
+
+class UpConvBlock(nn.Sequential):
+    """One up-convolution module: unpool + convolution, batch normalisation, ReLU."""
+
+    def __init__(self, in_channels: int, out_channels: int, *, fast: bool = True) -> None:
+        super().__init__(
+            UpConv2d(in_channels, out_channels, fast=fast),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(inplace=True),
+        )
+
+
+class UpConvDecoder(Decoder):
+    """The UpConv decoder of sparse-to-dense (Ma & Karaman 2018), the paper's baseline.
+
+    The deepest feature -> 1x1 convolution to half the channels + BN -> four up-convolution modules, each
+    halving the channels -> 3x3 convolution to one channel. No skips. With ResNet18: 12,396,720 parameters.
+
+    Args:
+        feature_info: of the backbone; only the deepest feature is used.
+        fast: compute each module in its fast form (same weights, same output).
+    """
+
+    def __init__(self, feature_info: Sequence[FeatureInfo], *, fast: bool = False) -> None:
+        super().__init__(feature_info)
+        deepest = max(self.index_of)
+        if deepest < 16:
+            raise ValueError(f"four doublings need a feature of stride 16 or more, the deepest has {deepest}")
+        self.deepest, self.stride = self.index_of[deepest], deepest // 16
+        channels = [self.channels_at[deepest] // 2**step for step in range(1, 6)]
+        self.reduce = nn.Sequential(
+            nn.Conv2d(self.channels_at[deepest], channels[0], 1, bias=False), nn.BatchNorm2d(channels[0])
+        )
+        self.modules_up = nn.Sequential(
+            *(
+                UpConvBlock(wide, narrow, fast=fast)
+                for wide, narrow in zip(channels, channels[1:], strict=False)
+            )
+        )
+        self.predict = nn.Conv2d(channels[-1], 1, 3, padding=1, bias=False)
+
+    def forward(self, features: Sequence[Tensor]) -> Tensor:
+        """Features, finest first -> raw map ``(B, 1, h, w)``."""
+        return self.predict(self.modules_up(self.reduce(features[self.deepest])))

@@ -1,0 +1,141 @@
+"""Score a model on a data set under a protocol."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.utils.data import DataLoader
+
+from eldenet.data.base import DepthDataset
+from eldenet.data.loading import evaluation_loader
+from eldenet.metrics import METRICS, DepthMetrics, EvalProtocol
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Metrics of a data set, and of each of its images.
+
+    Attributes:
+        metrics: by name, with ``images`` and ``pixels``.
+        rows: ``(name, *metrics)`` per image, in the data set's order.
+    """
+
+    metrics: dict[str, float]
+    rows: list[tuple[Any, ...]]
+
+
+@torch.inference_mode()
+def predict_depth(model: nn.Module, image: Tensor, *, flip: str = "none") -> Tensor:
+    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; ``flip="mean"`` averages with the mirror image's."""
+    prediction = model(image)
+    if flip == "mean":
+        prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
+    return prediction
+
+
+def evaluate(
+    model: nn.Module,
+    dataset: DepthDataset,
+    protocol: EvalProtocol,
+    *,
+    device: str | torch.device = "cpu",
+    batch_size: int = 32,
+    workers: int = 0,
+    rank: int = 0,
+    processes: int = 1,
+    advance: Progress | None = None,
+) -> Evaluation:
+    """Score ``model`` on every frame of ``dataset`` exactly once, in fp32.
+
+    Args:
+        model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept.
+        dataset: built for evaluation (depth in its own resolution).
+        protocol: the rules.
+        device: where the model is.
+        batch_size: images at a time; has no influence on the result.
+        workers: processes that load data.
+        rank: of this process, if several share the work.
+        processes: that share the work; sums are added up over them.
+        advance: called with the number of images done, for a progress bar.
+
+    Raises:
+        ValueError: the data set's ground truth is not of the protocol's kind or size, or a prediction is NaN.
+    """
+    if dataset.ground_truth != protocol.ground_truth:
+        raise ValueError(
+            f"protocol {protocol.name} scores {protocol.ground_truth} ground truth, this data set has "
+            f"{dataset.ground_truth} ground truth: choose a protocol that fits (configs/protocol)"
+        )
+    loader: DataLoader = evaluation_loader(
+        dataset, batch_size, workers=workers, rank=rank, processes=processes
+    )
+    metrics = DepthMetrics(protocol).to(device)
+    rows: list[tuple[Any, ...]] = []
+    was_training = model.training
+    model.eval()
+    for batch in loader:
+        image = batch["image"].to(device, memory_format=torch.channels_last)
+        prediction = predict_depth(model, image, flip=protocol.flip)
+        metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device))
+        values = metrics.rows.cpu().tolist()
+        rows += [(name, *row) for name, row in zip(batch["name"], values, strict=True)]
+        if advance is not None:
+            advance(len(image))
+    model.train(was_training)
+    if processes > 1:
+        rows = _gather_rows(rows)
+    return Evaluation(metrics.compute(), rows)
+
+
+def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Rows of all processes, back in the data set's order (they were dealt out one by one)."""
+    from accelerate.utils import gather_object
+
+
+    shares = gather_object([rows])
+    longest = max(len(share) for share in shares)
+    return [share[i] for i in range(longest) for share in shares if i < len(share)]
+
+
+class ConstantPredictor(nn.Module):
+    """Predicts the training set's mean depth map whatever it sees: what any network has to beat.
+
+    Args:
+        mean_depth: ``(1, 1, H, W)`` [m].
+    """
+
+    mean_depth: Tensor
+
+    def __init__(self, mean_depth: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("mean_depth", mean_depth)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """``(B, 3, h, w)`` -> ``(B, 1, H, W)`` [m]."""
+        return self.mean_depth.expand(len(image), -1, -1, -1)
+
+
+def fit_constant_predictor(dataset: DepthDataset, *, frames: int = 512) -> ConstantPredictor:
+    """Mean over known depth, pixel by pixel, of up to ``frames`` training frames spread over the set.
+
+    ``dataset`` must not augment, and must bring depth to one size.
+    """
+    step = max(1, len(dataset) // frames)
+    total = count = None
+    for index in range(0, len(dataset), step):
+        sample = dataset[index]
+        depth, known = sample["depth"].double(), sample["mask"]
+        total = depth * known if total is None else total + depth * known
+        count = known.long() if count is None else count + known
+    assert total is not None
+    assert count is not None
+    overall = total.sum() / count.sum().clamp(min=1)
+    mean = torch.where(count > 0, total / count.clamp(min=1), overall)
+    return ConstantPredictor(mean.float()[None])
+
+
+PER_IMAGE_HEADER = ("name", *METRICS)

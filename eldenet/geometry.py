@@ -1,0 +1,37 @@
+"""Pinhole geometry: intrinsics under image operations, back-projection, disparity.
+
+Convention: pixel centres lie on whole numbers (the first pixel's centre is (0, 0)), x right, y down,
+z forward, as in OpenCV. A resize by s therefore moves a point u to (u + 0.5) * s - 0.5.
+"""
+
+import numpy as np
+
+
+def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    """Build the ``(3, 3)`` intrinsic matrix [px]."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def resize_intrinsics(
+    intrinsics: np.ndarray, size_from: tuple[int, int], size_to: tuple[int, int]
+) -> np.ndarray:
+    """Intrinsics after a resize; depth does not change. Sizes are ``(height, width)`` [px]."""
+    sy, sx = size_to[0] / size_from[0], size_to[1] / size_from[1]
+    matrix = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
+    return matrix @ intrinsics
+
+
+def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
+    """Intrinsics after ``image[top:, left:]``; depth does not change."""
+    shifted = np.array(intrinsics, dtype=np.float64)
+    shifted[0, 2] -= left
+    shifted[1, 2] -= top
+    return shifted
+
+
+def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth itself."""
+    rows, cols = np.indices(depth.shape, dtype=np.float64)
+    x = (cols - intrinsics[0, 2]) / intrinsics[0, 0] * depth
+    y = (rows - intrinsics[1, 2]) / intrinsics[1, 1] * depth
+    return np.stack([x, y, depth], axis=-1)

@@ -1,0 +1,84 @@
+"""Heads turn a network's raw map into metres and back; the range is the head's own."""
+
+import torch
+from torch import Tensor, nn
+
+from eldenet.configurable import Configurable
+
+
+class Head(Configurable, nn.Module):
+    """Raw map ``(B, 1, H, W)`` <-> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]`` [m]."""
+
+    def __init__(self, min_depth: float, max_depth: float) -> None:
+        super().__init__()
+        if not 0 < min_depth < max_depth:
+            raise ValueError(
+                f"min_depth={min_depth}, max_depth={max_depth}: 0 < min_depth < max_depth is needed [m]"
+            )
+        self.min_depth, self.max_depth = float(min_depth), float(max_depth)
+
+    def to_metres(self, raw: Tensor) -> Tensor:
+        """Map any real number to metres."""
+        raise NotImplementedError
+
+    def from_metres(self, depth: Tensor) -> Tensor:
+        """Inverse of :meth:`to_metres`; metres outside the range are clamped just inside."""
+        raise NotImplementedError
+
+    def forward(self, raw: Tensor) -> Tensor:
+        """Same as :meth:`to_metres`."""
+        return self.to_metres(raw)
+
+
+def _logit(share: Tensor) -> Tensor:
+    return torch.logit(share.clamp(1e-6, 1 - 1e-6))
+
+
+class LinearHead(Head):
+    """Depth itself is squashed: ``min + (max - min) * sigmoid(raw)``. Errors weigh alike at all distances."""
+
+    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
+        super().__init__(min_depth, max_depth)
+
+    def to_metres(self, raw: Tensor) -> Tensor:
+        """Map any real number to metres."""
+        return self.min_depth + (self.max_depth - self.min_depth) * raw.sigmoid()
+
+    def from_metres(self, depth: Tensor) -> Tensor:
+        """Inverse of :meth:`to_metres`."""
+        return _logit((depth - self.min_depth) / (self.max_depth - self.min_depth))
+
+
+class InverseHead(Head):
+    """Inverse depth is squashed, as in Monodepth (Godard et al. 2017, eq. 6's range): near is finer."""
+
+    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
+        super().__init__(min_depth, max_depth)
+
+    def to_metres(self, raw: Tensor) -> Tensor:
+        """Map any real number to metres."""
+        far, near = 1 / self.max_depth, 1 / self.min_depth
+        return 1 / (far + (near - far) * raw.sigmoid())
+
+    def from_metres(self, depth: Tensor) -> Tensor:
+        """Inverse of :meth:`to_metres`."""
+        far, near = 1 / self.max_depth, 1 / self.min_depth
+        return _logit((1 / depth - far) / (near - far))
+
+
+class LogHead(Head):
+    """The logarithm of depth is squashed: an error weighs by its ratio, as delta and AbsRel count it."""
+
+    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
+        super().__init__(min_depth, max_depth)
+
+    def to_metres(self, raw: Tensor) -> Tensor:
+        """Map any real number to metres."""
+        ratio = self.max_depth / self.min_depth
+        return self.min_depth * ratio ** raw.sigmoid()
+
+    def from_metres(self, depth: Tensor) -> Tensor:
+        """Inverse of :meth:`to_metres`."""
+        ratio = self.max_depth / self.min_depth
+        share = torch.log(depth / self.min_depth) / torch.log(torch.tensor(ratio))
+        return _logit(share)

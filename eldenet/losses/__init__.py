@@ -1,0 +1,1 @@
+"""Training losses: terms that ignore unknown pixels, and their weighted sum."""

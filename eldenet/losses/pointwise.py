@@ -1,0 +1,43 @@
+"""Losses that compare pixel by pixel: L1, L2, berHu."""
+
+from torch import Tensor
+
+from eldenet.losses.base import Loss, masked_mean, neutralise
+
+
+class L1Loss(Loss):
+    """Mean absolute error [m] (ELDE-Net, eq. 6)."""
+
+    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m]."""
+        prediction, target = neutralise(prediction, target, mask)
+        return masked_mean((prediction - target).abs(), mask)
+
+
+class L2Loss(Loss):
+    """Mean squared error [m^2]."""
+
+    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m^2]."""
+        prediction, target = neutralise(prediction, target, mask)
+        return masked_mean((prediction - target).square(), mask)
+
+
+class BerHuLoss(Loss):
+    """Reverse Huber loss [m] (Laina et al. 2016, eq. 1): L1 below c, (e^2 + c^2) / 2c above.
+
+    Args:
+        share: c is this share of the batch's largest error; 0.2 in the paper. c carries no gradient.
+    """
+
+    def __init__(self, share: float = 0.2) -> None:
+        super().__init__()
+        self.share = share
+
+    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m]."""
+        prediction, target = neutralise(prediction, target, mask)
+        error = (prediction - target).abs()
+        threshold = (self.share * error.detach().max()).clamp(min=1e-6)
+        quadratic = (error.square() + threshold.square()) / (2 * threshold)
+        return masked_mean(error.where(error <= threshold, quadratic), mask)

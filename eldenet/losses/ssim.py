@@ -1,0 +1,86 @@
+"""Structural dissimilarity of depth maps."""
+
+from functools import lru_cache
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from eldenet.losses.base import Loss, masked_mean, neutralise
+
+SIGMA = 1.5  # [px], Wang et al. 2004
+
+
+@lru_cache(maxsize=32)
+def _blur_matrix(length: int, window: int) -> Tensor:
+    """Gaussian blur of a line of ``length`` pixels, its ends reflected, as a banded matrix."""
+    radius = window // 2
+    kernel = torch.exp(-((torch.arange(window) - radius) ** 2) / (2 * SIGMA**2))
+    kernel /= kernel.sum()
+    matrix = torch.zeros(length, length)
+    rows = torch.arange(length)
+    for tap in range(window):
+        columns = (rows + tap - radius).abs()
+        columns = torch.where(columns >= length, 2 * (length - 1) - columns, columns)
+        matrix.index_put_((rows, columns), kernel[tap].expand(length), accumulate=True)
+    return matrix
+
+
+def _blur(maps: Tensor, window: int) -> Tensor:
+    down, across = (_blur_matrix(length, window).to(maps) for length in maps.shape[-2:])
+    return down @ maps @ across.T
+
+
+def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: float) -> Tensor:
+    """SSIM per pixel ``(B, 1, H, W)`` in [-1, 1] of two maps (Wang et al. 2004).
+
+    The values are those of ``kornia.metrics.ssim``. The blur is written as two matrix products, because a
+    one-channel 11 x 11 convolution is what CPUs do worst: training spent most of its time in it.
+
+    Convention: Gaussian window with sigma 1.5, borders reflected, population (not sample) covariance, as
+    scikit-image's ``structural_similarity(gaussian_weights=True, use_sample_covariance=False)``.
+
+    Raises:
+        ValueError: the maps are smaller than the window's radius, which reflection needs.
+    """
+    if min(prediction.shape[-2:]) <= window // 2:
+        raise ValueError(f"SSIM's window of {window} pixels needs larger maps than {tuple(prediction.shape)}")
+    maps = torch.cat([prediction, target, prediction**2, target**2, prediction * target])
+    mean_p, mean_t, square_p, square_t, product = _blur(maps, window).chunk(5)
+    c1, c2 = (0.01 * value_range) ** 2, (0.03 * value_range) ** 2
+    means, squares = mean_p * mean_t, mean_p**2 + mean_t**2
+    covariance, variances = product - means, square_p + square_t - squares
+    return (2 * means + c1) * (2 * covariance + c2) / ((squares + c1) * (variances + c2))
+
+
+class SSIMLoss(Loss):
+    """``(1 - SSIM) / 2``, averaged where the whole window is known (ELDE-Net, eq. 5).
+
+    A pixel counts only if its window meets no unknown pixel: the mask is eroded by the window's radius.
+    Inside the image no border is added, so a full mask stays full.
+
+    Args:
+        window: side of the Gaussian window [px], odd.
+        value_range: L of the SSIM constants: the largest depth [m].
+    """
+
+    def __init__(self, window: int = 11, value_range: float = 10.0) -> None:
+        super().__init__()
+        if window % 2 == 0:
+            raise ValueError(f"window={window}: an odd number is needed")
+        self.window, self.value_range = window, value_range
+
+    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar in [0, 1]."""
+        prediction, target = neutralise(prediction, target, mask)
+        similarity = ssim_map(prediction, target, window=self.window, value_range=self.value_range)
+        return masked_mean((1 - similarity) / 2, eroded(mask, self.window))
+
+
+def eroded(mask: Tensor, window: int) -> Tensor:
+    """Pixels ``(B, 1, H, W)`` whose whole ``window`` is known, as far as it lies inside the image."""
+    if bool(mask.all()):
+        return mask
+    unknown, radius = (~mask).float(), window // 2
+    unknown = F.max_pool2d(unknown, (window, 1), stride=1, padding=(radius, 0))
+    return F.max_pool2d(unknown, (1, window), stride=1, padding=(0, radius)) == 0

@@ -1,0 +1,76 @@
+"""Pictures of depth: colours, and the row image / ground truth / prediction / error."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+UNKNOWN = (0, 0, 0)
+
+
+def colour_depth(
+    depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None
+) -> np.ndarray:
+    """Colour a depth map ``(H, W)`` [m] as ``(H, W, 3)`` uint8 RGB: near is warm, far is cool.
+
+    Args:
+        depth: [m].
+        near: depth of the warm end [m].
+        far: depth of the cool end [m].
+        known: bool; where False the picture is black.
+    """
+    share = np.clip((np.nan_to_num(depth) - near) / max(far - near, 1e-9), 0, 1)
+    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    if known is not None:
+        colours[~known] = UNKNOWN
+    return colours
+
+
+def colour_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Relative error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is 0.5 and more."""
+    relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
+    colours = cv2.applyColorMap(
+        (255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO
+    )
+    colours = colours[..., ::-1].copy()
+    colours[~known] = UNKNOWN
+    return colours
+
+
+def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) -> np.ndarray:
+    """One picture ``(H, 4 W, 3)`` uint8: image, ground truth, prediction, relative error, side by side.
+
+    Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
+    """
+    truth, known, guess = (tensor.squeeze(0).cpu().numpy() for tensor in (depth, mask, prediction))
+    height, width = truth.shape
+    photo = (image.permute(1, 2, 0).cpu().numpy() * 255).round().astype(np.uint8)
+    photo = cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA)
+    near, far = np.percentile(truth[known], (2, 98)) if known.any() else (0.0, 1.0)
+    panels = [
+        photo,
+        colour_depth(truth, near, far, known),
+        colour_depth(guess, near, far),
+        colour_error(guess, truth, known),
+    ]
+    gap = np.full((height, 2, 3), 255, np.uint8)
+    return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
+
+
+def stack_rows(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of one width below each other."""
+    gap = np.full((2, rows[0].shape[1], 3), 255, np.uint8)
+    return np.concatenate([piece for row in rows for piece in (row, gap)][:-1], axis=0)
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write ``(H, W, 3)`` uint8 RGB as PNG.
+
+    Raises:
+        OSError: the file could not be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
+        raise OSError(f"could not write {path}")

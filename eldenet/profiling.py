@@ -1,0 +1,131 @@
+"""What a model costs: parameters, multiply-adds, latency, throughput - and on what that was measured."""
+
+import resource
+import sys
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True)
+class CostReport:
+    """Cost of one forward pass. A latency means nothing without the last columns.
+
+    Attributes:
+        params: number of parameters.
+        gmacs: multiply-adds of one image [1e9]; convolutions and matrix products, as torch counts them.
+        gflops: floating-point operations of one image [1e9]: 2 x gmacs.
+        latency_ms_p50: median time of one image, batch 1 [ms].
+        latency_ms_p95: 95th percentile [ms].
+        throughput_img_s: images per second at ``batch``.
+        peak_memory_mb: of the process (CPU) or the device (CUDA) [MB].
+        height: of the input [px].
+        width: of the input [px].
+        batch: for the throughput.
+        runtime: what executed the model.
+        precision: fp32, bf16, ...
+        threads: torch's threads.
+        device: "cpu" or the accelerator's name.
+    """
+
+    params: int
+    gmacs: float
+    gflops: float
+    latency_ms_p50: float
+    latency_ms_p95: float
+    throughput_img_s: float
+    peak_memory_mb: float
+    height: int
+    width: int
+    batch: int
+    runtime: str
+    precision: str
+    threads: int
+    device: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every column by name."""
+        return asdict(self)
+
+
+def count_params(model: nn.Module) -> int:
+    """Number of parameters."""
+    return sum(parameter.numel() for parameter in model.parameters())
+
+
+def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
+    """Multiply-adds of one image of ``size`` (height, width): convolutions and matrix products.
+
+    Convention: one MAC is two FLOPs; biases, normalisation and activations are not counted.
+    """
+    from torch.utils.flop_counter import FlopCounterMode
+
+    image = _image(model, 1, size)
+    training = model.training
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        model.eval()(image)
+    model.train(training)
+    return counter.get_total_flops() // 2
+
+
+def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
+    device = next(model.parameters()).device
+    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device)
+
+
+def _peak_memory_mb(device: torch.device) -> float:
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 1e6
+    unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def measure_cost(
+    model: nn.Module, size: tuple[int, int], *, batch: int = 8, seconds: float = 1.0
+) -> CostReport:
+    """Measure a model as it stands (torch eager, fp32, channels_last, eval) on its own device.
+
+    Args:
+        model: image ``(B, 3, H, W)`` -> depth.
+        size: ``(height, width)`` of the input [px].
+        batch: for the throughput.
+        seconds: to spend on each of the two timings; the device is synchronised and warmed up.
+    """
+    from torch.utils.benchmark import Timer
+
+    device = next(model.parameters()).device
+    training = model.training
+    model.eval()
+
+    def times(images: Tensor) -> Tensor:
+        images = images.contiguous(memory_format=torch.channels_last)
+        timer = Timer("model(images)", globals={"model": model, "images": images}, num_threads=threads)
+        for _ in range(3):
+            model(images)
+        once = timer.timeit(3).mean
+        rounds = max(10, int(seconds / max(once, 1e-9)))
+        return torch.tensor([timer.timeit(1).mean for _ in range(rounds)])
+
+    threads = torch.get_num_threads()
+    with torch.inference_mode():
+        single, batched = times(_image(model, 1, size)), times(_image(model, batch, size))
+    macs = count_macs(model, size)
+    model.train(training)
+    return CostReport(
+        params=count_params(model),
+        gmacs=macs / 1e9,
+        gflops=2 * macs / 1e9,
+        latency_ms_p50=1e3 * single.quantile(0.5).item(),
+        latency_ms_p95=1e3 * single.quantile(0.95).item(),
+        throughput_img_s=batch / batched.quantile(0.5).item(),
+        peak_memory_mb=_peak_memory_mb(device),
+        height=size[0],
+        width=size[1],
+        batch=batch,
+        runtime="torch",
+        precision="fp32",
+        threads=threads,
+        device=torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+    )

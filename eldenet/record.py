@@ -1,0 +1,130 @@
+"""``run.json``: everything that a number needs in order to be believed, in one file."""
+
+import csv
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from eldenet.resources import available_cores
+
+RUN_FILE = "run.json"
+_PACKAGES = (
+    "eldenet",
+    "torch",
+    "torchvision",
+    "numpy",
+    "kornia",
+    "albumentations",
+    "opencv-python-headless",
+    "hydra-core",
+    "accelerate",
+    "torchmetrics",
+    "mujoco",
+)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON at once (temporary file, then rename); NaN becomes null, so that any reader can parse it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.part")
+    unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
+    unfinished.replace(path)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return None
+    return value
+
+
+def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file at once."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.part")
+    with unfinished.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+    unfinished.replace(path)
+
+
+def read_run(path: str | Path) -> dict[str, Any]:
+    """Read a ``run.json`` (or the one in a run folder).
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is no JSON, or holds no metrics.
+    """
+    path = Path(path)
+    path = path / RUN_FILE if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(f"no {RUN_FILE} at {path}: the run has not finished, or this is not a run folder")
+    try:
+        content = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict) or "metrics" not in content:
+        raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
+    return content
+
+
+def environment() -> dict[str, Any]:
+    """What the run ran on: time, versions, hardware, and the state of the code."""
+    import torch
+
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in _PACKAGES},
+        "hardware": {
+            "processor": _processor(),
+            "cores": available_cores(),
+            "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+            "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+            "system": f"{platform.system()} {platform.machine()}",
+        },
+        "git": _git_state(),
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit of the checkout that this package stands in, and whether it was changed; None outside one."""
+    package = Path(__file__).resolve().parent
+    if shutil.which("git") is None or not (package.parent / ".git").exists():
+        return None
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(package.parent), *arguments], capture_output=True, text=True, check=False
+        ).stdout.strip()
+
+    return {"commit": git("rev-parse", "HEAD") or None, "changed": bool(git("status", "--porcelain"))}

@@ -1,0 +1,38 @@
+"""Learning-rate schedules, as factors of the optimiser's own rate, stepped once per update."""
+
+import math
+
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LambdaLR
+
+
+def _warm(step: int, warmup_steps: int) -> float:
+    return min(1.0, (step + 1) / (warmup_steps + 1))
+
+
+def constant(optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.0) -> LambdaLR:
+    """Constant rate after a linear warm-up over the share ``warmup`` of the training."""
+    warmup_steps = round(warmup * total_steps)
+    return LambdaLR(optimizer, lambda step: _warm(step, warmup_steps))
+
+
+def cosine(
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.05, final: float = 0.0
+) -> LambdaLR:
+    """Linear warm-up over the share ``warmup``, then half a cosine down to the share ``final``."""
+    warmup_steps = round(warmup * total_steps)
+
+    def factor(step: int) -> float:
+        if step < warmup_steps:
+            return _warm(step, warmup_steps)
+        progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
+        return final + (1 - final) * 0.5 * (1 + math.cos(math.pi * progress))
+
+    return LambdaLR(optimizer, factor)
+
+
+def epoch_decay(
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, decay: float = 0.9
+) -> LambdaLR:
+    """The rate is multiplied by ``decay`` after every epoch: the paper's "weight decay 0.9", read so."""
+    return LambdaLR(optimizer, lambda step: decay ** (step // steps_per_epoch))

@@ -1,0 +1,138 @@
+"""Write MJCF text that is the same on every machine: seeded draws and fixed decimals only."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+Color = tuple[float, float, float]
+
+
+class Draw:
+    """Seeded draws that rest on ``PCG64``'s 53-bit doubles alone, the most stable of NumPy's streams."""
+
+    def __init__(self, seed: Sequence[int]) -> None:
+        self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(tuple(seed))))
+        self._block: list[float] = []
+
+    def unit(self) -> float:
+        """Uniform in [0, 1)."""
+        if not self._block:
+            self._block = self._generator.random(512).tolist()
+        return self._block.pop()
+
+    def uniform(self, low: float, high: float) -> float:
+        """Uniform in [low, high)."""
+        return low + (high - low) * self.unit()
+
+    def chance(self, probability: float) -> bool:
+        """True with this probability."""
+        return self.unit() < probability
+
+    def pick(self, options: Sequence[T]) -> T:
+        """One of the options, all alike."""
+        return options[int(self.unit() * len(options))]
+
+    def integer(self, low: int, high: int) -> int:
+        """Whole number, both ends included."""
+        return low + int(self.unit() * (high - low + 1))
+
+    def sign(self) -> float:
+        """-1.0 or 1.0."""
+        return 1.0 if self.unit() < 0.5 else -1.0
+
+
+def number(value: float) -> str:
+    """Four decimals (0.1 mm), never "-0.0000"."""
+    text = f"{value:.4f}"
+    return "0.0000" if text == "-0.0000" else text
+
+
+def numbers(values: Sequence[float]) -> str:
+    """Numbers with four decimals, separated by spaces."""
+    return " ".join(map(number, values))
+
+
+class Body:
+    """One piece of furniture: geoms in a frame whose origin lies on the floor, +y to its front.
+
+    Args:
+        position: of the frame in the world [m].
+        yaw: counter-clockwise [degrees].
+    """
+
+    def __init__(self, position: Sequence[float] = (0.0, 0.0, 0.0), yaw: float = 0.0) -> None:
+        self.position, self.yaw = position, yaw
+        self.geoms: list[str] = []
+
+    def _geom(self, kind: str, center: Sequence[float], size: str, material: int, euler: Sequence[float] | None) -> None:
+        turn = f' euler="{numbers(euler)}"' if euler else ""
+        self.geoms.append(f'<geom type="{kind}" pos="{numbers(center)}" size="{size}" material="m{material}"{turn}/>')
+
+    def box(
+        self, x: float, y: float, z: float, wx: float, wy: float, wz: float, material: int,
+        euler: Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
+        """Box by its centre in x, y, its lower face z and its full extents [m]."""
+        half = (max(wx, 0.002) / 2, max(wy, 0.002) / 2, max(wz, 0.002) / 2)
+        self._geom("box", (x, y, z + half[2]), numbers(half), material, euler)
+
+    def cylinder(
+        self, x: float, y: float, z: float, radius: float, height: float, material: int,
+        euler: Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
+        """Upright cylinder by its axis, lower end, radius and height [m]; ``euler`` tips it over."""
+        self._geom("cylinder", (x, y, z + height / 2), numbers((radius, height / 2)), material, euler)
+
+    def ellipsoid(
+        self, x: float, y: float, z: float, rx: float, ry: float, rz: float, material: int,
+        euler: Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
+        """Ellipsoid by its centre and radii [m]."""
+        self._geom("ellipsoid", (x, y, z), numbers((rx, ry, rz)), material, euler)
+
+    def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
+        """Capsule from one point to another [m]."""
+        ends = numbers((*start, *end))
+        self.geoms.append(f'<geom type="capsule" fromto="{ends}" size="{number(radius)}" material="m{material}"/>')
+
+    def plane(self, position: Sequence[float], normal: Sequence[float], material: int) -> None:
+        """Infinite plane that faces along ``normal``."""
+        self.geoms.append(
+            f'<geom type="plane" pos="{numbers(position)}" zaxis="{numbers(normal)}" size="0 0 1" material="m{material}"/>'
+        )
+
+    def text(self) -> str:
+        """MJCF of the body with its geoms."""
+        inner = "\n".join(self.geoms)
+        return f'<body pos="{numbers(self.position)}" euler="0 0 {number(self.yaw)}">\n{inner}\n</body>'
+
+
+class Palette:
+    """The materials of one room; a material's number is its place in the MJCF.
+
+    Its look (three colours, pattern, scale, gloss, light) rides in the model as ``<numeric>``, so the text
+    alone is the whole room. Columns of :meth:`table`: A rgb, B rgb, C rgb, pattern, period u [m],
+    period v [m] (0 = the pattern fits the face once), gloss, emission, offset.
+    """
+
+    COLUMNS = 15
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, ...]] = []
+
+    def add(
+        self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, aspect: float = 1.0,
+        gloss: float = 0.0, emission: float = 0.0, offset: float = 0.0,
+    ) -> int:  # fmt: skip
+        """Add a material and return its number; one or two colours are repeated to three."""
+        three = (list(colors) * 3)[:3]
+        self.rows.append((*three[0], *three[1], *three[2], float(pattern), period, period * aspect, gloss, emission, offset))
+        return len(self.rows) - 1
+
+    def assets(self) -> str:
+        """The ``<asset>`` and ``<custom>`` sections."""
+        looks = "\n".join(f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows))
+        data = "\n".join(numbers(row) for row in self.rows)
+        return f'<asset>\n{looks}\n</asset>\n<custom>\n<numeric name="materials" data="{data}"/>\n</custom>'

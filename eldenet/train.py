@@ -1,0 +1,150 @@
+"""``python -m eldenet.train``: config -> plain objects -> training -> evaluation -> ``run.json`` -> table."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from eldenet.model import DepthNet
+    from eldenet.resources import Resources
+
+
+@cfg.entry_point("train")
+def main(config: "DictConfig", folder: Path) -> float:
+    """Train, evaluate the best epoch on the test split, measure its cost, write and show the result."""
+    from omegaconf import OmegaConf
+
+    from eldenet.report import closing_table
+    from eldenet.resources import choose_resources
+    from eldenet.runlog import RunLog
+
+    resources = choose_resources(**cfg.plain(config.runtime))
+    protocol = cfg.build_protocol(config)
+    train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
+    val_set = cfg.build_split(config, "val", protocol)
+    trainer = cfg.instantiate(
+        config.trainer,
+        optimizer=cfg.instantiate(config.optimizer),
+        scheduler=cfg.instantiate(config.scheduler),
+        seed=config.seed,
+    )
+    loss = cfg.instantiate(config.loss)
+    model = build_seeded_model(config)
+    folder.mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(config, folder / "config.yaml", resolve=True)
+    log = RunLog(folder)
+    log.say(
+        f"{config.data.name}: {len(train_set)} training and {len(val_set)} validation frames; "
+        f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers; "
+        f"run folder {folder}"
+    )
+    progress = trainer.fit(
+        model, train_set, val_set, loss, protocol, folder, resources, ckpt_path=_checkpoint(config, folder)
+    )
+    if not trainer.accelerator.is_main_process:
+        return progress.best_value
+    best = _load_best(folder, config)
+    record = score_and_record(config, best, protocol, resources, folder, log, progress=progress)
+    closing_table(log, record)
+    return progress.best_value
+
+
+def build_seeded_model(config: "DictConfig") -> "DepthNet":
+    """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``."""
+    from eldenet.trainer import seed_everything
+
+    seed_everything(config.seed)
+    model = cfg.build_model(config.model)
+    if config.weights is not None:
+        import eldenet
+
+        start = eldenet.load(config.weights).state_dict()
+        own = model.state_dict()
+        fitting = {name: value for name, value in start.items() if name in own and own[name].shape == value.shape}
+        if not fitting:
+            raise ValueError(f"weights={config.weights}: not one tensor fits this network")
+        model.load_state_dict(fitting, strict=False)
+        if len(fitting) < len(own):
+            missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
+            print(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")  # noqa: T201
+    return model
+
+
+def _checkpoint(config: "DictConfig", folder: Path) -> Path | None:
+    if config.ckpt_path != "auto":
+        return None if config.ckpt_path is None else Path(config.ckpt_path)
+    own = folder / "checkpoints" / "last.pt"
+    return own if own.is_file() else None
+
+
+def _load_best(folder: Path, config: "DictConfig") -> "DepthNet":
+    """The best epoch's weights as anybody would load them; parts from elsewhere are the user's own here."""
+    from eldenet.model import DepthNet
+
+    return DepthNet.from_pretrained(folder / "model", trusted_modules=_own_modules(cfg.plain(config.model)))
+
+
+def _own_modules(node: Any) -> list[str]:
+    """Modules that the user's own command line named: these are trusted, a downloaded config's are not."""
+    if not isinstance(node, dict):
+        return []
+    named = [str(node["_target_"]).rpartition(".")[0]] if "_target_" in node else []
+    return named + [module for value in node.values() for module in _own_modules(value)]
+
+
+def score_and_record(
+    config: "DictConfig",
+    model: "DepthNet",
+    protocol: Any,
+    resources: "Resources",
+    folder: Path,
+    log: Any,
+    *,
+    split: str = "test",
+    batch_size: int = 16,
+    progress: Any = None,
+) -> dict[str, Any]:
+    """Evaluate on ``split``; write ``run.json``, ``per_image.csv`` and the picture ``predictions.png``."""
+    from dataclasses import asdict
+
+    from eldenet.evaluation import PER_IMAGE_HEADER, evaluate, fit_constant_predictor
+    from eldenet.profiling import measure_cost
+    from eldenet.record import RUN_FILE, environment, write_json, write_rows
+    from eldenet.trainer import sample_rows
+
+    dataset = cfg.build_split(config, split, protocol)
+    model = model.to(resources.device)
+    with log.bar(f"evaluating on {split}", len(dataset)) as bar:
+        result = evaluate(
+            model, dataset, protocol, device=resources.device, batch_size=batch_size, advance=bar.advance
+        )
+    write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
+    log.picture("predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol))
+    log.close()
+    constant = fit_constant_predictor(cfg.build_split(config, "train", protocol)).to(resources.device)
+    baseline = evaluate(constant, dataset, protocol, device=resources.device, batch_size=batch_size)
+    size = tuple(dataset[0]["image"].shape[-2:])
+    record = {
+        "model": config.get("model_name", None) or config.get("checkpoint", None),
+        "data": config.data.name,
+        "split": split,
+        "split_hash": dataset.split_hash,
+        "protocol": protocol.as_dict(),
+        "metrics": result.metrics,
+        "constant_predictor": baseline.metrics,
+        "cost": measure_cost(model, size).as_dict(),
+        "seed": config.get("seed"),
+        "resources": asdict(resources),
+        "training": None if progress is None else asdict(progress),
+        "config": cfg.plain(config),
+        **environment(),
+    }
+    write_json(folder / RUN_FILE, record)
+    return record
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""The few types that everything else speaks: no project imports here."""
+
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+from torch import Tensor
+
+
+class FeatureInfo(NamedTuple):
+    """What a backbone says of one of its feature maps; a decoder looks its skips up by ``stride``."""
+
+    channels: int
+    stride: int
+
+
+class Frame(NamedTuple):
+    """One frame as an adapter reads it from disk, before augmentation.
+
+    Attributes:
+        image: camera frame, ``(H, W, 3)`` uint8 RGB.
+        depth: ``(H, W)`` float32 [m], 0 = unknown.
+        intrinsics: ``(3, 3)`` float64 [px of this image], or None where the data set has none.
+        name: unique within the data set, stable over machines.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    intrinsics: np.ndarray | None
+    name: str
+
+
+class DepthSample(TypedDict):
+    """One training or evaluation sample; a batch has the same keys with a leading axis ``B``.
+
+    Keys:
+        image: ``(3, H, W)`` float RGB in [0, 1].
+        depth: ``(1, H, W)`` float [m], 0 = unknown. In evaluation it keeps the ground truth's own
+            resolution, which may differ from the image's.
+        mask: ``(1, H, W)`` bool, True where the depth is known and within the data set's range.
+        intrinsics: ``(3, 3)`` float [px of this image, after resize and crop]; zeros where unknown.
+        name: the frame's name.
+    """
+
+    image: Tensor
+    depth: Tensor
+    mask: Tensor
+    intrinsics: Tensor
+    name: str

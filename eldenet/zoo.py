@@ -1,0 +1,60 @@
+"""Whole networks by name: ``eldenet.load("eldenet")``, ``eldenet.load("runs/my-run")``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
+
+
+def list_models() -> list[str]:
+    """Names that :func:`load` builds."""
+    from eldenet.config import config_folder
+
+    return sorted(path.stem for path in (config_folder() / "model").glob("*.yaml"))
+
+
+def load(
+    source: str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    trusted_modules: Sequence[str] = (),
+    revision: str | None = None,
+) -> "DepthNet":
+    """Build a network by name, or read a trained one.
+
+    Args:
+        source: a name of :func:`list_models` (freshly initialised), a folder written by
+            ``save_pretrained``, a run folder of ``eldenet.train`` (its best epoch), or a Hub id
+            ``owner/name``.
+        overrides: for a name: changes as on the command line, such as ``["model/backbone=pplcnet_x0_75"]`` or
+            ``["model.head.max_depth=80"]``.
+        trusted_modules: for a folder or Hub id: packages beyond eldenet whose classes its config may name.
+        revision: of a Hub id.
+
+    Returns:
+        The network, in eval mode.
+
+    Raises:
+        ValueError: an unknown name or a config that names something untrusted.
+        FileNotFoundError: no such folder, or the Hub could not be reached.
+    """
+    from eldenet.model import DepthNet
+
+    if str(source) in list_models():
+        from eldenet.config import build_model, compose
+
+        return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
+    if overrides:
+        raise ValueError(f"overrides change a network built by name; {source} is read as it was saved")
+    folder = Path(source)
+    if "/" not in str(source) and not folder.is_dir():
+        raise ValueError(
+            f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, or give a folder or a "
+            "Hub id 'owner/name'"
+        )
+    if (folder / "model" / "config.json").is_file():
+        folder = folder / "model"
+        return DepthNet.from_pretrained(folder, trusted_modules=trusted_modules)
+    return DepthNet.from_pretrained(source, trusted_modules=trusted_modules, revision=revision)

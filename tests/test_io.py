@@ -1,0 +1,231 @@
+"""Whole files or a clear error; metres or a clear error."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encoding, read_depth, read_image
+
+RNG = np.random.default_rng(0)
+RGB = RNG.integers(0, 255, (37, 53, 3), dtype=np.uint8)
+MILLIMETRES = RNG.integers(0, 9000, (37, 53)).astype(np.uint16)
+
+
+def write(path: Path, picture: np.ndarray, *params: int) -> Path:
+    if picture.ndim == 3:
+        picture = picture[..., ::-1]
+    assert cv2.imwrite(str(path), picture, list(params))
+    return path
+
+
+def cut(path: Path, fraction: float) -> Path:
+    content = path.read_bytes()
+    target = path.with_name(f"cut_{path.name}")
+    target.write_bytes(content[: int(len(content) * fraction)])
+    return target
+
+
+@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg"])
+def test_image_is_rgb(tmp_path: Path, ending: str) -> None:
+    smooth = np.zeros((32, 48, 3), np.uint8)
+    smooth[..., 0], smooth[:, 32:, 2] = 200, 90  # whole JPEG blocks
+    read = read_image(write(tmp_path / f"a{ending}", smooth))
+    assert read.dtype == np.uint8
+    assert read.shape == (32, 48, 3)
+    assert np.abs(read.astype(int) - smooth).max() <= (25 if ending == ".jpg" else 0)
+
+
+@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
+@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg", "_progressive.jpg"])
+def test_cut_image_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
+    progressive = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1) if "progressive" in ending else ()
+    whole = write(tmp_path / f"picture{ending}", RGB, *progressive)
+    assert read_image(whole).shape == RGB.shape
+    with pytest.raises(ValueError, match=rf"cut_picture{ending}.*(cut|damaged)"):
+        read_image(cut(whole, fraction))
+
+
+@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
+@pytest.mark.parametrize("ending", [".png", ".pgm", ".tif", ".npy"])
+def test_cut_depth_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
+    path = tmp_path / f"depth{ending}"
+    if ending == ".npy":
+        np.save(path, MILLIMETRES)
+    else:
+        write(path, MILLIMETRES)
+    np.testing.assert_array_equal(
+        read_depth(path, "mm"), (MILLIMETRES.astype(np.float64) / 1e3).astype(np.float32)
+    )
+    with pytest.raises(ValueError, match=f"cut_depth{ending}.*cut"):
+        read_depth(cut(path, fraction), "mm")
+
+
+def test_jpeg_with_trailing_bytes_is_whole(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.jpg", RGB)
+    plain = read_image(path)
+    path.write_bytes(path.read_bytes() + b"\0" * 100 + b"camera")
+    np.testing.assert_array_equal(read_image(path), plain)
+
+
+def test_jpeg_cut_after_its_thumbnail_is_refused(tmp_path: Path) -> None:
+    """The end marker of a thumbnail inside a segment is not the picture's."""
+    path = write(tmp_path / "a.jpg", RGB)
+    content = path.read_bytes()
+    thumbnail = cv2.imencode(".jpg", RGB[:8, :8])[1].tobytes()
+    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    path.write_bytes(content[:2] + segment + content[2 : len(content) // 2])
+    with pytest.raises(ValueError, match="no end-of-image"):
+        read_image(path)
+
+
+def test_damaged_png_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.png", RGB)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.png.*check sum"):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"<html>not found</html>", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"P6 4"]
+)
+def test_what_is_no_picture_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "page.jpg"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"page\.jpg"):
+        read_image(path)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    for read in (read_image, lambda path: read_depth(path, "mm")):
+        with pytest.raises(FileNotFoundError, match=r"nowhere\.png"):
+            read(tmp_path / "nowhere.png")
+
+
+def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
+    """Depth is stored as the pixels are; OpenCV would turn the picture alone."""
+    path = write(tmp_path / "a.jpg", RGB)
+    content = path.read_bytes()
+    tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"  # orientation 6: a quarter turn
+    exif = b"Exif\0\0" + tiff
+    path.write_bytes(content[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + content[2:])
+    assert read_image(path).shape == (37, 53, 3)
+    assert read_image(path, upright=True).shape == (53, 37, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "metres"),
+    [
+        ("mm", np.uint16([0, 1, 1000, 65535]), [0.0, 0.001, 1.0, 65.535]),
+        ("kitti", np.uint16([0, 256, 640, 20480]), [0.0, 1.0, 2.5, 80.0]),
+        ("tum", np.uint16([0, 5000, 1, 10000]), [0.0, 1.0, 0.0002, 2.0]),
+        ("nyu8", np.uint8([0, 255, 51, 102]), [0.0, 10.0, 2.0, 4.0]),
+        (
+            "nyu8_labelled",
+            np.uint8([0, 1, 254, 100]),
+            [0.0, 1.5 * 9.99547 / 255, 254.5 * 9.99547 / 255, 3.9394],
+        ),
+        ("metres", np.float32([0, np.nan, -1, 2.5]), [0.0, 0.0, 0.0, 2.5]),
+        ("metres", np.float64([0, np.inf, 1, 2.5]), [0.0, 0.0, 1.0, 2.5]),
+    ],
+)
+def test_encodings_by_hand(name: str, raw: np.ndarray, metres: list[float]) -> None:
+    depth = decode_depth(raw[None], name, "test")
+    assert depth.dtype == np.float32
+    np.testing.assert_allclose(depth[0], metres, rtol=1e-5)
+
+
+def test_every_named_encoding_is_tested_or_refuses_another_type() -> None:
+    for name, row in ENCODINGS.items():
+        wrong = np.full((2, 2), 3, np.int64)
+        with pytest.raises(ValueError, match=f"int64.*{name}.*{row.dtype}"):
+            decode_depth(wrong, name, "test")
+
+
+def test_given_encoding() -> None:
+    raw = np.array([[0, 10]], np.uint8)
+    np.testing.assert_allclose(
+        decode_depth(raw, {"scale": 0.5, "offset": 1, "dtype": "uint8"}, "x"), [[0, 5.5]]
+    )
+    far = np.full((2, 2), 300.0, np.float32)
+    np.testing.assert_allclose(decode_depth(far, {"scale": 1.0, "dtype": "float"}, "x"), far)
+
+
+def test_an_encoding_may_bring_its_own_function() -> None:
+    turned = DepthEncoding("turned", decode=lambda v: ((v >> 3) | (v << 13)).astype(np.float64) / 1e3)
+    np.testing.assert_allclose(decode_depth(np.array([[8000, 0]], np.uint16), turned, "x"), [[1.0, 0.0]])
+
+
+@pytest.mark.parametrize("bad", ["millimetres", {"dtype": "uint8"}, {"scale": 0}, {"scale": 1, "unit": "m"}])
+def test_unknown_encoding_is_refused(bad: object) -> None:
+    with pytest.raises(ValueError, match=r"give|must be"):
+        depth_encoding(bad)  # type: ignore[arg-type]
+
+
+def test_wrong_unit_is_refused(tmp_path: Path) -> None:
+    eight = write(tmp_path / "eight.png", (MILLIMETRES // 40).astype(np.uint8))
+    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'mm' wants uint16"):
+        read_depth(eight, "mm")
+    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'kitti' wants uint16"):
+        read_depth(eight, "kitti")
+    sixteen = write(tmp_path / "sixteen.png", MILLIMETRES)
+    with pytest.raises(ValueError, match=r"sixteen\.png.*uint16.*'nyu8' wants uint8"):
+        read_depth(sixteen, "nyu8")
+    whole_metres = write(tmp_path / "whole.png", MILLIMETRES // 1000)
+    with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*metres"):
+        read_depth(whole_metres, "mm")
+    np.save(tmp_path / "float.npy", MILLIMETRES.astype(np.float32))
+    with pytest.raises(ValueError, match=r"float\.npy.*median.*mm"):
+        read_depth(tmp_path / "float.npy", "metres")
+    assert not read_depth(write(tmp_path / "empty.png", MILLIMETRES * 0), "mm").any()
+
+
+def test_coloured_depth_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"colour\.png.*one channel"):
+        read_depth(write(tmp_path / "colour.png", RGB), "nyu8")
+
+
+def test_pickles_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"a\.npy"):
+        read_depth(tmp_path / "a.npy", "metres")
+
+
+def test_float_tiff(tmp_path: Path) -> None:
+    metres = MILLIMETRES.astype(np.float32) / 1000
+    np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", metres), "metres"), metres)
+
+
+@pytest.fixture
+def real() -> Path:
+    if not os.environ.get("ELDENET_DATA"):
+        pytest.skip("ELDENET_DATA is not set: no real data to read")
+    return Path(os.environ["ELDENET_DATA"])
+
+
+@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
+def test_cut_real_files_are_named(real: Path, tmp_path: Path, fraction: float) -> None:
+    scene = real / "nyu_depth_v2/sync/basement_0001a"
+    for source in (
+        scene / "rgb_00000.jpg",
+        scene / "sync_depth_00000.png",
+        real / "nyu_depth_v2/raw_kinect/NYU_color.ppm",
+    ):
+        if not source.exists():
+            pytest.skip(f"{source} is not there")
+        copy = tmp_path / source.name
+        copy.write_bytes(source.read_bytes())
+        damaged = cut(copy, fraction)
+        with pytest.raises(ValueError, match=damaged.name):
+            read_image(damaged)
+
+
+def test_real_npy_and_png_equal_a_straight_reading(real: Path) -> None:
+    path = real / "nyu_depth_v2/fastdepth_npy/depth.npy"
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    np.testing.assert_array_equal(read_depth(path, "metres"), np.load(path).squeeze())

@@ -1,0 +1,416 @@
+"""NYU Depth V2 in every layout: metres, intrinsics, names, the split, and errors that name the file."""
+
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+from torch.utils.data import DataLoader
+
+from eldenet.data.base import DepthDataset
+from eldenet.data.nyu import (
+    VAL_FRAMES,
+    NYUDenseDepth,
+    NYULabelled,
+    NYUSync,
+    is_val_frame,
+    nyu_intrinsics,
+)
+from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
+
+RNG = np.random.default_rng(0)
+SIZE = (48, 64)
+METRES = RNG.uniform(0.7, 9.9, SIZE).astype(np.float32)
+RGB = np.zeros((*SIZE, 3), np.uint8)
+RGB[:, :32], RGB[:, 32:] = (200, 30, 30), (30, 200, 90)
+EIGHT = np.round(METRES / 10 * 255).astype(np.uint8)
+MILLIMETRES = np.round(METRES * 1000).astype(np.uint16)
+MILLIMETRES[5:9, 7:20] = 0
+
+
+def picture(path: Path, array: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), array[..., ::-1] if array.ndim == 3 else array)
+
+
+def densedepth(root: Path) -> Path:
+    rows = []
+    for scene in ("kitchen_0001_out", "office_0002_out"):
+        picture(root / f"data/nyu2_train/{scene}/1.jpg", RGB)
+        picture(root / f"data/nyu2_train/{scene}/1.png", EIGHT)
+        rows.append(f"data/nyu2_train/{scene}/1.jpg,data/nyu2_train/{scene}/1.png\n")
+    (root / "data/nyu2_train.csv").write_text("".join(rows))
+    picture(root / "data/nyu2_test/00000_colors.png", RGB)
+    picture(root / "data/nyu2_test/00000_depth.png", MILLIMETRES)
+    (root / "data/nyu2_test.csv").write_text(
+        "data/nyu2_test/00000_colors.png,data/nyu2_test/00000_depth.png\n"
+    )
+    return root
+
+
+def labelled(root: Path, numbers: tuple[int, ...] = (3, 22, 23, 30)) -> Path:
+    rows = []
+    for n in numbers:
+        stem = f"data/nyu2_train/labeled_out/{n:04d}"
+        picture(root / f"{stem}.jpg", RGB)
+        picture(root / f"{stem}.png", EIGHT)
+        rows.append(f"{stem}.jpg,{stem}.png\n")
+    (root / "data/nyu2_train.csv").write_text("".join(rows))
+    return root
+
+
+def sync(root: Path) -> Path:
+    for scene, number in (("kitchen_0001", "00000"), ("office_0002", "00041")):
+        picture(root / scene / f"rgb_{number}.jpg", RGB)
+        picture(root / scene / f"sync_depth_{number}.png", MILLIMETRES)
+    return root
+
+
+def hdf5(root: Path) -> Path:
+    for name in ("train/kitchen_0001/00001", "train/office_0002/00001", "val/official/00002"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(root / f"{name}.h5", "w") as file:
+            file["rgb"], file["depth"] = RGB.transpose(2, 0, 1), METRES
+    return root
+
+
+def mat(root: Path, count: int = 4) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    raw = METRES.copy()
+    raw[5:9, 7:20] = 0
+    with h5py.File(root / "nyu_depth_v2_labeled.mat", "w") as file:
+        file["images"] = np.stack([(RGB + i).transpose(2, 1, 0) for i in range(count)]).astype(np.uint8)
+        file["depths"] = np.stack([(METRES + i).T for i in range(count)])
+        file["rawDepths"] = np.stack([raw.T for _ in range(count)])
+    train, test = np.array([[2], [3]], np.uint16), np.array([[1], [4]], np.uint16)
+    savemat(root / "splits.mat", {"trainNdxs": train, "testNdxs": test})
+    return root
+
+
+def check_picture(image: np.ndarray) -> None:
+    assert image.dtype == np.uint8
+    assert image.shape == RGB.shape
+    np.testing.assert_allclose(image[10, 8], (200, 30, 30), atol=4)
+    np.testing.assert_allclose(image[10, 56], (30, 200, 90), atol=4)
+
+
+def test_densedepth(tmp_path: Path) -> None:
+    train = NYUDenseDepth(densedepth(tmp_path))
+    assert train.names == ["kitchen_0001_out/1", "office_0002_out/1"]
+    assert train.ground_truth == "inpainted"
+    assert (train.min_depth, train.max_depth) == (1e-3, 10.0)
+    frame = train.load_frame(0)
+    check_picture(frame.image)
+    np.testing.assert_array_equal(frame.depth, (EIGHT / 255 * 10).astype(np.float32))
+    test = NYUDenseDepth(tmp_path, split="test")
+    assert test.names == ["00000_colors"]
+    np.testing.assert_array_equal(test.load_frame(0).depth, (MILLIMETRES / 1000).astype(np.float32))
+    other = NYUDenseDepth(tmp_path, encoding="nyu8_labelled").load_frame(0)
+    np.testing.assert_allclose(other.depth, (EIGHT + 0.5) * 9.99547 / 255, rtol=1e-6)
+
+
+def test_sample_after_resize(tmp_path: Path) -> None:
+    data = NYUDenseDepth(densedepth(tmp_path), split="test", input_size=(24, 32), resize_depth=False)
+    sample = data[0]
+    assert sample["image"].shape == (3, 24, 32)
+    assert sample["depth"].shape == sample["mask"].shape == (1, *SIZE)
+    np.testing.assert_array_equal(sample["mask"][0], MILLIMETRES > 0)
+    scale = 24 / 480
+    expected = [[518.8579 * scale, 0, 326.0824 * scale - 0.5], [0, 519.4696 * scale, 254.2362 * scale - 0.5]]
+    np.testing.assert_allclose(sample["intrinsics"][:2], expected, rtol=1e-6)
+    np.testing.assert_allclose(nyu_intrinsics()[:2], [[518.8579, 0, 325.5824], [0, 519.4696, 253.7362]])
+    assert NYUDenseDepth(tmp_path, max_depth=5.0)[0]["depth"].max() <= 5.0
+
+
+def test_labelled(tmp_path: Path) -> None:
+    labelled(tmp_path)
+    assert NYULabelled(tmp_path, split="train").names == ["labeled_out/0003", "labeled_out/0030"]
+    assert NYULabelled(tmp_path, split="val").names == ["labeled_out/0022", "labeled_out/0023"]
+    assert len(NYULabelled(tmp_path, split="all")) == 4
+    depth = NYULabelled(tmp_path).load_frame(0).depth
+    np.testing.assert_array_equal(depth, ((EIGHT + 0.5) * 9.99547 / 255).astype(np.float32))
+    (tmp_path / "data/nyu2_train.csv").write_text("kitchen_0001_out/x.jpg,kitchen_0001_out/x.png\n")
+    with pytest.raises(ValueError, match=r"kitchen_0001_out/x\.jpg.*number"):
+        NYULabelled(tmp_path)
+
+
+def test_load_size_and_cache(tmp_path: Path) -> None:
+    data = NYULabelled(labelled(tmp_path), load_size=(12, 16), cache=True)
+    first = data[0]
+    assert first["image"].shape == (3, 12, 16)
+    assert first["depth"].shape == (1, 12, 16)
+    for file in tmp_path.rglob("*.jpg"):
+        file.unlink()
+    assert (data[0]["image"] == first["image"]).all()
+
+
+def test_sync(tmp_path: Path) -> None:
+    data = NYUSync(sync(tmp_path))
+    assert data.names == ["kitchen_0001/rgb_00000", "office_0002/rgb_00041"]
+    assert data.ground_truth == "raw"
+    frame = data.load_frame(1)
+    check_picture(frame.image)
+    np.testing.assert_array_equal(frame.depth, (MILLIMETRES / 1000).astype(np.float32))
+    lines = tmp_path / "list.txt"
+    lines.write_text("/office_0002/rgb_00041.jpg /office_0002/sync_depth_00041.png 518.8579\n")
+    listed = NYUSync(tmp_path, list_file=lines)
+    assert listed.names == ["office_0002/rgb_00041"]
+    np.testing.assert_array_equal(listed.load_frame(0).depth, frame.depth)
+    lines.write_text("/office_0002/rgb_00041.jpg /office_0002/sync_depth_00041.png 721.5377\n")
+    with pytest.raises(ValueError, match=r"list\.txt, line 1: focal length 721"):
+        NYUSync(tmp_path, list_file=lines)
+    lines.write_text("office_0002/rgb_00041.jpg\n")
+    with pytest.raises(ValueError, match=r"list\.txt, line 1"):
+        NYUSync(tmp_path, list_file=lines)
+
+
+def test_hdf5(tmp_path: Path) -> None:
+    data = NYUHDF5(hdf5(tmp_path))
+    assert data.names == ["train/kitchen_0001/00001", "train/office_0002/00001"]
+    assert data.ground_truth == "inpainted"
+    frame = data.load_frame(1)
+    np.testing.assert_array_equal(frame.image, RGB)
+    np.testing.assert_array_equal(frame.depth, METRES)
+    assert NYUHDF5(tmp_path, split="val").names == ["val/official/00002"]
+    with h5py.File(tmp_path / "val/official/00002.h5", "w") as file:
+        file["image"] = RGB
+    with pytest.raises(ValueError, match=r"00002\.h5 has no 'rgb', only image"):
+        NYUHDF5(tmp_path, split="val")[0]
+
+
+def test_mat(tmp_path: Path) -> None:
+    mat(tmp_path)
+    assert NYUMat(tmp_path, split="test").names == ["0001", "0004"]
+    assert NYUMat(tmp_path, split="trainval").names == ["0002", "0003"]
+    frame = NYUMat(tmp_path, split="all").load_frame(1)
+    np.testing.assert_array_equal(frame.image, RGB + 1)
+    np.testing.assert_array_equal(frame.depth, METRES + 1)
+    raw = NYUMat(tmp_path, split="all", ground_truth="raw")
+    assert raw.ground_truth == "raw"
+    np.testing.assert_array_equal(raw[0]["mask"][0], MILLIMETRES > 0)
+    assert NYUMat(tmp_path, split="train").names == ["0002", "0003"]
+
+
+def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
+    mat(tmp_path, count=30)
+    numbers = np.array([[3], [22], [23], [28]], np.uint16)
+    savemat(tmp_path / "splits.mat", {"trainNdxs": numbers, "testNdxs": np.array([[1]], np.uint16)})
+    assert NYUMat(tmp_path, split="train").names == ["0003", "0028"]
+    assert NYUMat(tmp_path, split="val").names == ["0022", "0023"]
+    savemat(tmp_path / "splits.mat", {"trainNdxs": numbers + 3, "testNdxs": numbers})
+    with pytest.raises(ValueError, match="30 frames, split 'trainval' wants frame 31"):
+        NYUMat(tmp_path, split="trainval")
+
+
+def test_mat_handle_stays_in_its_process(tmp_path: Path) -> None:
+    data = NYUMat(mat(tmp_path), split="all")
+    alone = [data[i]["depth"] for i in range(4)]
+    copy = pickle.loads(pickle.dumps(data))
+    assert (copy[2]["depth"] == alone[2]).all()
+    loaded = [d for batch in DataLoader(data, batch_size=2, num_workers=2) for d in batch["depth"]]
+    assert all((a == b).all() for a, b in zip(alone, loaded, strict=True))
+
+
+def test_mat_without_the_ground_truth(tmp_path: Path) -> None:
+    mat(tmp_path)
+    with h5py.File(tmp_path / "nyu_depth_v2_labeled.mat", "a") as file:
+        del file["rawDepths"]
+    with pytest.raises(ValueError, match=r"no 'rawDepths', only depths, images"):
+        NYUMat(tmp_path, split="all", ground_truth="raw")
+
+
+LAYOUTS: dict[str, tuple[Callable[[Path], Path], Callable[..., DepthDataset], str]] = {
+    "densedepth": (densedepth, NYUDenseDepth, "data/nyu2_train/kitchen_0001_out/1.jpg"),
+    "densedepth_depth": (densedepth, NYUDenseDepth, "data/nyu2_train/kitchen_0001_out/1.png"),
+    "labelled": (labelled, NYULabelled, "data/nyu2_train/labeled_out/0003.jpg"),
+    "sync": (sync, NYUSync, "kitchen_0001/rgb_00000.jpg"),
+    "sync_depth": (sync, NYUSync, "kitchen_0001/sync_depth_00000.png"),
+    "hdf5": (hdf5, NYUHDF5, "train/kitchen_0001/00001.h5"),
+}
+
+
+@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_cut_file_is_named(tmp_path: Path, layout: str, fraction: float) -> None:
+    write, dataset, file = LAYOUTS[layout]
+    path = write(tmp_path) / file
+    data = dataset(tmp_path)
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * fraction)])
+    with pytest.raises(ValueError, match=f"{file}.*cut"):
+        data[0]
+
+
+def test_cut_mat_is_named(tmp_path: Path) -> None:
+    path = mat(tmp_path) / "nyu_depth_v2_labeled.mat"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(ValueError, match=r"nyu_depth_v2_labeled\.mat is cut"):
+        NYUMat(tmp_path, split="all")
+
+
+@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "hdf5"])
+def test_missing_file_is_named_at_once(tmp_path: Path, layout: str) -> None:
+    write, dataset, file = LAYOUTS[layout]
+    (write(tmp_path) / file).unlink()
+    with pytest.raises(FileNotFoundError, match=f"1 of . files are missing: .*{file}"):
+        dataset(tmp_path)
+
+
+@pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUSync, NYUHDF5, NYUMat])
+def test_missing_root_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset: Callable[..., DepthDataset]
+) -> None:
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    with pytest.raises(FileNotFoundError, match=r"data\.root.*ELDENET_DATA(.|\n)*Expected tree"):
+        dataset()
+    monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match=r"is not a folder: set data\.root(.|\n)*Expected tree"):
+        dataset()
+    if dataset is not NYUSync:
+        with pytest.raises(FileNotFoundError, match=r"does not hold(.|\n)*Expected tree"):
+            dataset(tmp_path)
+    else:
+        with pytest.raises(ValueError, match="no frames"):
+            dataset(tmp_path)
+
+
+@pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUHDF5, NYUMat])
+def test_unknown_split_is_refused(tmp_path: Path, dataset: Callable[..., DepthDataset]) -> None:
+    with pytest.raises(ValueError, match="split='testing': give one of"):
+        dataset(tmp_path, split="testing")
+
+
+def test_wrong_encoding_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"1\.png holds uint8, encoding 'mm' wants uint16"):
+        NYUDenseDepth(densedepth(tmp_path), encoding="mm")[0]
+
+
+def test_val_frames_are_in_order_and_apart() -> None:
+    flat = [number for block in VAL_FRAMES for number in block]
+    assert flat == sorted(flat)
+    assert is_val_frame(22)
+    assert is_val_frame(27)
+    assert not is_val_frame(21)
+    assert not is_val_frame(28)
+
+
+# --- the real frames --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real() -> Path:
+    if not os.environ.get("ELDENET_DATA"):
+        pytest.skip("ELDENET_DATA is not set: no real data to read")
+    root = Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2"
+    if not (root / "labeled/data/nyu2_train.csv").exists():
+        pytest.skip(f"{root}/labeled is not there")
+    return root
+
+
+def test_real_labelled_frames(real: Path) -> None:
+    everything = NYULabelled(split="all")
+    train, val = NYULabelled(split="train"), NYULabelled(split="val")
+    assert (len(everything), len(train), len(val)) == (795, 665, 130)
+    assert not set(train.names) & set(val.names)
+    for index in range(0, 795, 53):
+        frame = everything.load_frame(index)
+        raw = cv2.imread(str(real / "labeled/data/nyu2_train" / f"{frame.name}.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(frame.depth, ((raw + 0.5) * 9.99547 / 255).astype(np.float32))
+        assert frame.image.shape == (480, 640, 3)
+        assert (frame.depth >= 0.7).all()
+        np.testing.assert_allclose(frame.intrinsics[0, 2], 325.5824)
+
+
+def test_real_sync_frames(real: Path) -> None:
+    data = NYUSync()
+    assert len(data) == 2
+    for index in range(2):
+        sample = data[index]
+        number = data.names[index][-5:]
+        path = real / f"sync/basement_0001a/sync_depth_{number}.png"
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(data.load_frame(index).depth, (raw / 1000).astype(np.float32))
+        assert 0.6 < sample["mask"].float().mean() < 0.8
+
+
+def test_real_mat(real: Path) -> None:
+    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
+    if not (real / "labeled" / file).exists():
+        pytest.skip(f"{file} is not there")
+    data = NYUMat(split="all", file=file)
+    assert len(data) == 6
+    with h5py.File(real / "labeled" / file) as raw:
+        for index in range(6):
+            frame = data.load_frame(index)
+            np.testing.assert_array_equal(frame.depth, raw["depths"][index].T)
+            np.testing.assert_array_equal(frame.image, raw["images"][index].transpose(2, 1, 0))
+
+
+def test_real_split_takes_whole_runs(real: Path) -> None:
+    """A frame of the official test split lies on either side of each block: that is where scenes change."""
+    numbers = [int(name[-4:]) for name in NYULabelled(split="all").names]
+    assert numbers == sorted(numbers)
+    for first, last in VAL_FRAMES:
+        assert {first, last} <= set(numbers)
+        assert not {first - 1, last + 1} & set(numbers)
+        assert set(range(first, last + 1)) <= set(numbers)
+
+
+def sift(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    grey = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)[8:232, 8:312]
+    points, found = cv2.SIFT_create(200, contrastThreshold=0.02).detectAndCompute(grey, None)
+    return np.array([p.pt for p in points], np.float32).reshape(-1, 2), found
+
+
+def inliers(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> int:
+    if min(len(one[0]), len(other[0])) < 10:
+        return 0
+    pairs = cv2.BFMatcher().knnMatch(one[1], other[1], k=2)
+    good = [m for m, n in pairs if m.distance < 0.8 * n.distance]
+    if len(good) < 8:
+        return 0
+    points = np.float32([one[0][m.queryIdx] for m in good]), np.float32([other[0][m.trainIdx] for m in good])
+    cv2.setRNGSeed(0)
+    matrix, mask = cv2.findFundamentalMat(*points, cv2.FM_RANSAC, 1.5, 0.99)
+    return 0 if matrix is None else int(np.count_nonzero(mask))  # without a matrix the mask is not written
+
+
+def test_real_split_shares_no_view(real: Path) -> None:
+    """No two frames on the two sides of a border show the same things; neighbours within a block do."""
+    data = NYULabelled(split="all")
+    paths = {int(name[-4:]): real / "labeled/data/nyu2_train" / f"{name}.jpg" for name in data.names}
+    numbers = sorted(paths)
+    across, within = [], []
+    for first, last in VAL_FRAMES:
+        a, b = numbers.index(first), numbers.index(last)
+        views = {n: sift(paths[n]) for n in numbers[max(a - 2, 0) : a + 2] + numbers[b - 1 : b + 3]}
+        across += [
+            inliers(views[x], views[y])
+            for x in views
+            for y in views
+            if not is_val_frame(x) and is_val_frame(y)
+        ]
+        within.append(inliers(views[first], views[numbers[a + 1]]))
+    assert max(across) <= 15
+    assert sum(n > 15 for n in within) >= 5
+
+
+def test_real_split_has_no_near_duplicates(real: Path) -> None:
+    """Thumbnails of all pairs across the split: different rooms reach 0.8 at most, a repeated frame 1."""
+
+    def thumbnails(data: NYULabelled) -> np.ndarray:
+        small = []
+        for name in data.names:
+            path = str(real / "labeled/data/nyu2_train" / f"{name}.jpg")
+            picture = cv2.imread(path, cv2.IMREAD_REDUCED_COLOR_8)[2:-2, 2:-2]
+            tiny = cv2.resize(picture, (20, 15), interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
+            small.append((tiny - tiny.mean()) / (tiny.std() * np.sqrt(tiny.size)))
+        return np.array(small)
+
+    across = thumbnails(NYULabelled(split="val")) @ thumbnails(NYULabelled(split="train")).T
+    assert across.shape == (130, 665)
+    assert across.max() < 0.88

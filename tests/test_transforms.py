@@ -1,0 +1,284 @@
+"""Augmentation keeps the geometry true and depends on its generator alone; protocol geometry by hand."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from torch.utils.data import DataLoader
+
+from eldenet.data.base import DepthDataset
+from eldenet.data.transforms import BORDER_COLOUR, Augmentation, ResizeCrop
+from eldenet.geometry import back_project, pinhole
+from eldenet.types import Frame
+
+OFF = {"flip": 0, "affine": 0, "brightness_contrast": 0, "color_jitter": 0, "hue_saturation": 0}
+HEIGHT, WIDTH = 48, 62
+FOCAL, CX, CY = 60.0, 27.3, 25.1
+
+
+def depth_at(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 2.0 + 0.01 * x + 0.02 * y
+
+
+def ramp_frame() -> Frame:
+    """A slanted wall whose colour says which pixel it was: red = 4 x, green = 5 y."""
+    y, x = np.indices((HEIGHT, WIDTH))
+    image = np.stack([4 * x, 5 * y, np.full_like(x, 77)], axis=-1).astype(np.uint8)
+    return Frame(image, depth_at(x, y).astype(np.float32), pinhole(FOCAL, FOCAL, CX, CY), "wall")
+
+
+def source_pixels(moved: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each pixel of a moved ramp came from, to 1/8 pixel; the mask leaves out the mixed border."""
+    inside = (moved.depth > 0) & (moved.image[..., 2] == 77)
+    return moved.image[..., 0] / 4.0, moved.image[..., 1] / 5.0, inside
+
+
+CASES = {
+    "flip": {"flip": 1},
+    "zoom": {"affine": 1, "scale": (1.2, 1.4), "shift": 0, "rotate": 0},
+    "away": {"affine": 1, "scale": (0.7, 0.8), "shift": 0, "rotate": 0},
+    "shift": {"affine": 1, "scale": (1, 1), "shift": 0.2, "rotate": 0},
+    "rotate": {"affine": 1, "scale": (1, 1), "shift": 0, "rotate": 20},
+    "all": {"flip": 1, "affine": 1, "scale": (0.8, 1.4), "shift": 0.1, "rotate": 15},
+}
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("case", CASES)
+def test_points_agree(case: str, seed: int) -> None:
+    """P' = (R (X, Y), Z / s) with R a rotation or reflection about the optical axis, and no offset."""
+    settings = {**OFF, **CASES[case]}
+    frame = ramp_frame()
+    moved = Augmentation(**settings)(frame, np.random.default_rng(seed))
+    assert moved.image.dtype == np.uint8
+    assert moved.depth.dtype == np.float32
+    x, y, inside = source_pixels(moved)
+    assert inside.mean() > 0.3
+
+    # The map back to source pixels, read off the picture itself: it must take the new principal point to the
+    # old one to a few hundredths of a pixel, which a wrong pixel centre would miss by half a pixel.
+    rows, cols = np.nonzero(inside)
+    grid = np.column_stack([cols, rows, np.ones(len(rows))])
+    back, *_ = np.linalg.lstsq(grid, np.column_stack([x[inside], y[inside]]), rcond=None)
+    centre = np.append(moved.intrinsics[:2, 2], 1.0)
+    np.testing.assert_allclose(centre @ back, [CX, CY], atol=0.03)
+    zoom = 1 / np.sqrt(abs(np.linalg.det(back[:2])))
+    low, high = settings.get("scale", (1, 1)) if settings["affine"] else (1, 1)
+    assert low - 5e-3 <= zoom <= high + 5e-3
+    assert np.sign(np.linalg.det(back[:2])) == (-1 if settings["flip"] else 1)
+
+    # The points: X' and Y' are X and Y turned by that map, Z' is Z / s; depth is that of the nearest pixel.
+    depth = depth_at(x, y)[inside]
+    before = np.stack([(x[inside] - CX) / FOCAL * depth, (y[inside] - CY) / FOCAL * depth], axis=-1)
+    after = back_project(moved.depth, moved.intrinsics)[inside]
+    turn = np.linalg.inv(back[:2]) / zoom
+    np.testing.assert_allclose(turn.T @ turn, np.eye(2), atol=0.015)  # the ramp has eight bits
+    pixel = 3.0 / FOCAL
+    np.testing.assert_allclose(after[:, :2], before @ turn, atol=pixel)
+    np.testing.assert_allclose((after[:, :2] - before @ turn).mean(axis=0), 0.0, atol=0.05 * pixel)
+    np.testing.assert_allclose(after[:, 2] * zoom, depth, atol=0.025)
+    tight = (
+        0.015 if high != low else 0.003
+    )  # half a pixel between image and depth would be 0.01 m without zoom
+    np.testing.assert_allclose((after[:, 2] * zoom - depth).mean(), 0.0, atol=tight)
+    np.testing.assert_array_equal(moved.intrinsics[:2, :2], frame.intrinsics[:2, :2])
+
+
+def test_flip_is_exact() -> None:
+    frame = ramp_frame()
+    moved = Augmentation(**{**OFF, "flip": 1})(frame, np.random.default_rng(0))
+    np.testing.assert_array_equal(moved.image, frame.image[:, ::-1])
+    np.testing.assert_array_equal(moved.depth, frame.depth[:, ::-1])
+    np.testing.assert_allclose(moved.intrinsics[0, 2], WIDTH - 1 - CX, atol=1e-5)
+
+
+def test_zoom_by_hand() -> None:
+    settings = {**OFF, "affine": 1, "scale": (2, 2), "shift": 0, "rotate": 0}
+    moved = Augmentation(**settings)(ramp_frame(), np.random.default_rng(0))
+    middle = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
+    np.testing.assert_allclose(moved.intrinsics[:2, 2], 2 * (np.array([CX, CY]) - middle) + middle, atol=1e-4)
+    assert (moved.depth > 0).all()
+    np.testing.assert_allclose(moved.depth[24, 31], depth_at(31, 24) / 2, atol=0.02)
+
+
+def test_what_comes_from_outside_is_unknown() -> None:
+    settings = {**OFF, "affine": 1, "scale": (0.5, 0.5), "shift": 0, "rotate": 0}
+    moved = Augmentation(**settings)(ramp_frame(), np.random.default_rng(0))
+    known = moved.depth > 0
+    assert known[14:34, 18:44].all()
+    assert not known[:11].any()
+    assert not known[:, :14].any()
+    assert not known[-11:].any()
+    np.testing.assert_array_equal(moved.image[0, 0], BORDER_COLOUR)
+
+
+def test_unknown_stays_unknown() -> None:
+    frame = ramp_frame()
+    frame.depth[10:30, 20:40] = 0
+    moved = Augmentation(**{**OFF, "flip": 1, "affine": 1, "rotate": 5})(frame, np.random.default_rng(3))
+    x, y, inside = source_pixels(moved)
+    deep_in_the_hole = (x > 21) & (x < 38) & (y > 11) & (y < 28) & (moved.image[..., 2] == 77)
+    assert deep_in_the_hole.any()
+    assert not moved.depth[deep_in_the_hole].any()
+    assert moved.depth[inside].min() > 1.0  # nothing between known and unknown is invented
+
+
+def test_colour_leaves_depth_alone() -> None:
+    frame = ramp_frame()
+    colours = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1, "jitter_hue": 0.05}
+    for one in ("brightness_contrast", "color_jitter", "hue_saturation"):
+        moved = Augmentation(**{**OFF, one: 1})(frame, np.random.default_rng(1))
+        assert not np.array_equal(moved.image, frame.image), one
+    moved = Augmentation(**{**OFF, **colours})(frame, np.random.default_rng(1))
+    assert moved.image.dtype == np.uint8
+    np.testing.assert_array_equal(moved.depth, frame.depth)
+    np.testing.assert_array_equal(moved.intrinsics, frame.intrinsics)
+
+
+def test_off_is_identity_and_input_is_not_changed() -> None:
+    frame, copy = ramp_frame(), ramp_frame()
+    same = Augmentation(**OFF)(frame, np.random.default_rng(0))
+    np.testing.assert_array_equal(same.image, copy.image)
+    np.testing.assert_array_equal(same.depth, copy.depth)
+    Augmentation(flip=1, affine=1, color_jitter=1, hue_saturation=1)(frame, np.random.default_rng(0))
+    for one, other in zip(frame, copy, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_frame_without_intrinsics() -> None:
+    moved = Augmentation(flip=1, affine=1)(ramp_frame()._replace(intrinsics=None), np.random.default_rng(0))
+    assert moved.intrinsics is None
+
+
+def equal(one: Frame, other: Frame) -> bool:
+    return np.array_equal(one.image, other.image) and np.array_equal(one.depth, other.depth)
+
+
+def test_depends_on_the_generator_alone() -> None:
+    frame, augment = ramp_frame(), Augmentation()
+    first = augment(frame, np.random.default_rng((1, 2, 3)))
+    for seed in range(5):
+        augment(frame, np.random.default_rng(seed))
+    assert equal(augment(frame, np.random.default_rng((1, 2, 3))), first)
+    assert equal(pickle.loads(pickle.dumps(augment))(frame, np.random.default_rng((1, 2, 3))), first)
+    assert equal(Augmentation()(frame, np.random.default_rng((1, 2, 3))), first)
+    others = [augment(frame, np.random.default_rng((1, 2, k))) for k in range(4, 12)]
+    assert not any(equal(a, b) for i, a in enumerate(others) for b in others[:i])
+
+
+def test_choices_are_independent() -> None:
+    """One throw of the dice per transform: seeding each with the same number would couple flip and affine."""
+    augment = Augmentation(**{**OFF, "flip": 0.5, "affine": 0.5, "brightness_contrast": 0.5})
+    frame, seen = ramp_frame(), np.zeros((2, 2, 2))
+    for seed in range(240):
+        moved = augment(frame, np.random.default_rng((7, 0, seed)))
+        flipped = int(moved.image[24, -5, 0] < moved.image[24, 5, 0])
+        affine = int(not np.isclose(moved.depth[24], frame.depth[24, :: -1 if flipped else 1]).all())
+        recoloured = int(moved.image[24, 31, 2] != 77)
+        seen[flipped, affine, recoloured] += 1
+    assert seen.min() > 10  # 30 expected in each of the eight cells
+
+
+class Walls(DepthDataset):
+    def __init__(self, **options: object) -> None:
+        super().__init__([f"wall{i}" for i in range(6)], min_depth=0.1, max_depth=10, **options)  # type: ignore[arg-type]
+
+    def load_frame(self, index: int) -> Frame:
+        return ramp_frame()
+
+
+def test_worker_does_not_matter() -> None:
+    walls = Walls(transform=Augmentation(), seed=5)
+    keys = [(epoch, i) for epoch in range(2) for i in range(6)]
+    alone = [walls[key] for key in keys]
+    for workers in (0, 2):
+        loader = DataLoader(walls, batch_size=2, sampler=keys, num_workers=workers)  # type: ignore[arg-type]
+        images = [image for batch in loader for image in batch["image"]]
+        assert all((a["image"] == b).all() for a, b in zip(alone, images, strict=True))
+    assert not (alone[0]["image"] == alone[6]["image"]).all()  # another epoch
+    assert not (alone[0]["image"] == alone[1]["image"]).all()  # another index of the same picture
+    assert not (Walls(transform=Augmentation(), seed=6)[0]["image"] == alone[0]["image"]).all()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"flip": 1.5}, {"affine": -0.1}, {"scale": (1.3, 1.0)}, {"scale": (0, 1)}, {"shift": -1}, {"jitter": 2}],
+)
+def test_settings_are_checked(bad: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        Augmentation(**bad)
+
+
+def test_unequal_sizes_are_refused() -> None:
+    frame = ramp_frame()._replace(depth=np.ones((4, 4), np.float32))
+    for transform in (Augmentation(), ResizeCrop(crop=(2, 2))):
+        with pytest.raises(ValueError, match=r"wall.*differ in size"):
+            transform(frame, np.random.default_rng(0))
+
+
+def test_import_is_light() -> None:
+    code = (
+        "import sys, eldenet.data.transforms; sys.exit(not {'albumentations', 'cv2'}.isdisjoint(sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- protocol geometry ------------------------------------------------------------------------------------
+
+
+def numbered(height: int, width: int) -> Frame:
+    depth = np.arange(1, height * width + 1, dtype=np.float32).reshape(height, width)
+    image = np.repeat((depth % 251).astype(np.uint8)[..., None], 3, axis=-1)
+    return Frame(image, depth, pinhole(500.0, 400.0, 319.5, 239.5), "numbers")
+
+
+def test_resize_crop_by_hand() -> None:
+    frame = numbered(4, 8)
+    half = ResizeCrop(resize=0.5, interpolation="nearest")(frame)
+    np.testing.assert_array_equal(half.depth, frame.depth[1::2, 1::2])
+    np.testing.assert_array_equal(half.image, frame.image[1::2, 1::2])
+    np.testing.assert_allclose(half.intrinsics, pinhole(250, 200, 159.5, 119.5))
+    cropped = ResizeCrop(crop=(2, 4))(frame)
+    np.testing.assert_array_equal(cropped.depth, frame.depth[1:3, 2:6])
+    np.testing.assert_array_equal(cropped.image, frame.image[1:3, 2:6])
+    np.testing.assert_allclose(cropped.intrinsics, pinhole(500, 400, 317.5, 238.5))
+
+
+def test_sparse_to_dense_protocol() -> None:
+    """480x640, halved to 240x320, middle 228x304: rows 6:234, columns 8:312."""
+    frame = numbered(480, 640)
+    scored = ResizeCrop(resize=240 / 480, crop=(228, 304), interpolation="nearest")(frame)
+    np.testing.assert_array_equal(scored.depth, frame.depth[1::2, 1::2][6:234, 8:312])
+    np.testing.assert_array_equal(scored.image, frame.image[1::2, 1::2][6:234, 8:312])
+    np.testing.assert_allclose(scored.intrinsics, pinhole(250, 200, 159.5 - 8, 119.5 - 6))
+
+
+def test_fastdepth_protocol() -> None:
+    """480x640 to 250x333 (rounded down), 228x304 from row 11 and column 14 (14.5, half to even), 224x224."""
+    frame = numbered(480, 640)
+    scored = ResizeCrop(resize=250 / 480, crop=(228, 304), size=(224, 224), interpolation="nearest")(frame)
+    assert scored.depth.shape == scored.image.shape[:2] == (224, 224)
+    centre = (319.5 + 0.5) * 333 / 640 - 0.5 - 14
+    expected_cx = (centre + 0.5) * 224 / 304 - 0.5
+    expected_cy = ((239.5 + 0.5) * 250 / 480 - 0.5 - 11 + 0.5) * 224 / 228 - 0.5
+    np.testing.assert_allclose(scored.intrinsics[:2, 2], [expected_cx, expected_cy])
+    np.testing.assert_allclose(scored.intrinsics[0, 0], 500 * 333 / 640 * 224 / 304)
+    np.testing.assert_array_equal(scored.image[..., 0], (scored.depth % 251).astype(np.uint8))
+
+
+def test_resize_to_a_size() -> None:
+    assert ResizeCrop(resize=(30, 50))(ramp_frame()).depth.shape == (30, 50)
+    assert ResizeCrop()(ramp_frame()).image.shape == (HEIGHT, WIDTH, 3)
+
+
+@pytest.mark.parametrize("bad", [{"interpolation": "cubic"}, {"resize": 0}, {"crop": (3,)}, {"size": (0, 3)}])
+def test_resize_crop_settings_are_checked(bad: dict) -> None:
+    with pytest.raises(ValueError, match=r"give|size"):
+        ResizeCrop(**bad)
+
+
+def test_crop_must_fit() -> None:
+    with pytest.raises(ValueError, match="does not fit"):
+        ResizeCrop(crop=(49, 10))(ramp_frame())
