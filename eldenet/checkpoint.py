@@ -1,14 +1,122 @@
-"""Checkpoints: all state of a training as tensors and plain values, written so that a kill can't spoil one."""
+"""Checkpoints: all state of a training as tensors and plain values, safe against a kill while writing."""
 
+import json
+import math
 import os
+import shutil
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 LAST, BEST = "last.pt", "best.pt"
+
+
+@dataclass
+class Progress:
+    """How far a training is; part of every checkpoint, plain values only."""
+
+    epoch: int = 0  # the epoch that is running, or comes next
+    batch: int = 0  # batches of that epoch that are done
+    step: int = 0  # optimiser updates so far
+    best_epoch: int = -1
+    best_value: float = math.nan
+    sums: dict[str, float] = field(default_factory=dict)  # of the losses of this epoch's batches
+    history: list[dict[str, float]] = field(default_factory=list)
+    seconds: float = 0.0  # spent in training steps, over all sittings
+
+
+@dataclass
+class TrainingState:
+    """Everything that a training needs in order to go on as if it had never stopped.
+
+    Attributes:
+        model: the network, not wrapped.
+        ema: its averaged copy, or None.
+        optimizer: as prepared for the device.
+        scheduler: of the learning rate.
+        scaler: of fp16 gradients, or None.
+        progress: how far it is.
+        identity: what must agree for a checkpoint to fit (model config, data, seed, batch size ...).
+    """
+
+    model: nn.Module
+    ema: nn.Module | None
+    optimizer: Any
+    scheduler: Any
+    scaler: Any
+    progress: Progress
+    identity: Mapping[str, Any]
+
+    def save(self, path: Path) -> None:
+        """Write all of it.
+
+        Raises:
+            FloatingPointError: a weight is NaN or infinite; the file that stood there stays.
+        """
+        weights = self.model.state_dict()
+        if not is_finite(weights):
+            raise FloatingPointError(
+                f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
+                "good checkpoint. Try a lower optimizer.lr or trainer.gradient_clip=1"
+            )
+        state = {
+            "model": weights,
+            "ema": None if self.ema is None else self.ema.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "scheduler": self.scheduler.state_dict(),
+            "scaler": None if self.scaler is None else self.scaler.state_dict(),
+            "progress": asdict(self.progress),
+            "identity": json.dumps(self.identity, sort_keys=True),
+            "torch_rng": torch.get_rng_state(),
+        }
+        save_checkpoint(path, state)
+
+    def restore(self, path: Path) -> None:
+        """Take everything over from a checkpoint file or run folder.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: it is damaged, or belongs to another training.
+        """
+        state = load_checkpoint(path)
+        theirs = json.loads(state["identity"])
+        ours = json.loads(json.dumps(self.identity, sort_keys=True))
+        if theirs != ours:
+            different = [name for name in ours if theirs.get(name) != ours[name]]
+            raise ValueError(
+                f"{path} belongs to another training: {', '.join(different)} differ (there "
+                f"{[theirs.get(name) for name in different]}, here {[ours[name] for name in different]}). "
+                "Resume with the settings of its run: config.yaml in its run folder"
+            )
+        self.model.load_state_dict(state["model"])
+        if self.ema is not None:
+            self.ema.load_state_dict(state["ema"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.scheduler.load_state_dict(state["scheduler"])
+        if self.scaler is not None and state["scaler"] is not None:
+            self.scaler.load_state_dict(state["scaler"])
+        torch.set_rng_state(state["torch_rng"])
+        for name, value in state["progress"].items():
+            setattr(self.progress, name, value)
+
+
+def bring_best(source: Path, folder: Path) -> None:
+    """Copy the best epoch of the run that ``source`` belongs to into the run folder ``folder``.
+
+    A best epoch that lies before the point of resuming must be found in the new run folder too.
+    """
+    old = (source if source.is_dir() else source.parent.parent).resolve()
+    if old == folder.resolve():
+        return
+    if (old / "checkpoints" / BEST).is_file():
+        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        shutil.copy2(old / "checkpoints" / BEST, folder / "checkpoints" / BEST)
+    if (old / "model").is_dir():
+        shutil.copytree(old / "model", folder / "model", dirs_exist_ok=True)
 
 
 def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
@@ -35,7 +143,9 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     path = path / "checkpoints" / LAST if path.is_dir() else path
     if not path.is_file():
-        raise FileNotFoundError(f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder")
+        raise FileNotFoundError(
+            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
+        )
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged or foreign file

@@ -15,8 +15,9 @@ import hydra  # noqa: E402
 from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
 from hydra._internal.utils import create_config_search_path  # noqa: E402
 from hydra.core.hydra_config import HydraConfig  # noqa: E402
+from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
-from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf, open_dict  # noqa: E402
 
 USER_ERRORS = (ValueError, FileNotFoundError, FloatingPointError, NotADirectoryError, ImportError)
 
@@ -34,9 +35,15 @@ def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
     """Compose a config as the command line would, without touching Hydra's global state.
 
     So it works inside somebody else's Hydra application.
+
+    Raises:
+        ValueError: there is no such config, or an override does not fit it.
     """
     loader = ConfigLoaderImpl(create_config_search_path(str(config_folder())))
-    config = loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
+    try:
+        config = loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
+    except HydraException as error:
+        raise ValueError(str(error)) from error
     with open_dict(config):
         config.pop("hydra", None)
     return config
@@ -55,6 +62,9 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             folder = Path(HydraConfig.get().runtime.output_dir)
             try:
                 return main(config, folder)
+            except MissingMandatoryValue as error:
+                print(f"error: give {error.full_key}=... on the command line", file=sys.stderr)  # noqa: T201
+                raise SystemExit(1) from None
             except USER_ERRORS as error:
                 logging.getLogger("eldenet").debug("", exc_info=True)
                 print(f"error: {error}", file=sys.stderr)  # noqa: T201
@@ -98,7 +108,9 @@ def build_protocol(config: DictConfig) -> Any:
     return instantiate(chosen if chosen is not None else config.data.protocol)
 
 
-def build_split(config: DictConfig, split: str, protocol: Any, *, augment: bool = False, seed: int = 0) -> Any:
+def build_split(
+    config: DictConfig, split: str, protocol: Any, *, augment: bool = False, seed: int = 0
+) -> Any:
     """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
 
     Args:
@@ -114,12 +126,22 @@ def build_split(config: DictConfig, split: str, protocol: Any, *, augment: bool 
     if config.data.get(split) is None:
         raise ValueError(f"data={config.data.name} has no split '{split}'")
     steps: list[Any] = []
+    changes: dict[str, Any] = {}
     if protocol.resize is not None or protocol.frame_crop is not None:
         steps.append(ResizeCrop(resize=protocol.resize, crop=protocol.frame_crop))
-    if augment and config.get("augmentation") is not None:
+        if config.data[split].get("load_size") is not None:
+            # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
+            logging.getLogger("eldenet").info(
+                "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
+                split,
+                protocol.name,
+            )
+            changes = {"load_size": None, "cache": False}
+    if augment and config.get("augmentation"):  # augmentation=none is an empty node
         steps.append(instantiate(config.augmentation))
     return instantiate(
         config.data[split],
+        **changes,
         transform=Chain(steps) if steps else None,
         resize_depth=split == "train",
         seed=seed,

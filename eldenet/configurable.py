@@ -1,6 +1,7 @@
 """Parts that remember how they were built, and a builder that trusts nothing it was not told to trust.
 
-A part's ``config`` is what Hydra's YAML would say: ``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
+A part's ``config`` is what Hydra's YAML would say, such as
+``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
 ``config.json`` files come from elsewhere, so :func:`build` checks a target's module by name *before* it
 imports anything, and then accepts nothing but subclasses of :class:`Configurable`.
 """
@@ -39,6 +40,9 @@ class Configurable:
         given = signature.bind_partial(part, *args, **kwargs)
         given.apply_defaults()
         arguments = dict(list(given.arguments.items())[1:])
+        for parameter in signature.parameters.values():
+            if parameter.kind is parameter.VAR_KEYWORD:  # **options are written as what they are: arguments
+                arguments |= arguments.pop(parameter.name)
         unsaved = {*cls.transient_arguments, *cls.supplied_arguments}
         config = {"_target_": f"{cls.__module__}.{cls.__qualname__}"}
         if cls.supplied_arguments:
@@ -72,18 +76,27 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
 
     Raises:
         ValueError: a target lies outside the trusted modules (nothing is imported then), is not a
-            :class:`Configurable` class, or does not take the arguments given.
+            :class:`Configurable` class, does not take the arguments given, or asks for weights from
+            somewhere (a transient argument that is not false: it could download or read any file).
     """
+    if isinstance(trusted_modules, str):
+        raise ValueError(f"trusted_modules={trusted_modules!r}: a list is needed, [{trusted_modules!r}]")
     if isinstance(config, Mapping):
         arguments = {key: build(value, trusted_modules) for key, value in config.items() if key[:1] != "_"}
         if "_target_" not in config:
             return arguments
         part = _resolve(str(config["_target_"]), trusted_modules)
+        for name in part.transient_arguments:
+            if arguments.get(name):
+                raise ValueError(
+                    f"refused {name}={arguments[name]!r} of {config['_target_']}: a saved part never says where "
+                    "weights come from; remove that entry"
+                )
         if config.get("_partial_"):
             return functools.partial(part, **arguments)
         try:
             return part(**arguments)
-        except TypeError as error:
+        except (TypeError, AttributeError, LookupError, RuntimeError) as error:
             raise ValueError(f"config of {config['_target_']} does not fit: {error}") from error
     if isinstance(config, list | tuple):
         return [build(item, trusted_modules) for item in config]
@@ -98,7 +111,10 @@ def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
             f"refused to build {target!r}: its module is not among the trusted ones ({', '.join(trusted)}). "
             "If you know and trust that code, name it: trusted_modules=[...]"
         )
-    part = getattr(importlib.import_module(module), name, None)
+    try:
+        part = getattr(importlib.import_module(module), name, None)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"can't build {target!r}: {error}") from error
     if not (isinstance(part, type) and issubclass(part, Configurable)):
         raise ValueError(f"refused to build {target!r}: not a Configurable class of {module}")
     return part

@@ -16,7 +16,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.report import closing_table
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
-    from eldenet.train import score_and_record
+    from eldenet.scoring import score_and_record
 
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
@@ -24,7 +24,15 @@ def main(config: "DictConfig", folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
     record = score_and_record(
-        config, model, protocol, resources, folder, log, split=config.split, batch_size=config.batch_size
+        config,
+        model,
+        protocol,
+        resources,
+        folder,
+        log,
+        name=str(model.info.get("model_name", config.checkpoint)),
+        split=config.split,
+        batch_size=config.batch_size,
     )
     closing_table(log, record)
 

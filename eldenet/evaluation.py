@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.loading import evaluation_loader
+from eldenet.data.loading import collate, evaluation_loader
 from eldenet.metrics import METRICS, DepthMetrics, EvalProtocol
 
 Progress = Callable[[int], None]
@@ -30,7 +31,7 @@ class Evaluation:
 
 @torch.inference_mode()
 def predict_depth(model: nn.Module, image: Tensor, *, flip: str = "none") -> Tensor:
-    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; ``flip="mean"`` averages with the mirror image's."""
+    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's."""
     prediction = model(image)
     if flip == "mean":
         prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
@@ -95,10 +96,27 @@ def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     """Rows of all processes, back in the data set's order (they were dealt out one by one)."""
     from accelerate.utils import gather_object
 
-
     shares = gather_object([rows])
     longest = max(len(share) for share in shares)
     return [share[i] for i in range(longest) for share in shares if i < len(share)]
+
+
+def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol, rows: int = 4) -> np.ndarray:
+    """Picture ``(H, W, 3)`` uint8 of fixed frames: image, ground truth, prediction, relative error."""
+    from eldenet.pictures import depth_row, stack_rows
+
+    device = next(model.parameters()).device
+    was_training = model.training
+    model.eval()
+    pictures = []
+    for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
+        batch: dict[str, Any] = collate([dataset[index]])
+        prediction = predict_depth(model, batch["image"].to(device)).cpu()
+        counts = protocol.scored(batch["depth"], batch["mask"])
+        prediction = protocol.prepare(prediction, batch["depth"], counts)
+        pictures.append(depth_row(batch["image"][0], batch["depth"][0], batch["mask"][0], prediction[0]))
+    model.train(was_training)
+    return stack_rows(pictures)
 
 
 class ConstantPredictor(nn.Module):
@@ -124,7 +142,7 @@ def fit_constant_predictor(dataset: DepthDataset, *, frames: int = 512) -> Const
 
     ``dataset`` must not augment, and must bring depth to one size.
     """
-    step = max(1, len(dataset) // frames)
+    step = -(-len(dataset) // frames)
     total = count = None
     for index in range(0, len(dataset), step):
         sample = dataset[index]

@@ -1,5 +1,7 @@
 """Heads turn a network's raw map into metres and back; the range is the head's own."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -25,6 +27,9 @@ class Head(Configurable, nn.Module):
         """Inverse of :meth:`to_metres`; metres outside the range are clamped just inside."""
         raise NotImplementedError
 
+    def _clamped(self, depth: Tensor) -> Tensor:
+        return depth.clamp(self.min_depth, self.max_depth)
+
     def forward(self, raw: Tensor) -> Tensor:
         """Same as :meth:`to_metres`."""
         return self.to_metres(raw)
@@ -46,7 +51,7 @@ class LinearHead(Head):
 
     def from_metres(self, depth: Tensor) -> Tensor:
         """Inverse of :meth:`to_metres`."""
-        return _logit((depth - self.min_depth) / (self.max_depth - self.min_depth))
+        return _logit((self._clamped(depth) - self.min_depth) / (self.max_depth - self.min_depth))
 
 
 class InverseHead(Head):
@@ -63,7 +68,7 @@ class InverseHead(Head):
     def from_metres(self, depth: Tensor) -> Tensor:
         """Inverse of :meth:`to_metres`."""
         far, near = 1 / self.max_depth, 1 / self.min_depth
-        return _logit((1 / depth - far) / (near - far))
+        return _logit((1 / self._clamped(depth) - far) / (near - far))
 
 
 class LogHead(Head):
@@ -79,6 +84,6 @@ class LogHead(Head):
 
     def from_metres(self, depth: Tensor) -> Tensor:
         """Inverse of :meth:`to_metres`."""
-        ratio = self.max_depth / self.min_depth
-        share = torch.log(depth / self.min_depth) / torch.log(torch.tensor(ratio))
-        return _logit(share)
+        return _logit(
+            (self._clamped(depth) / self.min_depth).log() / math.log(self.max_depth / self.min_depth)
+        )

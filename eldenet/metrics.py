@@ -99,23 +99,40 @@ class EvalProtocol:
         return counts
 
     def prepare(self, prediction: Tensor, depth: Tensor, counts: Tensor) -> Tensor:
-        """Bring a raw prediction ``(B, 1, h, w)`` [m] to what is scored: size, scale, clamp."""
+        """Bring a raw prediction ``(B, 1, h, w)`` [m] to what is scored: size, scale, clamp.
+
+        Raises:
+            ValueError: a prediction that counts is not finite, or there is not one per ground truth.
+        """
+        if prediction.ndim != 4 or prediction.shape[:2] != depth.shape[:2]:
+            raise ValueError(
+                f"prediction {tuple(prediction.shape)} does not match ground truth {tuple(depth.shape)}: "
+                "(B, 1, h, w) and (B, 1, H, W) are needed"
+            )
         if prediction.shape[-2:] != depth.shape[-2:]:
             options: dict[str, Any] = {"align_corners": False} if self.interpolation == "bilinear" else {}
-            prediction = F.interpolate(
-                prediction, size=depth.shape[-2:], mode=self.interpolation, **options
-            )
+            prediction = F.interpolate(prediction, size=depth.shape[-2:], mode=self.interpolation, **options)
         if self.scale == "median":
             prediction = prediction * _median_ratio(prediction, depth, counts)
+        if not torch.isfinite(prediction[counts]).all():  # before the clamp, which would hide infinity
+            raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 
 
 def _median_ratio(prediction: Tensor, depth: Tensor, counts: Tensor) -> Tensor:
     ratios = [
-        depth[i][counts[i]].median() / prediction[i][counts[i]].median() if counts[i].any() else depth.new_ones(())
+        _median(depth[i][counts[i]]) / _median(prediction[i][counts[i]])
+        if counts[i].any()
+        else depth.new_ones(())
         for i in range(len(depth))
     ]
     return torch.stack(ratios).view(-1, 1, 1, 1)
+
+
+def _median(values: Tensor) -> Tensor:
+    """Median as NumPy takes it: of an even number the mean of the middle two; torch takes the lower."""
+    ordered = values.sort().values
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def error_sums(prediction: Tensor, depth: Tensor, counts: Tensor, *, ssim_range: float) -> Tensor:
@@ -129,7 +146,8 @@ def error_sums(prediction: Tensor, depth: Tensor, counts: Tensor, *, ssim_range:
     safe_depth = depth.float().masked_fill(~counts, 1.0)
     safe = prediction.float().masked_fill(~counts, 1.0)
     error = (safe - safe_depth).abs()
-    ratio = torch.maximum(safe / safe_depth, safe_depth / safe)
+    # without a clamp a prediction may be 0 or negative: no delta counts it, and its logarithm is undefined
+    ratio = torch.maximum(safe / safe_depth, safe_depth / safe).masked_fill(safe <= 0, math.inf)
     log_ratio = (safe / safe_depth).log()
     structure = ssim_map(safe, safe_depth, window=11, value_range=ssim_range)
     full_window = eroded(counts, 11)
@@ -194,23 +212,25 @@ class DepthMetrics(Metric):
         ``rows`` then holds the metrics of each image of this batch ``(B, 10)``.
 
         Raises:
-            ValueError: a prediction that counts is not finite.
+            ValueError: a prediction that counts is not finite, or a size is not the protocol's.
         """
         counts = self.protocol.scored(depth, mask)
         prediction = self.protocol.prepare(prediction.float(), depth, counts)
-        if not torch.isfinite(prediction[counts]).all():
-            raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
         sums = error_sums(prediction, depth, counts, ssim_range=self.protocol.max_depth)
         self.rows = metrics_of(sums)
-        defined = torch.isfinite(self.rows)
+        # an image without a pixel to score is left out; a NaN of one that has some is not
+        defined = sums[:, :1].expand_as(self.rows) > 0
+        defined = torch.cat([defined[:, :-1], sums[:, 11:] > 0], dim=1)
         self.pooled += sums.sum(0)
-        self.image_sums += self.rows.nan_to_num(0.0).sum(0)
+        self.image_sums += self.rows.where(defined, 0.0).sum(0)
         self.image_counts += defined.sum(0)
 
     def compute(self) -> dict[str, float]:
         """Metrics by name, with ``images`` and ``pixels`` that were scored."""
         values = (
-            metrics_of(self.pooled) if self.protocol.average == "pixel" else self.image_sums / self.image_counts
+            metrics_of(self.pooled)
+            if self.protocol.average == "pixel"
+            else self.image_sums / self.image_counts
         )
         result = dict(zip(METRICS, values.tolist(), strict=True))
         return result | {"images": int(self.image_counts[0]), "pixels": int(self.pooled[0])}

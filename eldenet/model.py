@@ -51,6 +51,9 @@ class DepthNet(Configurable, nn.Module):
         refine: optional ``(depth, image) -> depth`` on the finished map.
         mean: per-channel mean of the normalisation, RGB in [0, 1].
         std: per-channel standard deviation.
+
+    Attributes:
+        info: what ``save_pretrained`` was told about these weights (training data, protocol, ...).
     """
 
     mean: Tensor
@@ -67,6 +70,7 @@ class DepthNet(Configurable, nn.Module):
     ) -> None:
         super().__init__()
         self.network, self.head, self.refine = network, head, refine
+        self.info: dict[str, Any] = {}
         self.register_buffer("mean", torch.tensor(mean).view(1, 3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(std).view(1, 3, 1, 1), persistent=False)
 
@@ -86,6 +90,8 @@ class DepthNet(Configurable, nn.Module):
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W."""
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}, (B, 3, H, W) is needed")
+        if not image.is_floating_point():
+            raise ValueError(f"image is {image.dtype}: floats in [0, 1] are needed, divide bytes by 255")
         raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
@@ -97,7 +103,8 @@ class DepthNet(Configurable, nn.Module):
 
         Args:
             folder: made if need be.
-            info: facts worth keeping beside the weights (training data, protocol, metrics): JSON values.
+            info: facts worth keeping beside the weights (training data, protocol, metrics): JSON values;
+                None: those the model came with.
 
         Raises:
             ValueError: a part of the network is not :class:`Configurable`, so nobody could rebuild it.
@@ -106,19 +113,26 @@ class DepthNet(Configurable, nn.Module):
 
         from eldenet import __version__
 
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         try:
             text = json.dumps(
-                {"eldenet_version": __version__, "model": self.config, "info": info or {}}, indent=2
+                {
+                    "eldenet_version": __version__,
+                    "model": self.config,
+                    "info": self.info if info is None else info,
+                },
+                indent=2,
             )
         except TypeError as error:
             raise ValueError(
                 f"this model can't be written down: {error}. Its parts must subclass Configurable and take "
-                "plain values"
+                "plain values, and so must info hold"
             ) from error
         state = {name: value.detach().cpu().contiguous() for name, value in self.state_dict().items()}
-        save_file(state, folder / WEIGHTS_NAME, metadata={"format": "pt"})
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        unfinished = folder / f".{WEIGHTS_NAME}.part"  # a kill leaves the old weights or the new, never half
+        save_file(state, unfinished, metadata={"format": "pt"})
+        unfinished.replace(folder / WEIGHTS_NAME)
         (folder / CONFIG_NAME).write_text(text + "\n")
         return folder
 
@@ -137,21 +151,32 @@ class DepthNet(Configurable, nn.Module):
 
         Raises:
             FileNotFoundError: neither a folder with both files nor a reachable Hub id.
-            ValueError: the config names something outside the trusted modules, or the weights do not fit.
+            ValueError: the config is damaged or names something outside the trusted modules, or the weights
+                are damaged or do not fit.
         """
+        from safetensors import SafetensorError
         from safetensors.torch import load_file
 
         folder = _local_folder(source, revision)
-        config = json.loads((folder / CONFIG_NAME).read_text())
-        if "model" not in config:
+        try:
+            config = json.loads((folder / CONFIG_NAME).read_text())
+        except ValueError as error:  # no JSON, or no text at all
+            raise ValueError(f"{folder / CONFIG_NAME} can't be read as JSON: {error}") from error
+        if not isinstance(config, dict) or "model" not in config:
             raise ValueError(f"{folder / CONFIG_NAME} has no entry 'model': not an eldenet model folder")
         model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
-            raise ValueError(f"{folder / CONFIG_NAME} describes a {type(model).__name__}, not a {cls.__name__}")
+            raise ValueError(
+                f"{folder / CONFIG_NAME} describes a {type(model).__name__}, not a {cls.__name__}"
+            )
         try:
             model.load_state_dict(load_file(folder / WEIGHTS_NAME))
+        except SafetensorError as error:
+            raise ValueError(f"{folder / WEIGHTS_NAME} is not a whole safetensors file: {error}") from error
         except RuntimeError as error:
             raise ValueError(f"{folder / WEIGHTS_NAME} does not fit its own config: {error}") from error
+        info = config.get("info")
+        model.info = info if isinstance(info, dict) else {}
         return model.eval()
 
     def push_to_hub(
@@ -172,19 +197,24 @@ class DepthNet(Configurable, nn.Module):
 def _local_folder(source: str | Path, revision: str | None) -> Path:
     folder = Path(source)
     if folder.is_dir():
-        missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
-        if missing:
-            raise FileNotFoundError(f"{folder} has no {' and no '.join(missing)}: not an eldenet model folder")
-        return folder
+        return _complete(folder, folder)
     if folder.is_absolute() or str(source).count("/") != 1:
         raise FileNotFoundError(f"{source} is neither a folder here nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download
 
     try:
-        return Path(
+        folder = Path(
             snapshot_download(str(source), revision=revision, allow_patterns=[CONFIG_NAME, WEIGHTS_NAME])
         )
     except Exception as error:  # the Hub client raises many kinds, offline ones among them
         raise FileNotFoundError(
             f"{source} is no folder here, and the Hub could not give it: {type(error).__name__}: {error}"
         ) from error
+    return _complete(folder, source)
+
+
+def _complete(folder: Path, source: str | Path) -> Path:
+    missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
+    if missing:
+        raise FileNotFoundError(f"{source} has no {' and no '.join(missing)}: not an eldenet model folder")
+    return folder

@@ -10,9 +10,7 @@ from torch import Tensor
 UNKNOWN = (0, 0, 0)
 
 
-def colour_depth(
-    depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None
-) -> np.ndarray:
+def colour_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None) -> np.ndarray:
     """Colour a depth map ``(H, W)`` [m] as ``(H, W, 3)`` uint8 RGB: near is warm, far is cool.
 
     Args:
@@ -31,9 +29,7 @@ def colour_depth(
 def colour_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Relative error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is 0.5 and more."""
     relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
-    colours = cv2.applyColorMap(
-        (255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO
-    )
+    colours = cv2.applyColorMap((255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
     colours = colours[..., ::-1].copy()
     colours[~known] = UNKNOWN
     return colours
@@ -47,7 +43,7 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
     truth, known, guess = (tensor.squeeze(0).cpu().numpy() for tensor in (depth, mask, prediction))
     height, width = truth.shape
     photo = (image.permute(1, 2, 0).cpu().numpy() * 255).round().astype(np.uint8)
-    photo = cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA)
+    photo = np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     near, far = np.percentile(truth[known], (2, 98)) if known.any() else (0.0, 1.0)
     panels = [
         photo,

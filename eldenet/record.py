@@ -70,7 +70,9 @@ def read_run(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
     if not path.is_file():
-        raise FileNotFoundError(f"no {RUN_FILE} at {path}: the run has not finished, or this is not a run folder")
+        raise FileNotFoundError(
+            f"no {RUN_FILE} at {path}: the run has not finished, or this is not a run folder"
+        )
     try:
         content = json.loads(path.read_text())
     except json.JSONDecodeError as error:

@@ -1,7 +1,9 @@
 """Threads, workers, device and precision: chosen once, before the work starts, and recorded."""
 
 import os
+import warnings
 from dataclasses import dataclass
+from typing import Any
 
 
 def prepare_environment() -> None:
@@ -46,7 +48,10 @@ def choose_resources(
         workers: processes that load data, or "auto".
 
     Raises:
-        ValueError: an unknown choice, or more threads and workers than cores on a CPU.
+        ValueError: an unknown choice, or one that this machine can't serve.
+
+    Warns:
+        UserWarning: more threads and workers than cores on a CPU.
     """
     import torch
 
@@ -63,10 +68,11 @@ def choose_resources(
             workers = min(workers, cores // 2)
     threads = max(1, cores - int(workers)) if threads == "auto" else int(threads)
     workers = int(workers)
-    if device == "cpu" and threads + workers > max(cores, 1):
-        raise ValueError(
-            f"threads={threads} + workers={workers} exceed the {cores} cores: they would take turns and slow "
-            "each other down; lower one, or leave both on auto"
+    if device == "cpu" and threads + workers > cores:
+        warnings.warn(
+            f"threads={threads} + workers={workers} exceed the {cores} cores: they take turns and slow each "
+            "other down; lower one, or leave both on auto",
+            stacklevel=2,
         )
     torch.set_num_threads(threads)
     return Resources(device, resolve_precision(precision, device), threads, workers, cores)
@@ -86,3 +92,27 @@ def resolve_precision(precision: str, device: str) -> str:
         return "bf16" if torch.cuda.is_bf16_supported() else "fp16"
     multiplies_bf16 = torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
     return "bf16" if multiplies_bf16 else "fp32"
+
+
+def make_accelerator(resources: Resources) -> Any:
+    """Accelerate's device, autocast and DDP for these resources."""
+    from accelerate import Accelerator
+    from accelerate.state import AcceleratorState
+
+    AcceleratorState._reset_state(reset_partial_state=True)  # an earlier run of this process chose its own
+    precision = {"fp32": "no"}.get(resources.precision, resources.precision)
+    return Accelerator(mixed_precision=precision, cpu=resources.device == "cpu")
+
+
+def seed_everything(seed: int) -> None:
+    """Seed Python, numpy and torch; ask for repeatable algorithms."""
+    import random
+
+    import numpy as np
+    import torch
+
+    random.seed(seed)
+    np.random.seed(seed % 2**32)
+    torch.manual_seed(seed)
+    torch.backends.cudnn.benchmark = False
+    torch.use_deterministic_algorithms(True, warn_only=True)

@@ -10,7 +10,9 @@ def _warm(step: int, warmup_steps: int) -> float:
     return min(1.0, (step + 1) / (warmup_steps + 1))
 
 
-def constant(optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.0) -> LambdaLR:
+def constant(
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.0
+) -> LambdaLR:
     """Constant rate after a linear warm-up over the share ``warmup`` of the training."""
     warmup_steps = round(warmup * total_steps)
     return LambdaLR(optimizer, lambda step: _warm(step, warmup_steps))

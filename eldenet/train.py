@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.model import DepthNet
-    from eldenet.resources import Resources
 
 
 @cfg.entry_point("train")
@@ -20,6 +19,7 @@ def main(config: "DictConfig", folder: Path) -> float:
     from eldenet.report import closing_table
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
+    from eldenet.scoring import score_and_record
 
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
@@ -38,23 +38,38 @@ def main(config: "DictConfig", folder: Path) -> float:
     log = RunLog(folder)
     log.say(
         f"{config.data.name}: {len(train_set)} training and {len(val_set)} validation frames; "
-        f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers; "
-        f"run folder {folder}"
+        f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
+        f"; run folder {folder}"
     )
     progress = trainer.fit(
-        model, train_set, val_set, loss, protocol, folder, resources, ckpt_path=_checkpoint(config, folder)
+        model,
+        train_set,
+        val_set,
+        loss,
+        protocol,
+        folder,
+        resources,
+        ckpt_path=_checkpoint(config, folder),
+        info={
+            "model_name": config.model_name,
+            "data": config.data.name,
+            "input_size": cfg.plain(config.data.input_size),
+            "started_from": config.weights,
+        },
     )
     if not trainer.accelerator.is_main_process:
         return progress.best_value
     best = _load_best(folder, config)
-    record = score_and_record(config, best, protocol, resources, folder, log, progress=progress)
+    record = score_and_record(
+        config, best, protocol, resources, folder, log, name=config.model_name, progress=progress
+    )
     closing_table(log, record)
     return progress.best_value
 
 
 def build_seeded_model(config: "DictConfig") -> "DepthNet":
     """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``."""
-    from eldenet.trainer import seed_everything
+    from eldenet.resources import seed_everything
 
     seed_everything(config.seed)
     model = cfg.build_model(config.model)
@@ -63,7 +78,9 @@ def build_seeded_model(config: "DictConfig") -> "DepthNet":
 
         start = eldenet.load(config.weights).state_dict()
         own = model.state_dict()
-        fitting = {name: value for name, value in start.items() if name in own and own[name].shape == value.shape}
+        fitting = {
+            name: value for name, value in start.items() if name in own and own[name].shape == value.shape
+        }
         if not fitting:
             raise ValueError(f"weights={config.weights}: not one tensor fits this network")
         model.load_state_dict(fitting, strict=False)
@@ -93,57 +110,6 @@ def _own_modules(node: Any) -> list[str]:
         return []
     named = [str(node["_target_"]).rpartition(".")[0]] if "_target_" in node else []
     return named + [module for value in node.values() for module in _own_modules(value)]
-
-
-def score_and_record(
-    config: "DictConfig",
-    model: "DepthNet",
-    protocol: Any,
-    resources: "Resources",
-    folder: Path,
-    log: Any,
-    *,
-    split: str = "test",
-    batch_size: int = 16,
-    progress: Any = None,
-) -> dict[str, Any]:
-    """Evaluate on ``split``; write ``run.json``, ``per_image.csv`` and the picture ``predictions.png``."""
-    from dataclasses import asdict
-
-    from eldenet.evaluation import PER_IMAGE_HEADER, evaluate, fit_constant_predictor
-    from eldenet.profiling import measure_cost
-    from eldenet.record import RUN_FILE, environment, write_json, write_rows
-    from eldenet.trainer import sample_rows
-
-    dataset = cfg.build_split(config, split, protocol)
-    model = model.to(resources.device)
-    with log.bar(f"evaluating on {split}", len(dataset)) as bar:
-        result = evaluate(
-            model, dataset, protocol, device=resources.device, batch_size=batch_size, advance=bar.advance
-        )
-    write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
-    log.picture("predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol))
-    log.close()
-    constant = fit_constant_predictor(cfg.build_split(config, "train", protocol)).to(resources.device)
-    baseline = evaluate(constant, dataset, protocol, device=resources.device, batch_size=batch_size)
-    size = tuple(dataset[0]["image"].shape[-2:])
-    record = {
-        "model": config.get("model_name", None) or config.get("checkpoint", None),
-        "data": config.data.name,
-        "split": split,
-        "split_hash": dataset.split_hash,
-        "protocol": protocol.as_dict(),
-        "metrics": result.metrics,
-        "constant_predictor": baseline.metrics,
-        "cost": measure_cost(model, size).as_dict(),
-        "seed": config.get("seed"),
-        "resources": asdict(resources),
-        "training": None if progress is None else asdict(progress),
-        "config": cfg.plain(config),
-        **environment(),
-    }
-    write_json(folder / RUN_FILE, record)
-    return record
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ def load(
         The network, in eval mode.
 
     Raises:
-        ValueError: an unknown name or a config that names something untrusted.
+        ValueError: an unknown name, an override that does not fit, or a config that names something
+            untrusted.
         FileNotFoundError: no such folder, or the Hub could not be reached.
     """
     from eldenet.model import DepthNet

@@ -9,7 +9,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from scipy.io import savemat
+from layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, sync
 from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
@@ -23,73 +23,8 @@ from eldenet.data.nyu import (
 )
 from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
 
-RNG = np.random.default_rng(0)
-SIZE = (48, 64)
-METRES = RNG.uniform(0.7, 9.9, SIZE).astype(np.float32)
-RGB = np.zeros((*SIZE, 3), np.uint8)
-RGB[:, :32], RGB[:, 32:] = (200, 30, 30), (30, 200, 90)
-EIGHT = np.round(METRES / 10 * 255).astype(np.uint8)
-MILLIMETRES = np.round(METRES * 1000).astype(np.uint16)
-MILLIMETRES[5:9, 7:20] = 0
-
-
-def picture(path: Path, array: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), array[..., ::-1] if array.ndim == 3 else array)
-
-
-def densedepth(root: Path) -> Path:
-    rows = []
-    for scene in ("kitchen_0001_out", "office_0002_out"):
-        picture(root / f"data/nyu2_train/{scene}/1.jpg", RGB)
-        picture(root / f"data/nyu2_train/{scene}/1.png", EIGHT)
-        rows.append(f"data/nyu2_train/{scene}/1.jpg,data/nyu2_train/{scene}/1.png\n")
-    (root / "data/nyu2_train.csv").write_text("".join(rows))
-    picture(root / "data/nyu2_test/00000_colors.png", RGB)
-    picture(root / "data/nyu2_test/00000_depth.png", MILLIMETRES)
-    (root / "data/nyu2_test.csv").write_text(
-        "data/nyu2_test/00000_colors.png,data/nyu2_test/00000_depth.png\n"
-    )
-    return root
-
-
-def labelled(root: Path, numbers: tuple[int, ...] = (3, 22, 23, 30)) -> Path:
-    rows = []
-    for n in numbers:
-        stem = f"data/nyu2_train/labeled_out/{n:04d}"
-        picture(root / f"{stem}.jpg", RGB)
-        picture(root / f"{stem}.png", EIGHT)
-        rows.append(f"{stem}.jpg,{stem}.png\n")
-    (root / "data/nyu2_train.csv").write_text("".join(rows))
-    return root
-
-
-def sync(root: Path) -> Path:
-    for scene, number in (("kitchen_0001", "00000"), ("office_0002", "00041")):
-        picture(root / scene / f"rgb_{number}.jpg", RGB)
-        picture(root / scene / f"sync_depth_{number}.png", MILLIMETRES)
-    return root
-
-
-def hdf5(root: Path) -> Path:
-    for name in ("train/kitchen_0001/00001", "train/office_0002/00001", "val/official/00002"):
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(root / f"{name}.h5", "w") as file:
-            file["rgb"], file["depth"] = RGB.transpose(2, 0, 1), METRES
-    return root
-
-
-def mat(root: Path, count: int = 4) -> Path:
-    root.mkdir(parents=True, exist_ok=True)
-    raw = METRES.copy()
-    raw[5:9, 7:20] = 0
-    with h5py.File(root / "nyu_depth_v2_labeled.mat", "w") as file:
-        file["images"] = np.stack([(RGB + i).transpose(2, 1, 0) for i in range(count)]).astype(np.uint8)
-        file["depths"] = np.stack([(METRES + i).T for i in range(count)])
-        file["rawDepths"] = np.stack([raw.T for _ in range(count)])
-    train, test = np.array([[2], [3]], np.uint16), np.array([[1], [4]], np.uint16)
-    savemat(root / "splits.mat", {"trainNdxs": train, "testNdxs": test})
-    return root
+RGB, METRES, MILLIMETRES, EIGHT = SMALL
+SIZE = METRES.shape
 
 
 def check_picture(image: np.ndarray) -> None:
@@ -100,7 +35,7 @@ def check_picture(image: np.ndarray) -> None:
 
 
 def test_densedepth(tmp_path: Path) -> None:
-    train = NYUDenseDepth(densedepth(tmp_path))
+    train = NYUDenseDepth(densedepth(tmp_path), split="trainval")
     assert train.names == ["kitchen_0001_out/1", "office_0002_out/1"]
     assert train.ground_truth == "inpainted"
     assert (train.min_depth, train.max_depth) == (1e-3, 10.0)
@@ -109,8 +44,10 @@ def test_densedepth(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.depth, (EIGHT / 255 * 10).astype(np.float32))
     test = NYUDenseDepth(tmp_path, split="test")
     assert test.names == ["00000_colors"]
+    assert NYUDenseDepth(tmp_path).names == ["office_0002_out/1"]
+    assert NYUDenseDepth(tmp_path, split="val").names == ["kitchen_0001_out/1"]
     np.testing.assert_array_equal(test.load_frame(0).depth, (MILLIMETRES / 1000).astype(np.float32))
-    other = NYUDenseDepth(tmp_path, encoding="nyu8_labelled").load_frame(0)
+    other = NYUDenseDepth(tmp_path, split="val", encoding="nyu8_labelled").load_frame(0)
     np.testing.assert_allclose(other.depth, (EIGHT + 0.5) * 9.99547 / 255, rtol=1e-6)
 
 
@@ -156,6 +93,9 @@ def test_sync(tmp_path: Path) -> None:
     frame = data.load_frame(1)
     check_picture(frame.image)
     np.testing.assert_array_equal(frame.depth, (MILLIMETRES / 1000).astype(np.float32))
+    for split, scene in (("train", "office_0002/rgb_00041"), ("val", "kitchen_0001/rgb_00000")):
+        assert NYUSync(tmp_path, split=split).names == [scene]
+    assert NYUSync(tmp_path, split="test").names == data.names
     lines = tmp_path / "list.txt"
     lines.write_text("/office_0002/rgb_00041.jpg /office_0002/sync_depth_00041.png 518.8579\n")
     listed = NYUSync(tmp_path, list_file=lines)
@@ -170,17 +110,19 @@ def test_sync(tmp_path: Path) -> None:
 
 
 def test_hdf5(tmp_path: Path) -> None:
-    data = NYUHDF5(hdf5(tmp_path))
+    data = NYUHDF5(hdf5(tmp_path), split="trainval")
     assert data.names == ["train/kitchen_0001/00001", "train/office_0002/00001"]
     assert data.ground_truth == "inpainted"
     frame = data.load_frame(1)
     np.testing.assert_array_equal(frame.image, RGB)
     np.testing.assert_array_equal(frame.depth, METRES)
-    assert NYUHDF5(tmp_path, split="val").names == ["val/official/00002"]
+    assert NYUHDF5(tmp_path, split="test").names == ["val/official/00002"]
+    assert NYUHDF5(tmp_path, split="train").names == ["train/office_0002/00001"]
+    assert NYUHDF5(tmp_path, split="val").names == ["train/kitchen_0001/00001"]
     with h5py.File(tmp_path / "val/official/00002.h5", "w") as file:
         file["image"] = RGB
     with pytest.raises(ValueError, match=r"00002\.h5 has no 'rgb', only image"):
-        NYUHDF5(tmp_path, split="val")[0]
+        NYUHDF5(tmp_path, split="test")[0]
 
 
 def test_mat(tmp_path: Path) -> None:
@@ -198,11 +140,10 @@ def test_mat(tmp_path: Path) -> None:
 
 def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
     mat(tmp_path, count=30)
-    numbers = np.array([[3], [22], [23], [28]], np.uint16)
-    savemat(tmp_path / "splits.mat", {"trainNdxs": numbers, "testNdxs": np.array([[1]], np.uint16)})
+    mat_split(tmp_path, train=(3, 22, 23, 28), test=(1,))
     assert NYUMat(tmp_path, split="train").names == ["0003", "0028"]
     assert NYUMat(tmp_path, split="val").names == ["0022", "0023"]
-    savemat(tmp_path / "splits.mat", {"trainNdxs": numbers + 3, "testNdxs": numbers})
+    mat_split(tmp_path, train=(6, 25, 26, 31), test=(3, 22))
     with pytest.raises(ValueError, match="30 frames, split 'trainval' wants frame 31"):
         NYUMat(tmp_path, split="trainval")
 
@@ -225,12 +166,12 @@ def test_mat_without_the_ground_truth(tmp_path: Path) -> None:
 
 
 LAYOUTS: dict[str, tuple[Callable[[Path], Path], Callable[..., DepthDataset], str]] = {
-    "densedepth": (densedepth, NYUDenseDepth, "data/nyu2_train/kitchen_0001_out/1.jpg"),
-    "densedepth_depth": (densedepth, NYUDenseDepth, "data/nyu2_train/kitchen_0001_out/1.png"),
+    "densedepth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.jpg"),
+    "densedepth_depth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.png"),
     "labelled": (labelled, NYULabelled, "data/nyu2_train/labeled_out/0003.jpg"),
     "sync": (sync, NYUSync, "kitchen_0001/rgb_00000.jpg"),
     "sync_depth": (sync, NYUSync, "kitchen_0001/sync_depth_00000.png"),
-    "hdf5": (hdf5, NYUHDF5, "train/kitchen_0001/00001.h5"),
+    "hdf5": (hdf5, NYUHDF5, "train/office_0002/00001.h5"),
 }
 
 

@@ -142,6 +142,7 @@ class Chain:
         self.steps = list(steps)
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
+        """Apply every step."""
         for step in self.steps:
             frame = step(frame, generator)
         return frame

@@ -57,17 +57,9 @@ def collate(samples: list[DepthSample]) -> dict[str, object]:
 
 
 def training_loader(
-    dataset: DepthDataset,
-    batch_size: int,
-    *,
-    seed: int,
-    workers: int = 0,
-    rank: int = 0,
-    processes: int = 1,
-    pin_memory: bool = False,
+    dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, pin_memory: bool = False
 ) -> DataLoader:
-    """Loader over an :class:`EpochSampler`; set ``loader.batch_sampler.epoch`` and ``.start`` before iterating."""
-    sampler = EpochSampler(len(dataset), batch_size, seed=seed, rank=rank, processes=processes)
+    """Loader in the order of ``sampler``, whose ``epoch`` and ``start`` are set before each epoch."""
     return DataLoader(
         dataset,
         batch_sampler=sampler,

@@ -14,6 +14,7 @@ import numpy as np
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.roots import check_files, csv_pairs, find_root, one_of
+from eldenet.data.scenes import hold_out
 from eldenet.geometry import pinhole, resize_intrinsics
 from eldenet.types import Frame
 
@@ -95,7 +96,8 @@ class NYUDenseDepth(_NYUPairs):
 
     Args:
         root: the folder that holds ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/densedepth``.
-        split: "train" or "test".
+        split: "train" and "val", parts of the training frames that share no scene
+            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of these, or "test" for the 654.
         encoding: of the depth files; None for DenseDepth's own.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
@@ -114,12 +116,16 @@ class NYUDenseDepth(_NYUPairs):
         encoding: Encoding | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, ("train", "test"))
-        table = f"data/nyu2_{split}.csv"
+        one_of("split", split, ("train", "val", "trainval", "test"))
+        part = "test" if split == "test" else "train"
+        table = f"data/nyu2_{part}.csv"
         folder = find_root(root, "nyu_depth_v2/densedepth", [table], DENSEDEPTH_TREE)
         pairs = csv_pairs(folder / table)
-        names = [_stem(image, f"data/nyu2_{split}/") for image, _ in pairs]
-        super().__init__(folder, pairs, names, encoding or {"train": "nyu8", "test": "mm"}[split], **options)
+        names = [_stem(image, f"data/nyu2_{part}/") for image, _ in pairs]
+        if split in ("train", "val"):
+            chosen = hold_out(names, split)
+            pairs, names = [pairs[i] for i in chosen], [names[i] for i in chosen]
+        super().__init__(folder, pairs, names, encoding or {"train": "nyu8", "test": "mm"}[part], **options)
 
 
 class NYULabelled(_NYUPairs):
@@ -168,7 +174,10 @@ class NYUSync(_NYUPairs):
     BTS, AdaBins and GLPDepth read the test frames the same way, from ``official_splits/test`` and its list.
 
     Args:
-        root: the folder that holds the scenes; None for ``$ELDENET_DATA/nyu_depth_v2/sync``.
+        root: the folder that holds the scenes; None for ``$ELDENET_DATA/nyu_depth_v2/sync``, or
+            ``$ELDENET_DATA/nyu_depth_v2/official_splits/test`` where ``split`` is "test".
+        split: "train" and "val", parts that share no scene (:func:`~eldenet.data.scenes.hold_out`); "all" and
+            "test" take every frame.
         list_file: list of ``image depth [focal]`` lines, relative to ``root`` even where they start with "/"
             (BTS's do); None takes every pair below ``root``.
         encoding: of the depth files.
@@ -185,13 +194,20 @@ class NYUSync(_NYUPairs):
         self,
         root: str | Path | None = None,
         *,
+        split: str = "all",
         list_file: str | Path | None = None,
         encoding: Encoding = "mm",
         **options: Unpack[SampleOptions],
     ) -> None:
-        folder = find_root(root, "nyu_depth_v2/sync", [], SYNC_TREE)
+        one_of("split", split, ("train", "val", "all", "test"))
+        usual = "nyu_depth_v2/official_splits/test" if split == "test" else "nyu_depth_v2/sync"
+        folder = find_root(root, usual, [], SYNC_TREE)
         pairs = _sync_pairs(folder) if list_file is None else _list_pairs(Path(list_file))
-        super().__init__(folder, pairs, [_stem(image, "") for image, _ in pairs], encoding, **options)
+        names = [_stem(image, "") for image, _ in pairs]
+        if split in ("train", "val"):
+            chosen = hold_out(names, split)
+            pairs, names = [pairs[i] for i in chosen], [names[i] for i in chosen]
+        super().__init__(folder, pairs, names, encoding, **options)
 
 
 def _sync_pairs(folder: Path) -> list[tuple[str, str]]:

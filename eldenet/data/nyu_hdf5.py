@@ -11,6 +11,7 @@ from eldenet.data.base import SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYUFrames, is_val_frame, nyu_intrinsics
 from eldenet.data.roots import find_root, one_of
+from eldenet.data.scenes import hold_out
 from eldenet.types import Frame
 
 HDF5_TREE = """
@@ -26,9 +27,16 @@ splits.mat                     (the official split: trainNdxs, testNdxs)
 class NYUHDF5(NYUFrames):
     """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
 
+    Ma and Karaman, "Sparse-to-Dense", ICRA 2018, section V-A: depth is projected into the colour picture and
+    in-painted with the official toolbox's cross-bilateral filter.
+
+    Convention: there, ``val/official`` are the 654 official test frames, and the best epoch is chosen on them.
+    Here they are "test" and nothing else, and "val" is held out of the training frames.
+
     Args:
         root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.
-        split: "train" or "val" (the 654 official test frames).
+        split: "train" and "val", parts of ``train`` that share no scene
+            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of it, or "test" for ``val/official``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:
@@ -41,10 +49,14 @@ class NYUHDF5(NYUFrames):
     def __init__(
         self, root: str | Path | None = None, *, split: str = "train", **options: Unpack[SampleOptions]
     ) -> None:
-        one_of("split", split, ("train", "val"))
-        self.root = find_root(root, "nyudepthv2", [split], HDF5_TREE)
-        files = sorted(path.relative_to(self.root) for path in (self.root / split).glob("*/*.h5"))
-        super().__init__([file.with_suffix("").as_posix() for file in files], **options)
+        one_of("split", split, ("train", "val", "trainval", "test"))
+        part, scenes = ("val", "official") if split == "test" else ("train", "*")
+        self.root = find_root(root, "nyudepthv2", [part], HDF5_TREE)
+        files = sorted(path.relative_to(self.root) for path in (self.root / part).glob(f"{scenes}/*.h5"))
+        names = [file.with_suffix("").as_posix() for file in files]
+        if split in ("train", "val"):
+            names = [names[i] for i in hold_out(names, split)]
+        super().__init__(names, **options)
 
     def load_frame(self, index: int) -> Frame:
         """Read one file."""

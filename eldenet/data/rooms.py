@@ -17,6 +17,7 @@ from eldenet.data.base import DepthDataset, Transform
 from eldenet.data.shards import (
     DEPTH_STEP,
     SHARD_ROOMS,
+    VIEWS,
     default_cache,
     generator_hash,
     is_whole,
@@ -27,7 +28,6 @@ from eldenet.data.shards import (
 from eldenet.types import Frame
 
 SPLITS = ("train", "val", "test")
-VIEWS = 8
 SHARD_FRAMES = SHARD_ROOMS * VIEWS
 VERSION = 1
 
@@ -35,8 +35,8 @@ VERSION = 1
 class Rooms(DepthDataset):
     """Rendered rooms with exact depth; frames are rendered once into a cache and reread from it.
 
-    Frame ``i`` of a split is view ``i % 8`` of room ``i // 8`` (named ``rooms/train/000123/4``) and depends on
-    nothing else: more ``frames`` later keep the old ones and add to them. The splits hold different rooms.
+    Frame ``i`` of a split is view ``i % 8`` of room ``i // 8`` (named ``rooms/train/000123/4``) and depends
+    on nothing else: more ``frames`` later keep the old ones and add to them. The splits hold different rooms.
     The cache's folder is named after the generator's sources and settings, so that a changed generator never
     reads old frames.
 
@@ -45,7 +45,7 @@ class Rooms(DepthDataset):
         frames: how many frames of the split to use.
         size: ``(height, width)`` of the rendered frames [px].
         cache: folder for rendered frames; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
-        workers: processes that render what is missing; None takes two where there are two cores, 0 renders here.
+        workers: processes that render what is missing; None takes two (one on a single core), 0 renders here.
         min_depth: nearest depth that counts as known [m].
         max_depth: farthest depth that counts as known, at most 13 [m].
         input_size: as in :class:`DepthDataset`.
@@ -86,7 +86,12 @@ class Rooms(DepthDataset):
             seed=seed,
         )
         self.split, self.size = split, (int(size[0]), int(size[1]))
-        settings: dict[str, object] = {"size": list(self.size), "views": VIEWS, "step": DEPTH_STEP, "rooms": SHARD_ROOMS}
+        settings: dict[str, object] = {
+            "size": list(self.size),
+            "views": VIEWS,
+            "step": DEPTH_STEP,
+            "rooms": SHARD_ROOMS,
+        }
         name = f"rooms-v{VERSION}-{self.size[0]}x{self.size[1]}-{generator_hash(settings)}"
         self.folder = (default_cache() if cache is None else Path(cache)).expanduser() / name
         shards = range(-(-frames // SHARD_FRAMES))
@@ -119,7 +124,9 @@ def _check(
     if len(size) != 2 or min(size) < 16 or max(size) > 2048:
         raise ValueError(f"size={tuple(size)}: give (height, width), each 16 to 2048 pixels")
     if workers is not None and workers < 0:
-        raise ValueError(f"workers={workers}: give 0 (render in this process), a number of processes, or None")
+        raise ValueError(
+            f"workers={workers}: give 0 (render in this process), a number of processes, or None"
+        )
     if not 0 <= min_depth < max_depth <= 13.0:
         raise ValueError(
             f"min_depth={min_depth}, max_depth={max_depth}: give 0 <= min_depth < max_depth <= 13.0 [m], "
@@ -127,7 +134,9 @@ def _check(
         )
 
 
-def render_missing(root: Path, split: str, shards: Sequence[int], size: tuple[int, int], workers: int) -> None:
+def render_missing(
+    root: Path, split: str, shards: Sequence[int], size: tuple[int, int], workers: int
+) -> None:
     """Render shards into ``root``, here or in worker processes, with a progress bar."""
     total = len(shards) * SHARD_FRAMES
     with _progress(f"rendering rooms/{split} {size[1]}x{size[0]}", total) as advance:
@@ -139,12 +148,22 @@ def render_missing(root: Path, split: str, shards: Sequence[int], size: tuple[in
 
 
 def _render_in_processes(
-    root: Path, split: str, shards: Sequence[int], size: tuple[int, int], workers: int, advance: Callable[[int], None]
+    root: Path,
+    split: str,
+    shards: Sequence[int],
+    size: tuple[int, int],
+    workers: int,
+    advance: Callable[[int], None],
 ) -> None:
     """Plain subprocesses: safe after torch is loaded, and the caller's script needs no ``__main__`` guard."""
     package = str(Path(__file__).resolve().parents[2])
     paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    env = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     lines: Queue[tuple[int, str | None]] = Queue()
     processes = []
     try:
@@ -165,7 +184,9 @@ def _render_in_processes(
             if line is not None:
                 advance(int(line))
             elif processes[k].wait() != 0:
-                raise RuntimeError(f"a render process ended with code {processes[k].returncode}: see its message above")
+                raise RuntimeError(
+                    f"a render process ended with code {processes[k].returncode}: see its message above"
+                )
             else:
                 running -= 1
     finally:
@@ -203,6 +224,8 @@ def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
         now = time.monotonic() - start
         if now - last > 10 or done == total:
             last = now
-            console.print(f"{title}: {done}/{total} frames, {done / max(now, 1e-6):.0f} frames/s", highlight=False)
+            console.print(
+                f"{title}: {done}/{total} frames, {done / max(now, 1e-6):.0f} frames/s", highlight=False
+            )
 
     yield advance

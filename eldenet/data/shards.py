@@ -1,9 +1,9 @@
 """Rendered frames on disk: shards of memory-mapped arrays, written whole or not at all.
 
 A shard is a folder with ``image.npy`` (F, H, W, 3) uint8, ``depth.npy`` (F, H, W) uint16 in steps of 0.2 mm
-(0 = unknown), ``intrinsics.npy`` (F, 3, 3) float64 [px] and ``shard.json`` with their checksums. It is written
-under another name and renamed when complete: a killed render leaves whole shards only, and of two processes
-that render the same shard one wins and the other drops its copy.
+(0 = unknown), ``intrinsics.npy`` (F, 3, 3) float64 [px] and ``shard.json`` with their checksums. It is
+written under another name and renamed when complete: a killed render leaves whole shards only, and of two
+processes that render the same shard one wins and the other drops its copy.
 
 ``python -m eldenet.data.shards`` is the worker process of a render; it loads neither torch nor the caller's
 main module.
@@ -23,10 +23,13 @@ import numpy as np
 
 #: Metres per step of the stored depth; uint16 then reaches 13.1 m.
 DEPTH_STEP = 0.0002
-#: Rooms per shard.
-SHARD_ROOMS = 8
+#: Rooms per shard and frames per room.
+SHARD_ROOMS, VIEWS = 8, 8
 
-_SOURCES = ("camera", "furniture", "kinds", "materials", "mjcf", "render", "rooms", "sensor", "shading", "textures")
+_SOURCES = (
+    "camera", "culling", "furniture", "household", "kinds", "materials", "mjcf", "patterns",
+    "render", "rooms", "sensor", "shading", "textures", "walls",
+)  # fmt: skip
 _ARRAYS = ("image", "depth", "intrinsics")
 
 
@@ -36,7 +39,7 @@ def default_cache() -> Path:
 
 
 def generator_hash(settings: dict[str, object]) -> str:
-    """First 12 hex digits of the SHA-256 over the generator's sources and settings: names the cache's folder."""
+    """First 12 hex digits of the SHA-256 over the generator's sources and settings."""
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     folder = Path(__file__).parent.parent / "simulation"
     for name in _SOURCES:
@@ -96,19 +99,25 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 
 
 def render_shard(
-    root: Path, split: str, shard: int, size: tuple[int, int], on_room: Callable[[int], None] = lambda frames: None
+    root: Path,
+    split: str,
+    shard: int,
+    size: tuple[int, int],
+    on_room: Callable[[int], None] = lambda frames: None,
 ) -> None:
     """Render the rooms of one shard and write it; ``on_room`` hears of every room's frames."""
     from eldenet.simulation.render import render_room
 
     columns: dict[str, list[np.ndarray]] = {name: [] for name in _ARRAYS}
     for index in range(shard * SHARD_ROOMS, (shard + 1) * SHARD_ROOMS):
-        views = render_room(split, index, size)
+        views = render_room(split, index, size, VIEWS)
         columns["image"].append(views.image)
         columns["depth"].append(encode_depth(views.depth))
         columns["intrinsics"].append(views.intrinsics)
         on_room(len(views.image))
-    write_shard(shard_folder(root, split, shard), {name: np.concatenate(parts) for name, parts in columns.items()})
+    write_shard(
+        shard_folder(root, split, shard), {name: np.concatenate(parts) for name, parts in columns.items()}
+    )
 
 
 def _worker() -> None:
@@ -120,8 +129,11 @@ def _worker() -> None:
 
 
 def _report(frames: int) -> None:
-    sys.stdout.write(f"{frames}\n")
-    sys.stdout.flush()
+    try:
+        sys.stdout.write(f"{frames}\n")
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever asked is gone: stop without a word
+        os._exit(1)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ class DepthStatistics(NamedTuple):
         frame_median: mean over frames of the frame's median [m].
         frame_median_std: its standard deviation over frames [m].
         frame_range: mean over frames of p95 / p5 within the frame.
-        gradient: mean absolute difference of neighbours at 1/40 of the image's width, relative to their depth.
+        gradient: mean absolute difference of pixels 1/40 of the width apart, relative to their depth.
         known: share of pixels with depth.
     """
 
@@ -58,20 +58,32 @@ def depth_statistics(dataset: DepthDataset, frames: int = 256) -> DepthStatistic
         if not valid.any():
             continue
         values = depth[valid]
-        histogram += np.bincount(np.clip(values * 100, 0, 1999).astype(int), minlength=2000) * 1000000 // values.size
+        histogram += (
+            np.bincount(np.clip(values * 100, 0, 1999).astype(int), minlength=2000) * 1000000 // values.size
+        )
         low, middle, high = np.percentile(values, (5, 50, 95))
         medians.append(float(middle))
         ranges.append(float(high / low))
         gradients.append(_gradient(depth, valid))
     if not medians:
-        raise ValueError("no frame has a depth within min_depth..max_depth: check the data set's encoding and range")
+        raise ValueError(
+            "no frame has a depth within min_depth..max_depth: check the data set's encoding and range"
+        )
     share = np.cumsum(histogram) / histogram.sum()
     p5, median, p95 = ((np.searchsorted(share, q) + 0.5) / 100 for q in (0.05, 0.5, 0.95))
     mean = float((histogram * (np.arange(2000) + 0.5)).sum() / histogram.sum() / 100)
     return DepthStatistics(
-        len(known), float(p5), float(median), float(p95), mean, float(np.mean(medians)), float(np.std(medians)),
-        float(np.mean(ranges)), float(np.mean(gradients)), float(np.mean(known)),
-    )  # fmt: skip
+        frames=len(known),
+        p5=float(p5),
+        median=float(median),
+        p95=float(p95),
+        mean=mean,
+        frame_median=float(np.mean(medians)),
+        frame_median_std=float(np.std(medians)),
+        frame_range=float(np.mean(ranges)),
+        gradient=float(np.mean(gradients)),
+        known=float(np.mean(known)),
+    )
 
 
 def _gradient(depth: np.ndarray, valid: np.ndarray) -> float:

@@ -34,6 +34,16 @@ class Decoder(Configurable, nn.Module):
         """Features, finest first -> raw map ``(B, 1, h, w)`` at :attr:`stride`."""
         raise NotImplementedError
 
+    def within_image(self, raw: Tensor, features: Sequence[Tensor]) -> Tensor:
+        """Drop the rows and columns of a raw map at :attr:`stride` that lie beyond the image.
+
+        Doubling the deepest feature gives a map of a padded image: 4 rows of stride 32 stand for 128 rows of
+        an image that has 97. Left in, they would squeeze the depth map once it is resized to the image.
+        """
+        finest = min(self.index_of)
+        height, width = features[self.index_of[finest]].shape[-2:]
+        return raw[..., : -(-height * finest // self.stride), : -(-width * finest // self.stride)]
+
 
 def crop_or_pad(x: Tensor, like: Tensor) -> Tensor:
     """Bring ``x`` to the height and width of ``like``: odd sizes leave an up-sampled map a pixel off."""

@@ -22,6 +22,7 @@ class FastUpConvDecoder(Decoder):
         width: channels after the first 1x1 convolution; None: half of the deepest feature's.
         fusion: "add" sums the encoder's feature of the same stride in; "none" uses the deepest alone.
         min_channels: no module gets narrower than this.
+        lateral_strides: strides whose features are summed in; None: all there are.
     """
 
     def __init__(
@@ -31,6 +32,7 @@ class FastUpConvDecoder(Decoder):
         width: int | None = None,
         fusion: str = "add",
         min_channels: int = 8,
+        lateral_strides: Sequence[int] | None = None,
     ) -> None:
         super().__init__(feature_info)
         if fusion not in FUSIONS:
@@ -46,10 +48,11 @@ class FastUpConvDecoder(Decoder):
         )
         self.up = nn.ModuleList()
         self.lateral = nn.ModuleDict()  # by stride
+        wanted = self.channels_at if lateral_strides is None else lateral_strides
         for step in range(4):
             self.up.append(UpConvBlock(channels[step], channels[step + 1]))
             stride = deepest // 2 ** (step + 1)
-            if fusion == "add" and stride in self.channels_at:
+            if fusion == "add" and stride in self.channels_at and stride in wanted:
                 self.lateral[str(stride)] = nn.Sequential(
                     nn.Conv2d(self.channels_at[stride], channels[step + 1], 1, bias=False),
                     nn.BatchNorm2d(channels[step + 1]),
@@ -65,4 +68,5 @@ class FastUpConvDecoder(Decoder):
             if str(stride) in self.lateral:
                 lateral = self.lateral[str(stride)](features[self.index_of[stride]])
                 x = crop_or_pad(x, lateral) + lateral
-        return self.predict(x)
+        raw = self.predict(x)
+        return raw if str(self.stride) in self.lateral else self.within_image(raw, features)

@@ -1,6 +1,5 @@
-"""The paper's decoder read literally: one kernel shape per encoder stage, brought to one size, concatenated."""
+"""The paper's decoder read literally: one kernel shape per encoder stage, all concatenated at one size."""
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -70,9 +69,6 @@ class MultiKernelDecoder(Decoder):
             nn.ReLU(inplace=True),
         )
         self.predict = nn.Conv2d(fuse_channels, 1, 3, padding=1)
-        for branch in self.branches:
-            fan_in = math.prod(branch[1].weight.shape[1:])
-            nn.init.normal_(branch[1].weight, std=(2 / fan_in) ** 0.5)
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)``."""

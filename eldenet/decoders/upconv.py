@@ -1,6 +1,7 @@
 """Unpool + 5x5 convolution, and the same operator at a quarter of the multiplications."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
@@ -73,6 +74,9 @@ class UpConvDecoder(Decoder):
     The deepest feature -> 1x1 convolution to half the channels + BN -> four up-convolution modules, each
     halving the channels -> 3x3 convolution to one channel. No skips. With ResNet18: 12,396,720 parameters.
 
+    Convention: where the deepest stride does not divide the image, rows and columns beyond it are dropped;
+    sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228).
+
     Args:
         feature_info: of the backbone; only the deepest feature is used.
         fast: compute each module in its fast form (same weights, same output).
@@ -89,13 +93,11 @@ class UpConvDecoder(Decoder):
             nn.Conv2d(self.channels_at[deepest], channels[0], 1, bias=False), nn.BatchNorm2d(channels[0])
         )
         self.modules_up = nn.Sequential(
-            *(
-                UpConvBlock(wide, narrow, fast=fast)
-                for wide, narrow in zip(channels, channels[1:], strict=False)
-            )
+            *(UpConvBlock(wide, narrow, fast=fast) for wide, narrow in pairwise(channels))
         )
         self.predict = nn.Conv2d(channels[-1], 1, 3, padding=1, bias=False)
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)``."""
-        return self.predict(self.modules_up(self.reduce(features[self.deepest])))
+        raw = self.predict(self.modules_up(self.reduce(features[self.deepest])))
+        return self.within_image(raw, features)

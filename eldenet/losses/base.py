@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor, nn
 
 
@@ -59,6 +60,8 @@ class WeightedSum(nn.Module):
                 f"prediction {tuple(prediction.shape)}, target {tuple(target.shape)} and mask "
                 f"{tuple(mask.shape)} must have one shape"
             )
+        if mask.dtype != torch.bool:
+            raise ValueError(f"mask is {mask.dtype}: a bool tensor is needed, True where depth is known")
         values = {name: term.loss(prediction, target, mask) for name, term in self.terms.items()}
         total = sum(self.terms[name].weight * value for name, value in values.items())
         return total, values  # type: ignore[return-value]

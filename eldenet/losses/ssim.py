@@ -12,12 +12,13 @@ SIGMA = 1.5  # [px], Wang et al. 2004
 
 
 @lru_cache(maxsize=32)
+@torch.inference_mode(False)  # it is kept: training may need it after an evaluation made it
 def _blur_matrix(length: int, window: int) -> Tensor:
-    """Gaussian blur of a line of ``length`` pixels, its ends reflected, as a banded matrix."""
+    """Gaussian blur of a line of ``length`` pixels, its ends reflected, as a banded matrix (float64)."""
     radius = window // 2
-    kernel = torch.exp(-((torch.arange(window) - radius) ** 2) / (2 * SIGMA**2))
+    kernel = torch.exp(-((torch.arange(window, dtype=torch.float64) - radius) ** 2) / (2 * SIGMA**2))
     kernel /= kernel.sum()
-    matrix = torch.zeros(length, length)
+    matrix = torch.zeros(length, length, dtype=torch.float64)
     rows = torch.arange(length)
     for tap in range(window):
         columns = (rows + tap - radius).abs()
@@ -45,8 +46,12 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     """
     if min(prediction.shape[-2:]) <= window // 2:
         raise ValueError(f"SSIM's window of {window} pixels needs larger maps than {tuple(prediction.shape)}")
-    maps = torch.cat([prediction, target, prediction**2, target**2, prediction * target])
-    mean_p, mean_t, square_p, square_t, product = _blur(maps, window).chunk(5)
+    # a variance is a small difference of large means: nothing is left of it in autocast's bf16
+    with torch.autocast(prediction.device.type, enabled=False):
+        dtype = torch.promote_types(torch.promote_types(prediction.dtype, target.dtype), torch.float32)
+        prediction, target = prediction.to(dtype), target.to(dtype)
+        maps = torch.cat([prediction, target, prediction**2, target**2, prediction * target])
+        mean_p, mean_t, square_p, square_t, product = _blur(maps, window).chunk(5)
     c1, c2 = (0.01 * value_range) ** 2, (0.03 * value_range) ** 2
     means, squares = mean_p * mean_t, mean_p**2 + mean_t**2
     covariance, variances = product - means, square_p + square_t - squares

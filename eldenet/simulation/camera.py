@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.geometry import pinhole
+from eldenet.simulation.culling import SEEN_GROUPS, only_visible, visible_geoms
 
 #: Colour rays that meet nothing, RGB in [0, 1].
 SKY = (0.75, 0.82, 0.9)
@@ -63,6 +64,7 @@ class RayCamera:
         scale = 1.0 / np.sqrt(1.0 + x * x + y * y)  # z of a ray of unit length
         self._scale = scale.ravel()
         self._rays = np.stack([x * scale, y * scale, scale]).reshape(3, -1)
+        self._quarters, self._windows = self._split(x, y.ravel())
 
     def cast(self, model: Any, data: Any, position: np.ndarray, rotation: np.ndarray) -> Hits:
         """Send one ray per pixel.
@@ -73,8 +75,16 @@ class RayCamera:
             position: ``(3,)`` optical centre in the world [m].
             rotation: ``(3, 3)`` world from camera.
         """
+        rotation = np.asarray(rotation, dtype=np.float64)
         rays = self.rays(rotation)
-        distance, geom, normal = cast_rays(model, data, position, rays, self.far)
+        geom = np.empty(len(rays), np.int32)
+        distance, normal = np.empty(len(rays)), np.empty((len(rays), 3))
+        seen = visible_geoms(model, data, np.asarray(position), rotation, self._windows)
+        for pixels, geoms in zip(self._quarters, seen, strict=True):
+            with only_visible(model, geoms):
+                distance[pixels], geom[pixels], normal[pixels] = cast_rays(
+                    model, data, position, rays[pixels], self.far, groups=SEEN_GROUPS
+                )
         missed = geom < 0
         depth = distance * self._scale
         depth[missed] = 0.0
@@ -82,6 +92,16 @@ class RayCamera:
         point = np.stack([distance * rays[:, k] + float(position[k]) for k in range(3)]).astype(np.float32)
         normals = np.ascontiguousarray(normal.T, dtype=np.float32)
         return Hits(depth, geom, point, normals)
+
+    def _split(self, x: np.ndarray, y: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+        """Pixel numbers of the picture's quarters and their windows on the image plane."""
+        number = np.arange(len(x) * len(y)).reshape(len(y), len(x))
+        quarters, windows = [], []
+        for top, bottom in _halves(len(y)):
+            for left, right in _halves(len(x)):
+                quarters.append(number[top:bottom, left:right].ravel())
+                windows.append((x[left], x[right - 1], y[top], y[bottom - 1]))
+        return quarters, np.array(windows)
 
     def rays(self, rotation: np.ndarray) -> np.ndarray:
         """Unit ray ``(N, 3)`` of every pixel in the world, row by row."""
@@ -112,7 +132,14 @@ class RayCamera:
 
 
 def cast_rays(
-    model: Any, data: Any, origin: np.ndarray, rays: np.ndarray, far: float, *, normals: bool = True
+    model: Any,
+    data: Any,
+    origin: np.ndarray,
+    rays: np.ndarray,
+    far: float,
+    *,
+    normals: bool = True,
+    groups: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cast unit rays ``(N, 3)`` from one point.
 
@@ -128,9 +155,13 @@ def cast_rays(
     normal = np.zeros(3 * count, np.float64) if normals else None
     mujoco.mj_multiRay(
         model, data, np.asarray(origin, dtype=np.float64), np.ascontiguousarray(rays).ravel(),
-        None, 1, -1, geom, distance, normal, count, far,
+        groups, 1, -1, geom, distance, normal, count, far,
     )  # fmt: skip
     return distance, geom, normal.reshape(-1, 3) if normal is not None else np.empty((0, 3))
+
+
+def _halves(length: int) -> list[tuple[int, int]]:
+    return [(0, length)] if length < 32 else [(0, length // 2), (length // 2, length)]
 
 
 def geom_colors(model: Any) -> np.ndarray:

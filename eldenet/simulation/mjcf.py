@@ -66,9 +66,13 @@ class Body:
         self.position, self.yaw = position, yaw
         self.geoms: list[str] = []
 
-    def _geom(self, kind: str, center: Sequence[float], size: str, material: int, euler: Sequence[float] | None) -> None:
+    def _geom(
+        self, kind: str, center: Sequence[float], size: str, material: int, euler: Sequence[float] | None
+    ) -> None:
         turn = f' euler="{numbers(euler)}"' if euler else ""
-        self.geoms.append(f'<geom type="{kind}" pos="{numbers(center)}" size="{size}" material="m{material}"{turn}/>')
+        self.geoms.append(
+            f'<geom type="{kind}" pos="{numbers(center)}" size="{size}" material="m{material}"{turn}/>'
+        )
 
     def box(
         self, x: float, y: float, z: float, wx: float, wy: float, wz: float, material: int,
@@ -95,13 +99,14 @@ class Body:
     def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
         """Capsule from one point to another [m]."""
         ends = numbers((*start, *end))
-        self.geoms.append(f'<geom type="capsule" fromto="{ends}" size="{number(radius)}" material="m{material}"/>')
+        self.geoms.append(
+            f'<geom type="capsule" fromto="{ends}" size="{number(radius)}" material="m{material}"/>'
+        )
 
     def plane(self, position: Sequence[float], normal: Sequence[float], material: int) -> None:
         """Infinite plane that faces along ``normal``."""
-        self.geoms.append(
-            f'<geom type="plane" pos="{numbers(position)}" zaxis="{numbers(normal)}" size="0 0 1" material="m{material}"/>'
-        )
+        place = f'pos="{numbers(position)}" zaxis="{numbers(normal)}"'
+        self.geoms.append(f'<geom type="plane" {place} size="0 0 1" material="m{material}"/>')
 
     def text(self) -> str:
         """MJCF of the body with its geoms."""
@@ -128,11 +133,25 @@ class Palette:
     ) -> int:  # fmt: skip
         """Add a material and return its number; one or two colours are repeated to three."""
         three = (list(colors) * 3)[:3]
-        self.rows.append((*three[0], *three[1], *three[2], float(pattern), period, period * aspect, gloss, emission, offset))
+        self.rows.append(
+            (
+                *three[0],
+                *three[1],
+                *three[2],
+                float(pattern),
+                period,
+                period * aspect,
+                gloss,
+                emission,
+                offset,
+            )
+        )
         return len(self.rows) - 1
 
     def assets(self) -> str:
         """The ``<asset>`` and ``<custom>`` sections."""
-        looks = "\n".join(f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows))
+        looks = "\n".join(
+            f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows)
+        )
         data = "\n".join(numbers(row) for row in self.rows)
         return f'<asset>\n{looks}\n</asset>\n<custom>\n<numeric name="materials" data="{data}"/>\n</custom>'

@@ -12,9 +12,6 @@ from eldenet.simulation.rooms import SPLITS, Room, generate_room
 from eldenet.simulation.sensor import develop
 from eldenet.simulation.shading import Surfaces, shade
 
-#: Cameras per room.
-VIEWS = 8
-
 
 class Views(NamedTuple):
     """All frames of one room.
@@ -34,7 +31,7 @@ class Views(NamedTuple):
     rotation: np.ndarray
 
 
-def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = VIEWS) -> Views:
+def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px]."""
     import mujoco
 
@@ -59,7 +56,7 @@ def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), view
 
 
 def draw_intrinsics(draw: Draw, size: tuple[int, int]) -> np.ndarray:
-    """Around the Kinect's field of view (57 degrees): focal length 0.76-0.88 of the width, square pixels or nearly."""
+    """Around the Kinect's 63 degrees: focal length 0.76-0.88 of the width, pixels nearly square."""
     height, width = size
     fx = width * draw.uniform(0.76, 0.88)
     fy = fx * draw.uniform(0.98, 1.07)
@@ -81,8 +78,8 @@ def choose_pose(
     probe = RayCamera(probe_size, scale @ intrinsics)
     sx, sy, h = room.size
     nearest = draw.uniform(0.4, 1.0)
-    wanted = draw.uniform(0.8, 2.8)
-    things = draw.integer(4, 16)  # geoms in view: few frames show a bare wall
+    wanted = draw.uniform(0.7, 3.2)
+    things = draw.integer(3, 14)  # geoms in view: few frames show a bare wall
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for _ in range(12):
         z = draw.uniform(0.25, 1.0) if draw.chance(0.3) else draw.uniform(1.2, min(1.8, h - 0.2))
@@ -90,14 +87,19 @@ def choose_pose(
         yaw = draw.uniform(-np.pi, np.pi)
         if draw.chance(0.65):  # look across the room rather than at the next wall
             yaw = float(np.arctan2(-y, -x)) + draw.uniform(-0.7, 0.7)
-        pitch = draw.uniform(-0.45, 0.08) if z > 1.1 else draw.uniform(-0.15, 0.25)
+        pitch = draw.uniform(-0.55, 0.04) if z > 1.1 else draw.uniform(-0.15, 0.25)
         roll = draw.uniform(-0.06, 0.06) if draw.chance(0.7) else draw.uniform(-0.2, 0.2)
-        if any(a - 0.2 < x < c + 0.2 and b - 0.2 < y < e + 0.2 and z < top + 0.2 for a, b, c, e, top in room.obstacles):
+        if any(
+            a - 0.2 < x < c + 0.2 and b - 0.2 < y < e + 0.2 and z < top + 0.2
+            for a, b, c, e, top in room.obstacles
+        ):
             continue
         position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
         depth, geoms = probe.probe(model, data, position, rotation)
         low, middle = np.partition(depth, (4, len(depth) // 2))[[4, len(depth) // 2]]
-        miss = max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle)) + max(0.0, float(middle) - 7.0)
+        miss = (
+            max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle)) + max(0.0, float(middle) - 7.0)
+        )
         miss += 0.15 * max(0, things - len(np.unique(geoms)))
         if best is None or miss < best[0]:
             best = (miss, position, rotation)

@@ -1,8 +1,8 @@
 """Light and surfaces: from ray hits in a room to linear RGB.
 
-Lambert with a few point lights (distance fall-off, the strongest with shadows at a quarter of the resolution),
-light from everywhere that fades in corners and behind furniture, gloss, textures from the atlas. Arrays run
-``(3, N)``, one row per coordinate or colour: NumPy is several times faster on those than on ``(N, 3)``.
+Lambert with a few point lights (distance fall-off, the strongest with shadows at a quarter of the
+resolution), light from everywhere that fades in corners and behind furniture, gloss, textures from the
+atlas. Arrays run ``(3, N)``, a row per coordinate or colour: NumPy is several times faster on those.
 """
 
 from typing import Any
@@ -40,22 +40,33 @@ class Surfaces:
         half = np.where((half > 0) & (half < 1e3), half, np.float32(1.0))  # planes have no extent
         # per geom and face axis: texture coordinate = local * scale + shift
         fits = table[:, 10] <= 0
-        self.scale_u = _by_axis([np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 10], 1e-3)) for k in _FACE_U])
-        self.scale_v = _by_axis([np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 11], 1e-3)) for k in _FACE_V])
+        self.scale_u = _by_axis(
+            [np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 10], 1e-3)) for k in _FACE_U]
+        )
+        self.scale_v = _by_axis(
+            [np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 11], 1e-3)) for k in _FACE_V]
+        )
         self.shift = np.where(fits, np.float32(0.5), offset)
 
     def albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
         """Surface colour ``(3, N)`` of every hit; ``footprint`` is a pixel's size there ``(N,)`` [m]."""
         geom, point, normal = hits.geom, hits.point, hits.normal
         rot = [row.take(geom) for row in self.rotation]
-        local = np.stack([rot[j] * point[0] + rot[3 + j] * point[1] + rot[6 + j] * point[2] for j in range(3)])
+        local = np.stack(
+            [rot[j] * point[0] + rot[3 + j] * point[1] + rot[6 + j] * point[2] for j in range(3)]
+        )
         local -= self.origin.take(geom, axis=1)
-        facing = [np.abs(rot[j] * normal[0] + rot[3 + j] * normal[1] + rot[6 + j] * normal[2]) for j in range(3)]
+        facing = [
+            np.abs(rot[j] * normal[0] + rot[3 + j] * normal[1] + rot[6 + j] * normal[2]) for j in range(3)
+        ]
         axis = np.where(facing[0] > facing[1], np.intp(0), np.intp(1))
         axis[facing[2] > np.maximum(facing[0], facing[1])] = 2
         count = len(geom)
         rows = np.arange(count)
-        u, v = local.ravel().take(_FACE_U[axis] * count + rows), local.ravel().take(_FACE_V[axis] * count + rows)
+        u, v = (
+            local.ravel().take(_FACE_U[axis] * count + rows),
+            local.ravel().take(_FACE_V[axis] * count + rows),
+        )
         cell = geom * 3 + axis
         su, sv, shift = self.scale_u.take(cell), self.scale_v.take(cell), self.shift.take(geom)
         footprint = footprint * np.minimum(su, sv)

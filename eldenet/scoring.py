@@ -1,0 +1,91 @@
+"""From a trained network to ``run.json``: what ``train`` and ``evaluate`` both end with."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+from eldenet.checkpoint import Progress
+from eldenet.evaluation import PER_IMAGE_HEADER, evaluate, fit_constant_predictor, sample_rows
+from eldenet.metrics import EvalProtocol
+from eldenet.model import DepthNet
+from eldenet.profiling import measure_cost
+from eldenet.record import RUN_FILE, environment, write_json, write_rows
+from eldenet.resources import Resources
+from eldenet.runlog import RunLog
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+
+def score_and_record(
+    config: "DictConfig",
+    model: DepthNet,
+    protocol: EvalProtocol,
+    resources: Resources,
+    folder: Path,
+    log: RunLog,
+    *,
+    name: str,
+    split: str = "test",
+    batch_size: int = 16,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Evaluate on ``split`` and measure the cost; write ``run.json``, ``per_image.csv``, ``predictions.png``.
+
+    Args:
+        config: the whole config; its data set is scored, and it is stored.
+        model: to score, moved to the device of ``resources``.
+        protocol: the rules.
+        resources: device, threads, workers.
+        folder: of the run.
+        log: what the person sees.
+        name: of the row in tables.
+        split: of the data set.
+        batch_size: of the evaluation.
+        progress: of the training, if there was one.
+
+    Returns:
+        What was written to ``run.json``.
+    """
+    dataset = cfg.build_split(config, split, protocol)
+    model = model.to(resources.device)
+
+    def score(predictor: Any, title: str) -> Any:
+        with log.bar(title, len(dataset)) as bar:
+            return evaluate(
+                predictor,
+                dataset,
+                protocol,
+                device=resources.device,
+                batch_size=batch_size,
+                workers=resources.workers,
+                advance=bar.advance,
+            )
+
+    result = score(model, f"evaluating on {split}")
+    write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
+    log.picture(
+        "predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol)
+    )
+    log.close()
+    constant = fit_constant_predictor(cfg.build_split(config, "train", protocol)).to(resources.device)
+    baseline = score(constant, "evaluating the constant predictor")
+    sample = dataset[0]["image"]
+    record = {
+        "model": name,
+        "data": config.data.name,
+        "split": split,
+        "split_hash": dataset.split_hash,
+        "protocol": protocol.as_dict(),
+        "metrics": result.metrics,
+        "constant_predictor": baseline.metrics,
+        "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
+        "seed": config.get("seed"),
+        "resources": asdict(resources),
+        "training": None if progress is None else asdict(progress),
+        "config": cfg.plain(config),
+        **environment(),
+    }
+    write_json(folder / RUN_FILE, record)
+    return record

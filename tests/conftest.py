@@ -1,0 +1,44 @@
+"""Shared by all tests: quiet threads, real data if the user has it, small data sets made on the spot."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
+
+import torch
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread_per_test_process() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Rendered rooms, shared by the tests of one process."""
+    return os.environ.get("ELDENET_CACHE") or str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def run_command(tmp_path: Path, cache: str):
+    """Run ``python -m eldenet.<command>`` from another folder; returns the finished process."""
+    import subprocess
+
+    def run(command: str, *arguments: str, cwd: Path | None = None, **environment: str):
+        return subprocess.run(
+            [sys.executable, "-m", f"eldenet.{command}", *arguments],
+            cwd=cwd or tmp_path,
+            env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1", **environment},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=240,
+        )
+
+    return run

@@ -1,0 +1,104 @@
+"""Tiny data sets in the layouts that people have on disk, written by the tests."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import h5py
+import numpy as np
+from scipy.io import savemat
+
+
+class Content(NamedTuple):
+    """One frame as the layouts store it: colour, depth [m], [mm] with holes, and in eight bits over 10 m."""
+
+    rgb: np.ndarray
+    metres: np.ndarray
+    millimetres: np.ndarray
+    eight: np.ndarray
+
+
+def content(size: tuple[int, int] = (48, 64)) -> Content:
+    metres = np.random.default_rng(0).uniform(0.7, 9.9, size).astype(np.float32)
+    rgb = np.zeros((*size, 3), np.uint8)
+    half = size[1] // 2
+    rgb[:, :half], rgb[:, half:] = (200, 30, 30), (30, 200, 90)
+    millimetres = np.round(metres * 1000).astype(np.uint16)
+    millimetres[5:9, 7:20] = 0
+    return Content(rgb, metres, millimetres, np.round(metres / 10 * 255).astype(np.uint8))
+
+
+SMALL = content()
+
+
+def picture(path: Path, array: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), array[..., ::-1] if array.ndim == 3 else array)
+
+
+def densedepth(root: Path, frame: Content = SMALL) -> Path:
+    rows = []
+    for scene in ("kitchen_0001_out", "office_0002_out"):
+        picture(root / f"data/nyu2_train/{scene}/1.jpg", frame.rgb)
+        picture(root / f"data/nyu2_train/{scene}/1.png", frame.eight)
+        rows.append(f"data/nyu2_train/{scene}/1.jpg,data/nyu2_train/{scene}/1.png\n")
+    (root / "data/nyu2_train.csv").write_text("".join(rows))
+    picture(root / "data/nyu2_test/00000_colors.png", frame.rgb)
+    picture(root / "data/nyu2_test/00000_depth.png", frame.millimetres)
+    (root / "data/nyu2_test.csv").write_text(
+        "data/nyu2_test/00000_colors.png,data/nyu2_test/00000_depth.png\n"
+    )
+    return root
+
+
+def labelled(root: Path, frame: Content = SMALL, numbers: tuple[int, ...] = (3, 22, 23, 30)) -> Path:
+    rows = []
+    for n in numbers:
+        stem = f"data/nyu2_train/labeled_out/{n:04d}"
+        picture(root / f"{stem}.jpg", frame.rgb)
+        picture(root / f"{stem}.png", frame.eight)
+        rows.append(f"{stem}.jpg,{stem}.png\n")
+    (root / "data/nyu2_train.csv").write_text("".join(rows))
+    return root
+
+
+SYNC_FRAMES = (("kitchen_0001", "00000"), ("office_0002", "00041"))
+
+
+def sync(root: Path, frame: Content = SMALL, frames: tuple[tuple[str, str], ...] = SYNC_FRAMES) -> Path:
+    for scene, number in frames:
+        picture(root / scene / f"rgb_{number}.jpg", frame.rgb)
+        picture(root / scene / f"sync_depth_{number}.png", frame.millimetres)
+    return root
+
+
+def hdf5(root: Path, frame: Content = SMALL) -> Path:
+    for name in ("train/kitchen_0001/00001", "train/office_0002/00001", "val/official/00002"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(root / f"{name}.h5", "w") as file:
+            file["rgb"], file["depth"] = frame.rgb.transpose(2, 0, 1), frame.metres
+    return root
+
+
+def mat(root: Path, frame: Content = SMALL, count: int = 4) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    raw = frame.metres.copy()
+    raw[5:9, 7:20] = 0
+    with h5py.File(root / "nyu_depth_v2_labeled.mat", "w") as file:
+        file["images"] = np.stack([(frame.rgb + i).transpose(2, 1, 0) for i in range(count)]).astype(np.uint8)
+        file["depths"] = np.stack([(frame.metres + i).T for i in range(count)])
+        file["rawDepths"] = np.stack([raw.T for _ in range(count)])
+    mat_split(root, train=(2, 3), test=(1, 4))
+    return root
+
+
+def mat_split(root: Path, *, train: tuple[int, ...], test: tuple[int, ...]) -> None:
+    numbers = {"trainNdxs": train, "testNdxs": test}
+    savemat(root / "splits.mat", {name: np.array([part], np.uint16).T for name, part in numbers.items()})
+
+
+def folder(root: Path, frame: Content = SMALL, count: int = 10) -> Path:
+    for i in range(count):
+        picture(root / f"images/f{i:03d}.png", frame.rgb)
+        picture(root / f"depths/f{i:03d}.png", frame.millimetres)
+    return root

@@ -1,0 +1,274 @@
+"""Every YAML composes, names classes that exist, shows all of their options, and refuses a typo."""
+
+import functools
+import inspect
+import os
+import re
+import typing
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import layouts
+import pytest
+import torch
+from hydra.utils import get_object
+
+from eldenet.config import build_protocol, build_split, compose, config_folder, instantiate, plain
+from eldenet.configurable import Configurable
+from eldenet.resources import choose_resources
+
+CONFIGS = config_folder()
+
+
+def choices(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONFIGS / group).glob("*.yaml"))
+
+
+GROUPS = [
+    path.relative_to(CONFIGS).as_posix()
+    for path in sorted(CONFIGS.rglob("*"))
+    if path.is_dir() and choices(path.relative_to(CONFIGS).as_posix()) and path.name != "experiment"
+]
+CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
+
+# Arguments that are no user's choice: the code that builds the object supplies them.
+SUPPLIED: dict[str, set[str]] = {
+    "eldenet.trainer.Trainer": {"optimizer", "scheduler", "seed"},
+    "eldenet.schedules.constant": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.schedules.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.schedules.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.data.": {"transform", "resize_depth", "seed"},  # build_split gives these to every data set
+    "torch.optim.": {"params"},
+}
+# Options that a YAML leaves out on purpose.
+HIDDEN: dict[str, set[str]] = {
+    "eldenet.model.DepthNet.from_parts": {
+        "refine",  # chosen as a group: model/refine=joint_bilateral
+        "normalisation",  # ImageNet's, which every pretrained backbone expects
+    },
+    # Numbers of one machine, not of the data set; the default fits every machine.
+    "eldenet.data.rooms.Rooms": {"workers"},
+    # torch's own long tail (foreach, capturable, ...): +optimizer.eps=... adds what is needed.
+    "torch.optim.": {
+        *("eps", "amsgrad", "foreach", "maximize", "capturable", "differentiable", "fused"),
+        *("dampening", "nesterov", "decoupled_weight_decay"),
+    },
+}
+
+
+def listed(table: dict[str, set[str]], target: str) -> set[str]:
+    return set().union(*(names for start, names in table.items() if target.startswith(start)))
+
+
+def nodes(node: Any) -> Iterator[dict[str, Any]]:
+    """Every mapping with a ``_target_`` in a plain config."""
+    if isinstance(node, dict):
+        if "_target_" in node:
+            yield node
+        for value in node.values():
+            yield from nodes(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from nodes(value)
+
+
+@functools.cache
+def section(group: str, choice: str) -> Any:
+    """The part of a composed training config that ``group=choice`` put there, resolved."""
+    config = compose("train", [f"{group}={choice}"])
+    if group == "debug":  # written over the whole config
+        return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
+    node = config
+    for name in group.split("/"):
+        node = node[name]
+    return plain(node)
+
+
+def options(target: Callable[..., Any]) -> tuple[set[str], set[str]]:
+    """Names of all arguments of a callable, and of those without a default."""
+    required, every = set(), set()
+    if isinstance(target, type) and target.__init__ is torch.nn.Module.__init__:
+        return every, required  # its *args and **kwargs are not options
+    for name, parameter in inspect.signature(target).parameters.items():
+        if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            typed = typing.get_args(parameter.annotation)
+            every |= (
+                set(typing.get_type_hints(typed[0])) if typed and typing.is_typeddict(typed[0]) else {name}
+            )
+            continue
+        every.add(name)
+        if parameter.default is inspect.Parameter.empty:
+            required.add(name)
+    return every, required
+
+
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_choice_composes_and_shows_every_option(group: str, choice: str) -> None:
+    for node in nodes(section(group, choice)):
+        target = node["_target_"]
+        assert target.startswith(("eldenet.", "torch.optim."))
+        part = get_object(target)
+        assert callable(part)
+        every, required = options(part)
+        given = {name for name in node if not name.startswith("_")}
+        supplied = listed(SUPPLIED, target)
+        if isinstance(part, type) and issubclass(part, Configurable):
+            supplied |= set(part.supplied_arguments)
+        assert given <= every, f"{target} takes no {given - every}"
+        assert required <= given | supplied, f"{target} needs {required - given - supplied}"
+        left_out = every - given - supplied - listed(HIDDEN, target)
+        assert not left_out, f"configs/{group}/{choice}.yaml does not show {left_out} of {target}"
+
+
+@pytest.mark.parametrize("choice", choices("runtime"))
+def test_runtime_shows_every_option(choice: str) -> None:
+    given = set(section("runtime", choice))
+    assert given == set(inspect.signature(choose_resources).parameters)
+
+
+@pytest.mark.parametrize("experiment", choices("experiment"))
+def test_experiment_composes(experiment: str) -> None:
+    config = compose("train", [f"+experiment={experiment}"])
+    build_protocol(config)
+    for name in ("data", "model", "loss", "optimizer", "scheduler", "trainer"):
+        assert list(nodes(plain(config[name])))
+
+
+@pytest.mark.parametrize(
+    "command", sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "base")
+)
+def test_command_composes(command: str) -> None:
+    compose(command, ["model=eldenet"] if command == "zoo" else [])
+
+
+@pytest.mark.parametrize(
+    "wrong", ["trainer.epoch=3", "data.imput_size=[8,8]", "sead=1", "model/backbone=resnet19"]
+)
+def test_a_typo_on_the_command_line_is_refused(wrong: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(wrong.split("=")[0]) + "|resnet19"):
+        compose("train", [wrong])
+
+
+@pytest.mark.parametrize("group", ["data", "loss", "augmentation", "protocol", "model/head", "trainer"])
+def test_a_typo_in_a_file_is_refused(group: str) -> None:
+    for node in nodes(section(group, choices(group)[0])):
+        with pytest.raises(ValueError, match="no_such_option"):
+            instantiate({**node, "no_such_option": 1})
+
+
+@pytest.mark.parametrize("choice", choices("augmentation"))
+def test_augmentation_runs(choice: str, tmp_path: Path) -> None:
+    layouts.folder(tmp_path)
+    config = compose("train", ["data=folder", f"data.root={tmp_path}", f"augmentation={choice}"])
+    sample = build_split(config, "train", build_protocol(config), augment=True)[0]
+    assert sample["image"].shape == (3, *config.data.input_size)
+
+
+# --- data sets, each in a tiny tree of its layout -----------------------------------------------------------
+
+FULL = layouts.content((480, 640))
+TREES: dict[str, Callable[[Path], list[str]]] = {
+    "folder": lambda root: [f"data.root={layouts.folder(root)}"],
+    "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
+    "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
+    "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],
+    "nyu_mat": lambda root: [f"data.root={mat_with_all_splits(root)}"],
+    "nyu_sync": lambda root: [
+        f"data.root={layouts.sync(root / 'sync', FULL)}",
+        f"data.test_root={layouts.sync(root / 'test', FULL, (('bathroom', '00045'),))}",
+    ],
+}
+
+
+def mat_with_all_splits(root: Path) -> Path:
+    layouts.mat(root, FULL, count=23)
+    layouts.mat_split(root, train=(3, 22, 23), test=(1, 4))
+    return root
+
+
+def test_every_data_set_is_tested() -> None:
+    elsewhere = {"rooms"}  # needs no files: tests/test_rooms.py
+    assert set(choices("data")) - set(TREES) <= elsewhere
+
+
+@pytest.mark.parametrize("name", sorted(TREES))
+def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
+    config = compose("train", [f"data={name}", *TREES[name](tmp_path)])
+    protocol = build_protocol(config)
+    train = build_split(config, "train", protocol, augment=True)
+    parts = {split: build_split(config, split, protocol) for split in ("val", "test")}
+    assert not set(train.names) & set(parts["val"].names)
+    assert train[0]["image"].shape == (3, *config.data.input_size)
+    assert train[0]["depth"].shape == (1, *config.data.input_size)
+    for dataset in parts.values():
+        assert dataset.ground_truth == protocol.ground_truth
+        assert not set(train.names) & set(dataset.names)
+        sample = dataset[0]
+        assert sample["image"].shape == (3, *config.data.input_size)
+        counts = protocol.scored(sample["depth"][None], sample["mask"][None])
+        assert counts.any()
+        assert sample["depth"][0][~sample["mask"][0]].sum() == 0
+
+
+def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:
+    """``load_size`` must not shrink the frames that the protocol halves and crops."""
+    overrides = ["data=nyu_mat", f"data.root={mat_with_all_splits(tmp_path)}", "protocol=nyu_paper"]
+    config = compose("train", overrides)
+    protocol = build_protocol(config)
+    assert config.data.train.load_size == config.data.input_size
+    small = build_split(config, "train", protocol)
+    whole = build_split(config, "val", protocol)[0]
+    assert whole["depth"].shape == (1, 228, 304)
+    # the focal length [px] tells how much of the frame is seen: halved, cropped, then resized
+    expected = 518.8579 / 2 * config.data.input_size[1] / 304
+    torch.testing.assert_close(small[0]["intrinsics"][0, 0].item(), expected, rtol=1e-5, atol=1e-4)
+
+
+def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
+    layouts.folder(tmp_path)
+    config = compose("train", ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
+    config.data.ground_truth = "inpainted"
+    protocol = build_protocol(config)
+    assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
+    assert plain(config.model.head)["max_depth"] == 5
+    with pytest.raises(FileNotFoundError, match=r"set data\.root"):
+        build_split(compose("train", ["data=folder"]), "train", protocol)
+
+
+# --- the real frames ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real() -> Path:
+    if not os.environ.get("ELDENET_DATA"):
+        pytest.skip("ELDENET_DATA is not set: no real data to read")
+    root = Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/labeled"
+    if not (root / "data/nyu2_train.csv").exists():
+        pytest.skip(f"{root} is not there")
+    return root
+
+
+def test_real_labelled_frames_build(real: Path) -> None:
+    config = compose("train", ["data=nyu_labelled"])
+    protocol = build_protocol(config)
+    assert len(build_split(config, "train", protocol, augment=True)) == 665
+    val = build_split(config, "val", protocol)
+    assert len(val) == 130
+    assert protocol.scored(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
+
+
+def test_real_mat_reads(real: Path) -> None:
+    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
+    if not (real / file).exists():
+        pytest.skip(f"{file} is not there")
+    overrides = ["data=nyu_mat", f"data.file={file}", "data.train.split=all"]
+    raw = compose("train", overrides)
+    with pytest.raises(ValueError, match="has no 'rawDepths'"):  # repacked without it
+        build_split(raw, "train", build_protocol(raw))
+    config = compose("train", [*overrides, "data.ground_truth=inpainted", "protocol=nyu_inpainted_eigen"])
+    protocol = build_protocol(config)
+    data = build_split(config, "train", protocol, augment=True)
+    assert (len(data), data.ground_truth) == (6, protocol.ground_truth)
+    assert data[0]["image"].shape == (3, 240, 320)
+    assert data[0]["mask"].float().mean() > 0.5
