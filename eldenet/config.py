@@ -19,7 +19,7 @@ from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf, open_dict  # noqa: E402
 
-USER_ERRORS = (ValueError, FileNotFoundError, FloatingPointError, NotADirectoryError, ImportError)
+USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
 def config_folder() -> Path:

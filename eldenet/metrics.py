@@ -74,6 +74,16 @@ class EvalProtocol:
                 object.__setattr__(self, field, tuple(int(number) for number in value))
         if isinstance(self.resize, Sequence):
             object.__setattr__(self, "resize", tuple(int(number) for number in self.resize))
+        if self.crop is not None and self.size is not None:
+            inside = len(self.crop) == 4 and (
+                0 <= self.crop[0] < self.crop[1] <= self.size[0]
+                and 0 <= self.crop[2] < self.crop[3] <= self.size[1]
+            )
+            if not inside:
+                raise ValueError(
+                    f"protocol {self.name}: crop={self.crop} must be (top, bottom, left, right) within "
+                    f"size={self.size}"
+                )
 
     def as_dict(self) -> dict[str, Any]:
         """Every rule by name, as ``run.json`` stores it."""

@@ -1,5 +1,6 @@
 """What a model costs: parameters, multiply-adds, latency, throughput - and on what that was measured."""
 
+import itertools
 import resource
 import sys
 from dataclasses import asdict, dataclass
@@ -71,8 +72,12 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
 
 
 def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
-    device = next(model.parameters()).device
-    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device)
+    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(_device_of(model))
+
+
+def _device_of(model: nn.Module) -> torch.device:
+    tensors = itertools.chain(model.parameters(), model.buffers())
+    return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
 
 def _peak_memory_mb(device: torch.device) -> float:
@@ -95,7 +100,7 @@ def measure_cost(
     """
     from torch.utils.benchmark import Timer
 
-    device = next(model.parameters()).device
+    device = _device_of(model)
     training = model.training
     model.eval()
 

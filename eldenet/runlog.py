@@ -41,8 +41,8 @@ class RunLog:
         return self._writer
 
     def say(self, text: str) -> None:
-        """Print one line."""
-        self.console.print(text, highlight=False)
+        """Print one line, as it stands: a path keeps its brackets and is not broken in two."""
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write scalars under their names."""

@@ -150,7 +150,7 @@ def test_a_typo_on_the_command_line_is_refused(wrong: str) -> None:
         compose("train", [wrong])
 
 
-@pytest.mark.parametrize("group", ["data", "loss", "augmentation", "protocol", "model/head", "trainer"])
+@pytest.mark.parametrize("group", ["loss", "augmentation", "protocol", "model/head", "trainer"])
 def test_a_typo_in_a_file_is_refused(group: str) -> None:
     for node in nodes(section(group, choices(group)[0])):
         with pytest.raises(ValueError, match="no_such_option"):
@@ -232,6 +232,9 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
     protocol = build_protocol(config)
     assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
     assert plain(config.model.head)["max_depth"] == 5
+    typo = compose("train", ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
+    with pytest.raises(ValueError, match="no_such_option"):
+        build_split(typo, "train", protocol)
     with pytest.raises(FileNotFoundError, match=r"set data\.root"):
         build_split(compose("train", ["data=folder"]), "train", protocol)
 

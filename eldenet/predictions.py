@@ -1,0 +1,160 @@
+"""What ``eldenet.predict`` writes: names that do not collide, pictures, point clouds, a video."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from eldenet.data.folder import IMAGE_ENDINGS
+from eldenet.geometry import back_project
+from eldenet.legend import photo_beside_depth, visible_range
+from eldenet.pictures import write_picture
+from eldenet.pointcloud import write_ply
+from eldenet.predictor import to_millimetres
+
+ENDING = {"depth": "_depth.png", "colour": "_colour.png", "ply": ".ply"}
+
+
+@dataclass
+class Results:
+    """Where results go, in which formats, and a count of what was written.
+
+    Attributes:
+        folder: of all results.
+        formats: some of "depth", "colour", "ply".
+        intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds.
+        depth_range: (near, far) of the colours [m]; None: each picture's own.
+        overwrite: replace files that are there.
+        images: pictures or frames written so far.
+        skipped: what could not be read.
+        too_far: pixels beyond what 16 bits of millimetres hold.
+        size: ``(height, width)`` of the first picture [px]; the intrinsics hold for this size alone.
+    """
+
+    folder: Path
+    formats: tuple[str, ...]
+    intrinsics: np.ndarray | None = None
+    depth_range: tuple[float, float] | None = None
+    overwrite: bool = False
+    images: int = 0
+    skipped: list[str] = field(default_factory=list)
+    too_far: int = 0
+    size: tuple[int, int] | None = None
+
+    def files(self, name: str, *, is_video: bool = False) -> list[Path]:
+        """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
+        if is_video:
+            files = [self.folder / f"{name}_depth.mp4"] if "colour" in self.formats else []
+            return files + [self.folder / name] * bool(set(self.formats) - {"colour"})
+        return [self.folder / f"{name}{ENDING[kind]}" for kind in self.formats]
+
+    def refuse_to_overwrite(self, sources: Sequence[Path], files: Sequence[Path]) -> None:
+        """Raise ValueError if a result would replace a source, or (unless that is wanted) an older result."""
+        there = [file for file in files if file.exists()]
+        own = {path.resolve() for path in sources}
+        lost = [file for file in there if file.resolve() in own]
+        if lost:
+            raise ValueError(f"{lost[0]} is a source and would be overwritten: give another output=")
+        if there and not self.overwrite:
+            raise ValueError(
+                f"{len(there)} results are there already ({there[0]}{', ...' if there[1:] else ''}): give "
+                "another output=, or overwrite=true"
+            )
+
+    def write(self, name: str, photo: np.ndarray, depth: np.ndarray, formats: Sequence[str]) -> None:
+        """Write one picture's results: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m]."""
+        height, width = depth.shape
+        if "ply" in formats and self.intrinsics is not None:
+            self.size = self.size or (height, width)
+            if self.size != (height, width):
+                raise ValueError(
+                    f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
+                    "one set of intrinsics fits one size, so predict them in separate folders"
+                )
+            write_ply(self.folder / f"{name}.ply", back_project(depth, self.intrinsics), photo)
+        if "depth" in formats:
+            steps = to_millimetres(depth)
+            self.too_far += int(((steps == 0) & (depth > 1)).sum())
+            _write_png(self.folder / f"{name}_depth.png", steps)
+        if "colour" in formats:
+            near, far = self.depth_range or visible_range(depth)
+            write_picture(self.folder / f"{name}_colour.png", photo_beside_depth(photo, depth, near, far))
+
+
+@contextmanager
+def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
+    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the file appears once all are written.
+
+    All frames have one size. Without a frame no file is made.
+    """
+    import cv2
+
+    unfinished = path.with_name(f".{path.stem}.part.mp4")
+    writer = None
+
+    def add(picture: np.ndarray) -> None:
+        nonlocal writer
+        if writer is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter.fourcc(*"mp4v"), per_second, size)
+            if not writer.isOpened():
+                raise ValueError(f"could not write {path}: no permission, or OpenCV without mp4v")
+        writer.write(np.ascontiguousarray(picture[..., ::-1]))
+
+    try:
+        yield add
+    except BaseException:
+        if writer is not None:
+            writer.release()
+            unfinished.unlink(missing_ok=True)
+        raise
+    if writer is not None:
+        writer.release()
+        unfinished.replace(path)
+
+
+def name_results(source: Path, output: Path) -> dict[Path, str]:
+    """Each picture's results by name, relative to the output folder; no two share one.
+
+    A name is the picture's path below ``source`` without its ending; where two pictures of a folder differ
+    in nothing but their ending, that becomes part of the name (``a_jpg``, ``a_png``).
+
+    Raises:
+        FileNotFoundError: there is no such source.
+        ValueError: the folder holds no pictures, or names that cannot be told apart.
+    """
+    if source.is_file():
+        return {source: source.stem}
+    if not source.is_dir():
+        raise FileNotFoundError(f"source={source} does not exist: give a picture, a folder or a video")
+    own = output.resolve()
+    paths = [
+        path
+        for path in sorted(source.rglob("*"))
+        if path.suffix.lower() in IMAGE_ENDINGS
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(source).parts)
+        and (own == source.resolve() or own not in path.resolve().parents)  # results of earlier calls
+    ]
+    if not paths:
+        raise ValueError(f"{source} holds no pictures ({', '.join(IMAGE_ENDINGS)})")
+    names = {path: path.relative_to(source).with_suffix("").as_posix() for path in paths}
+    often = Counter(name.casefold() for name in names.values())
+    for path, name in names.items():
+        if often[name.casefold()] > 1:
+            names[path] = f"{name}_{path.suffix[1:]}"
+    if len({name.casefold() for name in names.values()}) < len(names):
+        raise ValueError(f"{source} holds pictures whose names differ too little: rename some of them")
+    return names
+
+
+def _write_png(path: Path, picture: np.ndarray) -> None:
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), picture):
+        raise ValueError(f"could not write {path}")

@@ -1,0 +1,283 @@
+"""Decoders: the fast up-convolution is the slow one; every backbone feeds every decoder."""
+
+import functools
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+import torch
+import torch.nn.functional as F
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+from eldenet.backbones.base import Backbone
+from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.backbones.resnet import ResNet
+from eldenet.configurable import build
+from eldenet.decoders.base import Decoder, crop_or_pad
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.decoders.multi_kernel import MultiKernelDecoder
+from eldenet.decoders.upconv import UpConv2d, UpConvDecoder
+from eldenet.model import EncoderDecoder
+from eldenet.profiling import count_macs, count_params
+from eldenet.types import FeatureInfo
+
+FOLDER = Path(__file__).parents[1] / "configs" / "model"
+BACKBONES = {path.stem: path for path in sorted((FOLDER / "backbone").glob("*.yaml"))}
+DECODERS = {path.stem: path for path in sorted((FOLDER / "decoder").glob("*.yaml"))}
+HAS_TIMM = importlib.util.find_spec("timm") is not None
+INFO = tuple(FeatureInfo(channels, stride) for channels, stride in zip((8, 16, 24, 32, 64), (2, 4, 8, 16, 32), strict=True))
+
+
+def features(height: int, width: int, info: Sequence[FeatureInfo] = INFO) -> list[Tensor]:
+    return [torch.rand(2, channels, -(-height // stride), -(-width // stride)) for channels, stride in info]
+
+
+# --- the operator ---
+
+
+def by_transposed_convolution(x: Tensor, weight: Tensor) -> Tensor:
+    """Unpool + 5x5 convolution as the adjoint of a strided convolution with the kernel turned round.
+
+    ``conv_transpose2d`` adds ``w[i] x[m]`` at row ``2 m + i - padding``; the convolution of the unpooled map
+    reads ``w[i]`` at row ``y + i - 2``, so the kernel is flipped and one more row is asked for.
+    """
+    turned = weight.flip(-1, -2).transpose(0, 1)
+    return F.conv_transpose2d(x, turned, stride=2, padding=2, output_padding=1)
+
+
+@given(
+    channels=st.tuples(st.integers(1, 3), st.integers(1, 3)),
+    size=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    seed=st.integers(0, 2**31),
+)
+@settings(max_examples=40, deadline=None)
+def test_fast_is_the_same_operator(channels: tuple[int, int], size: tuple[int, int], seed: int) -> None:
+    torch.manual_seed(seed)
+    layer = UpConv2d(*channels).double()
+    x = torch.randn(2, channels[0], *size, dtype=torch.float64, requires_grad=True)
+    defined, fast = layer.unpooled(x), layer.interleaved(x)
+    assert fast.shape == (2, channels[1], 2 * size[0], 2 * size[1])
+    torch.testing.assert_close(fast, defined, atol=1e-12, rtol=1e-12)
+    torch.testing.assert_close(fast, by_transposed_convolution(x, layer.weight), atol=1e-12, rtol=1e-12)
+    grown = torch.randn_like(fast)
+    for ours, theirs in zip(
+        torch.autograd.grad(fast, (x, layer.weight), grown),
+        torch.autograd.grad(defined, (x, layer.weight), grown),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs, atol=1e-11, rtol=1e-11)
+
+
+def test_operator_by_explicit_loops() -> None:
+    torch.manual_seed(0)
+    layer = UpConv2d(1, 1).double()
+    x, w = torch.randn(1, 1, 3, 4, dtype=torch.float64), layer.weight[0, 0]
+    expected = torch.zeros(6, 8, dtype=torch.float64)
+    for row in range(6):
+        for col in range(8):
+            for i in range(5):
+                for j in range(5):
+                    y, z = row + i - 2, col + j - 2  # the pixel of the unpooled map that tap (i, j) reads
+                    if y % 2 == 0 and z % 2 == 0 and 0 <= y < 6 and 0 <= z < 8:
+                        expected[row, col] += w[i, j] * x[0, 0, y // 2, z // 2]
+    torch.testing.assert_close(layer(x)[0, 0], expected)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_choice_of_form(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    layer, called = UpConv2d(2, 3, fast=fast), []
+    for form in ("unpooled", "interleaved"):
+        monkeypatch.setattr(layer, form, lambda x, form=form: called.append(form))
+    layer(torch.rand(1, 2, 4, 4))
+    assert called == ["interleaved" if fast else "unpooled"]
+
+
+def test_fast_form_costs_a_quarter() -> None:
+    class Tripled(nn.Sequential):
+        """So that an image of three channels can be counted."""
+
+    slow, fast = (count_macs(Tripled(UpConv2d(3, 7, fast=fast)), (20, 24)) for fast in (False, True))
+    assert slow == 4 * 20 * 24 * 25 * 3 * 7
+    assert fast * 4 == slow
+
+
+def test_output_keeps_the_variance_of_its_input() -> None:
+    torch.manual_seed(0)
+    x = torch.randn(1, 64, 32, 32)
+    assert 0.8 < UpConv2d(64, 64)(x).var().item() / 2 < 1.2  # twice, since a ReLU halves it again
+
+
+# --- every backbone with every decoder ---
+
+
+@functools.lru_cache(maxsize=1)
+def backbone(name: str) -> Backbone:
+    if name == "timm" and not HAS_TIMM:
+        pytest.skip("timm is not installed")
+    torch.manual_seed(0)
+    return build(yaml.safe_load(BACKBONES[name].read_text()))
+
+
+@pytest.fixture(params=BACKBONES, scope="module")
+def backbone_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def paired(backbone_name: str, decoder_name: str) -> EncoderDecoder:
+    torch.manual_seed(1)
+    return EncoderDecoder(backbone(backbone_name), build(yaml.safe_load(DECODERS[decoder_name].read_text())))
+
+
+def test_the_yaml_files_are_found() -> None:
+    assert set(DECODERS) >= {"fast_upconv", "multi_kernel", "upconv"}
+
+
+@pytest.mark.parametrize("decoder_name", DECODERS)
+def test_yaml_shows_every_argument(decoder_name: str) -> None:
+    content = yaml.safe_load(DECODERS[decoder_name].read_text())
+    assert content == build(content)(INFO).config
+
+
+@pytest.mark.parametrize("decoder_name", DECODERS)
+def test_pair(backbone_name: str, decoder_name: str) -> None:
+    network = paired(backbone_name, decoder_name).train()
+    raw = network(torch.rand(2, 3, 64, 96))
+    stride = network.decoder.stride
+    assert raw.shape == (2, 1, 64 // stride, 96 // stride)
+    assert torch.isfinite(raw).all()
+    stem = next(network.backbone.parameters())
+    (gradient,) = torch.autograd.grad(raw.square().mean(), stem)
+    assert torch.isfinite(gradient).all()
+    assert gradient.abs().sum() > 0
+
+
+@pytest.mark.parametrize("decoder_name", DECODERS)
+@pytest.mark.parametrize("name", ["pplcnet_x0_25", "mobilenet_v3_small", "resnet18"])
+def test_odd_sizes(name: str, decoder_name: str) -> None:
+    network = paired(name, decoder_name).eval()
+    stride = network.decoder.stride
+    for height, width in ((97, 131), (33, 65), (120, 160)):
+        with torch.inference_mode():
+            raw = network(torch.rand(1, 3, height, width))
+        assert raw.shape == (1, 1, -(-height // stride), -(-width // stride))
+        assert torch.isfinite(raw).all()
+
+
+@pytest.mark.parametrize("decoder_name", DECODERS)
+def test_every_parameter_of_the_decoder_is_used(decoder_name: str) -> None:
+    decoder = build(yaml.safe_load(DECODERS[decoder_name].read_text()))(INFO)
+    decoder(features(64, 96)).square().mean().backward()
+    assert [name for name, value in decoder.named_parameters() if value.grad is None] == []
+
+
+# --- skips are found by stride ---
+
+
+@pytest.mark.parametrize("make", [FastUpConvDecoder, MultiKernelDecoder, UpConvDecoder])
+def test_order_of_the_features_does_not_matter(make: type[Decoder]) -> None:
+    torch.manual_seed(0)
+    decoder = make(INFO).eval()
+    shuffled = make([INFO[i] for i in (3, 0, 4, 1, 2)]).eval()
+    shuffled.load_state_dict(decoder.state_dict())
+    maps = features(64, 96)
+    with torch.inference_mode():
+        torch.testing.assert_close(shuffled([maps[i] for i in (3, 0, 4, 1, 2)]), decoder(maps))
+
+
+def test_fusion_and_lateral_strides() -> None:
+    assert set(FastUpConvDecoder(INFO).lateral) == {"16", "8", "4", "2"}
+    assert set(FastUpConvDecoder(INFO, lateral_strides=[16, 4]).lateral) == {"16", "4"}
+    assert set(FastUpConvDecoder(INFO[2:]).lateral) == {"16", "8"}
+    alone = FastUpConvDecoder(INFO, fusion="none").eval()
+    assert len(alone.lateral) == 0
+    maps = features(64, 96)
+    with torch.inference_mode():
+        before = alone(maps)
+        torch.testing.assert_close(alone([torch.zeros_like(feature) for feature in maps[:4]] + maps[4:]), before)
+
+
+@pytest.mark.parametrize("options", [{}, {"fusion": "none"}, {"lateral_strides": [16]}, {"lateral_strides": [2]}])
+def test_fast_upconv_stays_on_the_image_whatever_it_fuses(options: dict) -> None:
+    raw = FastUpConvDecoder(INFO, **options)(features(97, 131))
+    assert raw.shape == (2, 1, 49, 66)
+
+
+def test_raw_map_is_not_squeezed() -> None:
+    """A bright spot in the deepest feature comes out at its own place, also where 32 does not divide the image."""
+    decoder = UpConvDecoder(INFO).eval()
+    for layer in decoder.modules():
+        if isinstance(layer, UpConv2d | nn.Conv2d):
+            nn.init.constant_(layer.weight, 0.1)
+    for size in ((128, 128), (100, 100)):
+        maps = [torch.zeros_like(feature) for feature in features(*size)]
+        maps[-1][..., 2, 2] = 1.0
+        with torch.inference_mode():
+            raw = decoder(maps)[0, 0]
+        rows, cols = (raw > 0.5 * raw.max()).nonzero().float().mean(0).tolist()
+        assert 2 * rows == pytest.approx(64, abs=4)
+        assert 2 * cols == pytest.approx(64, abs=4)
+
+
+@pytest.mark.parametrize(("make", "stride"), [(FastUpConvDecoder, 1), (UpConvDecoder, 1), (MultiKernelDecoder, 2)])
+def test_stride_of_the_raw_map(make: type[Decoder], stride: int) -> None:
+    shallow = make(INFO[:4])
+    assert shallow.stride == stride
+    assert shallow(features(64, 96, INFO[:4])).shape == (2, 1, 64 // stride, 96 // stride)
+
+
+def test_multi_kernel_is_the_papers_text() -> None:
+    decoder = MultiKernelDecoder(PPLCNet(0.5).feature_info)
+    assert decoder.strides == [2, 4, 8, 32]  # 112, 56, 28 and 7 of 224: the 14 x 14 stage is skipped
+    assert [tuple(branch[1].kernel_size) for branch in decoder.branches] == [(3, 3), (3, 2), (2, 3), (2, 2)]
+    assert [branch[4].upscale_factor for branch in decoder.branches] == [1, 2, 4, 4]
+    assert decoder.branches[3][5].scale_factor == 4
+    whole = MultiKernelDecoder(INFO, max_shuffle=16)
+    assert [branch[4].upscale_factor for branch in whole.branches] == [1, 2, 4, 16]
+
+
+@pytest.mark.parametrize("make", [FastUpConvDecoder, UpConvDecoder])
+def test_features_too_shallow(make: type[Decoder]) -> None:
+    with pytest.raises(ValueError, match="stride 16 or more, the deepest has 8"):
+        make(INFO[:3])
+
+
+def test_wrong_options_say_so() -> None:
+    with pytest.raises(ValueError, match="4 kernels need as many features, the backbone has 3"):
+        MultiKernelDecoder(INFO[:3])
+    with pytest.raises(ValueError, match="fusion='concat': choose one of"):
+        FastUpConvDecoder(INFO, fusion="concat")
+    with pytest.raises(ValueError, match=r"distinct strides, got \[2, 2\]"):
+        UpConvDecoder((FeatureInfo(8, 2), FeatureInfo(16, 2)))
+
+
+def test_crop_or_pad() -> None:
+    x = torch.arange(6.0).view(1, 1, 2, 3)
+    assert torch.equal(crop_or_pad(x, torch.zeros(1, 5, 1, 2)), x[..., :1, :2])
+    grown = crop_or_pad(x, torch.zeros(1, 5, 3, 4))
+    assert grown[0, 0].tolist() == [[0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5]]
+    assert crop_or_pad(x, torch.zeros(1, 5, 3, 1)).shape == (1, 1, 3, 1)
+
+
+# --- sizes ---
+
+
+def test_baseline_has_sparse_to_denses_size() -> None:
+    encoder = ResNet(18)
+    slow, fast = (EncoderDecoder(encoder, functools.partial(UpConvDecoder, fast=fast)) for fast in (False, True))
+    assert count_params(slow) == count_params(fast) == 12_396_720
+    assert round(count_macs(slow, (224, 224)) / 1e9, 3) == 2.464
+    assert round(count_macs(fast, (224, 224)) / 1e9, 3) == 1.982
+    assert round(count_macs(slow, (228, 304)) / 1e9, 3) == 3.710
+    fast.load_state_dict(slow.state_dict())
+    image = torch.rand(1, 3, 64, 96)
+    with torch.inference_mode():
+        torch.testing.assert_close(fast.eval()(image), slow.eval()(image), atol=1e-5, rtol=1e-4)
+
+
+def test_eldenet_fits_the_papers_ratio() -> None:
+    network = EncoderDecoder(PPLCNet(0.5), FastUpConvDecoder)
+    assert 0.4e6 < count_params(network) < 0.6e6  # "0.04x" of 12.4 M

@@ -1,0 +1,79 @@
+"""Geometry against explicit projections and kornia."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from kornia.geometry.depth import depth_to_3d
+
+from eldenet.geometry import back_project, crop_intrinsics, pinhole, resize_intrinsics
+
+K = pinhole(518.9, 519.5, 325.6, 253.7)
+
+
+def project(point: np.ndarray, intrinsics: np.ndarray) -> tuple[float, float]:
+    x, y, z = point
+    return (
+        intrinsics[0, 0] * x / z + intrinsics[0, 2],
+        intrinsics[1, 1] * y / z + intrinsics[1, 2],
+    )
+
+
+points = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.2, 10)).map(np.array)
+sides = st.integers(3, 900)
+
+
+def test_pinhole_names_its_numbers() -> None:
+    np.testing.assert_array_equal(pinhole(1, 2, 3, 4), [[1, 0, 3], [0, 2, 4], [0, 0, 1]])
+
+
+@given(point=points, height=sides, width=sides)
+def test_resize_moves_every_point_as_pixels_move(point: np.ndarray, height: int, width: int) -> None:
+    u, v = project(point, K)
+    # in units of the whole image, from its outer border half a pixel before the first centre, nothing moves
+    expected = (u + 0.5) / 640 * width - 0.5, (v + 0.5) / 480 * height - 0.5
+    assert project(point, resize_intrinsics(K, (480, 640), (height, width))) == pytest.approx(expected)
+
+
+@given(point=points, top=st.integers(0, 400), left=st.integers(0, 600))
+def test_crop_moves_every_point_by_the_corner(point: np.ndarray, top: int, left: int) -> None:
+    u, v = project(point, K)
+    assert project(point, crop_intrinsics(K, top, left)) == pytest.approx((u - left, v - top))
+
+
+def test_inputs_are_left_alone() -> None:
+    kept = K.copy()
+    crop_intrinsics(K, 3, 4)
+    resize_intrinsics(K, (480, 640), (240, 320))
+    np.testing.assert_array_equal(K, kept)
+
+
+def test_resize_and_back_is_nothing() -> None:
+    there = resize_intrinsics(K, (480, 640), (120, 213))
+    np.testing.assert_allclose(resize_intrinsics(there, (120, 213), (480, 640)), K)
+
+
+def test_resize_agrees_with_opencvs_pixels() -> None:
+    """A picture whose values are the point's own coordinates keeps them true under cv2.resize."""
+    rows, cols = np.indices((40, 60), dtype=np.float64)
+    rays = np.stack([(cols - 31.3) / 50, (rows - 18.2) / 55], axis=-1)
+    small = cv2.resize(rays, (20, 10), interpolation=cv2.INTER_LINEAR)
+    moved = resize_intrinsics(pinhole(50, 55, 31.3, 18.2), (40, 60), (10, 20))
+    np.testing.assert_allclose(back_project(np.ones((10, 20)), moved)[..., :2], small, atol=1e-12)
+
+
+def test_back_projection_equals_kornia() -> None:
+    depth = np.random.default_rng(0).uniform(0.5, 9, (12, 17))
+    intrinsics = pinhole(20.0, 22.0, 7.7, 6.1)
+    theirs = depth_to_3d(torch.from_numpy(depth)[None, None], torch.from_numpy(intrinsics)[None])
+    np.testing.assert_allclose(back_project(depth, intrinsics), theirs[0].permute(1, 2, 0).numpy())
+
+
+def test_back_projection_undoes_projection() -> None:
+    depth = np.random.default_rng(1).uniform(0.5, 9, (5, 6))
+    cloud = back_project(depth, K)
+    assert cloud.shape == (5, 6, 3)
+    np.testing.assert_array_equal(cloud[..., 2], depth)
+    assert project(cloud[3, 4], K) == pytest.approx((4, 3))

@@ -1,0 +1,169 @@
+"""What is installed elsewhere: the wheel carries its configs, another project adds its parts."""
+
+import os
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """The wheel, built by hatchling itself: no network, no isolation."""
+    folder = tmp_path_factory.mktemp("wheel")
+    script = (
+        "import os, sys\n"
+        f"os.chdir({str(REPOSITORY)!r})\n"
+        "from hatchling.build import build_wheel\n"
+        f"print(build_wheel({str(folder)!r}))\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, timeout=120)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    for name in ("eldenet/py.typed", "eldenet/configs/train.yaml", "eldenet/configs/model/eldenet.yaml"):
+        assert name in names
+    yamls = {str(path.relative_to(REPOSITORY)) for path in (REPOSITORY / "configs").rglob("*.yaml")}
+    assert {f"eldenet/{name}" for name in yamls} <= set(names)
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"eldenet"}
+    assert not [name for name in names if name.endswith((".pt", ".pth", ".h5", ".jpg"))]
+
+
+def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    (tmp_path / "elsewhere").mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+    where = subprocess.run(
+        [sys.executable, "-c", "import eldenet; print(eldenet.__file__)"],
+        **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
+        check=True,
+    )
+    assert str(tmp_path / "site") in where.stdout
+    shown = subprocess.run(
+        [sys.executable, "-m", "eldenet.train", "--cfg", "job"],
+        **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
+        check=True,
+    )
+    assert "eldenet.backbones.pplcnet.PPLCNet" in shown.stdout
+    assert str(tmp_path / "site" / "eldenet" / "configs") in (
+        subprocess.run(
+            [sys.executable, "-c", "from eldenet.config import config_folder; print(config_folder())"],
+            **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
+            check=True,
+        ).stdout
+    )
+
+
+@pytest.mark.net
+@pytest.mark.timeout(1800)
+def test_a_clean_environment_installs_and_trains(wheel, tmp_path):
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "--quiet", str(wheel)], check=True)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment["ELDENET_CACHE"] = str(tmp_path / "cache")
+    subprocess.run(
+        [
+            *(python, "-m", "eldenet.train", "data.size=[32,40]", "data.input_size=[32,40]"),
+            *("data.frames={train: 16, val: 8, test: 8}", "trainer.epochs=1", "run_dir=run"),
+        ],
+        cwd=tmp_path,
+        env=environment,
+        check=True,
+    )
+    assert (tmp_path / "run" / "run.json").is_file()
+
+
+BACKBONE = '''
+from torch import Tensor, nn
+
+from eldenet.backbones.base import Backbone
+from eldenet.types import FeatureInfo
+
+
+class Pyramid(Backbone):
+    """Five strided convolutions."""
+
+    def __init__(self, width: int = 8) -> None:
+        super().__init__()
+        widths = [3] + [width * 2**step for step in range(5)]
+        self.steps = nn.ModuleList(
+            nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), nn.ReLU()) for a, b in zip(widths, widths[1:])
+        )
+        self.feature_info = tuple(FeatureInfo(c, 2 ** (k + 1)) for k, c in enumerate(widths[1:]))
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        features = []
+        for step in self.steps:
+            image = step(image)
+            features.append(image)
+        return tuple(features)
+'''
+
+APPLICATION = """
+import hydra
+import torch
+from hydra.core.global_hydra import GlobalHydra
+
+import eldenet
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="app")
+def main(config):
+    assert GlobalHydra.instance().is_initialized()
+    by_name = eldenet.load("eldenet_s", overrides=["model.head.max_depth=20"])
+    assert by_name.head.max_depth == 20
+    try:
+        eldenet.load(config.folder)
+        raise SystemExit("an untrusted config was built")
+    except ValueError as error:
+        assert "trusted_modules" in str(error), error
+    model = eldenet.load(config.folder, trusted_modules=["my_backbones"])
+    depth = model(torch.rand(1, 3, 33, 41))
+    assert depth.shape == (1, 1, 33, 41)
+    print("app ran", type(model.network.backbone).__name__, config.word)
+
+
+main()
+"""
+
+
+def test_another_project_adds_a_backbone_trains_and_reloads_it(tmp_path, cache):
+    project = tmp_path / "project"
+    (project / "my_configs" / "model" / "backbone").mkdir(parents=True)
+    (project / "conf").mkdir()
+    (project / "my_backbones.py").write_text(BACKBONE)
+    (project / "my_configs" / "model" / "backbone" / "pyramid.yaml").write_text(
+        "_target_: my_backbones.Pyramid\nwidth: 8\n"
+    )
+    (project / "conf" / "app.yaml").write_text("word: none\nfolder: ???\n")
+    (project / "app.py").write_text(APPLICATION)
+    options = {
+        "cwd": project,
+        "env": {**os.environ, "ELDENET_CACHE": cache, "PYTHONPATH": str(project)},
+        "capture_output": True,
+        "text": True,
+        "check": False,
+        "timeout": 240,
+    }
+    finished = subprocess.run(
+        [
+            *(sys.executable, "-m", "eldenet.train", "--config-dir", "my_configs", "model/backbone=pyramid"),
+            *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 16, val: 8, test: 8}"),
+            *("trainer.epochs=1", "trainer.batch_size=8", "run_dir=run", "model_name=pyramid"),
+        ],
+        **options,
+    )
+    assert finished.returncode == 0, finished.stderr + finished.stdout
+    assert "pyramid" in finished.stdout
+    finished = subprocess.run([sys.executable, "app.py", "folder=run/model", "word=hello"], **options)
+    assert finished.returncode == 0, finished.stderr
+    assert "app ran Pyramid hello" in finished.stdout

@@ -1,0 +1,123 @@
+"""Tables: mean and spread over seeds, and a refusal wherever numbers do not compare."""
+
+import copy
+import json
+
+import pytest
+
+from eldenet.metrics import EvalProtocol
+from eldenet.report import find_runs, group_rows, table_of, to_latex, to_markdown
+
+RUN = {
+    "model": "eldenet",
+    "data": "rooms",
+    "split": "test",
+    "split_hash": "0123456789abcdef",
+    "protocol": EvalProtocol("rooms", ground_truth="dense").as_dict(),
+    "metrics": {"abs_rel": 0.2, "rmse": 0.5, "mae": 0.4, "mse": 0.25, "delta1": 0.8, "images": 4},
+    "constant_predictor": {"abs_rel": 0.4, "rmse": 1.0, "mae": 0.9, "mse": 1.0, "delta1": 0.4, "images": 4},
+    "cost": {
+        "params": 587353,
+        "gmacs": 0.1,
+        "gflops": 0.2,
+        "latency_ms_p50": 3.14159,
+        "throughput_img_s": 321.4,
+        "runtime": "torch",
+        "precision": "fp32",
+        "threads": 2,
+        "device": "cpu",
+        "height": 128,
+        "width": 160,
+        "batch": 8,
+    },
+    "seed": 0,
+    "hardware": {"processor": "some processor"},
+}
+COLUMNS = ("abs_rel", "rmse", "delta1")
+
+
+def run_with(**changes) -> dict:
+    """A copy of RUN; ``metrics__delta1=0.9`` changes a nested value."""
+    run = copy.deepcopy(RUN)
+    for path, value in changes.items():
+        *parents, last = path.split("__")
+        node = run
+        for parent in parents:
+            node = node[parent]
+        node[last] = value
+    return run
+
+
+def test_seeds_share_a_row_with_mean_and_sample_deviation():
+    runs = [run_with(seed=seed, metrics__delta1=value) for seed, value in enumerate((0.7, 0.8, 0.9))]
+    titles, rows = table_of(runs, COLUMNS)
+    assert titles[:5] == ["model", "seeds", "AbsRel ↓", "RMSE [m] ↓", "δ1 ↑"]
+    assert rows[0][:5] == ["eldenet", "3", "0.200 ± 0.000", "0.500 ± 0.000", "0.800 ± 0.100"]
+    assert rows[1][:5] == ["constant predictor", "-", "0.400", "1.000", "0.400"]
+
+
+def test_models_keep_their_order():
+    runs = [run_with(model=name) for name in ("b", "a", "c")]
+    assert [row.model for row in group_rows(runs)] == ["b", "a", "c"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"protocol": EvalProtocol("other", ground_truth="dense").as_dict()}, "protocol"),
+        ({"protocol": EvalProtocol("rooms", ground_truth="dense", average="pixel").as_dict()}, "protocol"),
+        ({"split_hash": "another"}, "split_hash"),
+        ({"data": "nyu_mat"}, "data"),
+        ({"cost__device": "GPU"}, "device"),
+        ({"cost__runtime": "onnxruntime"}, "runtime"),
+        ({"cost__threads": 1}, "threads"),
+        ({"cost__precision": "bf16"}, "precision"),
+        ({"cost__height": 224}, "height"),
+        ({"hardware__processor": "another"}, "processor"),
+    ],
+)
+def test_what_does_not_compare_is_refused(changes, word):
+    runs = [RUN, run_with(model="other", **changes)]
+    with pytest.raises(ValueError, match=f"{word} differs"):
+        table_of(runs, COLUMNS)
+    if "__" in next(iter(changes)):  # costs apart, the metrics still compare
+        titles, _ = table_of(runs, COLUMNS, costs=False)
+        assert "params ↓" not in titles
+
+
+def test_the_same_seed_twice_is_refused():
+    with pytest.raises(ValueError, match="seeds .* repeat"):
+        table_of([RUN, RUN], COLUMNS)
+
+
+def test_markdown_and_latex():
+    titles, rows = table_of([RUN], COLUMNS)
+    markdown = to_markdown(titles, rows, ["a note"]).splitlines()
+    assert markdown[0].startswith("| model | seeds | AbsRel ↓ | RMSE [m] ↓ | δ1 ↑ | params ↓ | GMACs ↓ |")
+    assert markdown[2] == (
+        "| eldenet | 1 | 0.200 | 0.500 | 0.800 | 0.587 M | 0.100 | 0.200 | 3.14 | 321 |"
+    )
+    assert markdown[-1] == "- a note"
+    assert all(line.count("|") == markdown[0].count("|") for line in markdown[:4])
+    latex = to_latex(titles, [["a_b", *rows[0][1:]]], ["a note"])
+    assert r"a\_b & 1 & 0.200" in latex
+    assert r"$\delta$1 $\uparrow$" in latex
+    assert latex.count("&") == 2 * (len(titles) - 1)
+
+
+def test_runs_are_found_and_damaged_ones_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        find_runs([str(tmp_path / "none")])
+    with pytest.raises(FileNotFoundError, match=r"no run\.json below"):
+        find_runs([str(tmp_path)])
+    for name in ("b", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(run_with(model=name)))
+    assert [run["model"] for run in find_runs([str(tmp_path)])] == ["a", "b"]
+    assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
+    (tmp_path / "a" / "run.json").write_text("{")
+    with pytest.raises(ValueError, match="is not JSON"):
+        find_runs([str(tmp_path)])
+    (tmp_path / "a" / "run.json").write_text("{}")
+    with pytest.raises(ValueError, match="has no metrics"):
+        find_runs([str(tmp_path)])
