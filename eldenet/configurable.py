@@ -35,6 +35,7 @@ class Configurable:
     config: dict[str, Any]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Note the arguments that ``__init__`` is about to get, defaults included."""
         part = super().__new__(cls)
         signature = inspect.signature(cls.__init__)
         given = signature.bind_partial(part, *args, **kwargs)
@@ -89,8 +90,8 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
         for name in part.transient_arguments:
             if arguments.get(name):
                 raise ValueError(
-                    f"refused {name}={arguments[name]!r} of {config['_target_']}: a saved part never says where "
-                    "weights come from; remove that entry"
+                    f"refused {name}={arguments[name]!r} of {config['_target_']}: a saved part never says "
+                    "where weights come from; remove that entry"
                 )
         if config.get("_partial_"):
             return functools.partial(part, **arguments)

@@ -48,7 +48,9 @@ def depth_scale(near: float, far: float, height: int) -> np.ndarray:
     ticks = round_numbers(near, far)
     digits = max(0, min(2, -int(np.floor(np.log10(ticks[1] - ticks[0]) + 1e-9))))
     labels = [f"{tick:.{digits}f} m" for tick in ticks]
-    wide = cv2.getTextSize("00.00 m", _FONT, size, 1)[0][0]  # always the same: a video's frames have one width
+    wide = cv2.getTextSize("00.00 m", _FONT, size, 1)[0][
+        0
+    ]  # always the same: a video's frames have one width
     scale = np.full((height, bar + 10 + wide + 6, 3), 255, np.uint8)
     length = height - 2 * margin
     ramp = np.linspace(near, far, length)[:, None].repeat(bar, axis=1)

@@ -46,6 +46,11 @@ def predict(config: "DictConfig") -> "Results":
     log = RunLog(results.folder)
     if str(config.checkpoint) in eldenet.list_models():
         log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
+    elif predictor.input_size is None:
+        log.say(
+            f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
+            f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
+        )
     if is_video:
         predict_video(source, predictor, results, log)
     else:

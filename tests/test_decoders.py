@@ -29,7 +29,10 @@ FOLDER = Path(__file__).parents[1] / "configs" / "model"
 BACKBONES = {path.stem: path for path in sorted((FOLDER / "backbone").glob("*.yaml"))}
 DECODERS = {path.stem: path for path in sorted((FOLDER / "decoder").glob("*.yaml"))}
 HAS_TIMM = importlib.util.find_spec("timm") is not None
-INFO = tuple(FeatureInfo(channels, stride) for channels, stride in zip((8, 16, 24, 32, 64), (2, 4, 8, 16, 32), strict=True))
+INFO = tuple(
+    FeatureInfo(channels, stride)
+    for channels, stride in zip((8, 16, 24, 32, 64), (2, 4, 8, 16, 32), strict=True)
+)
 
 
 def features(height: int, width: int, info: Sequence[FeatureInfo] = INFO) -> list[Tensor]:
@@ -197,17 +200,21 @@ def test_fusion_and_lateral_strides() -> None:
     maps = features(64, 96)
     with torch.inference_mode():
         before = alone(maps)
-        torch.testing.assert_close(alone([torch.zeros_like(feature) for feature in maps[:4]] + maps[4:]), before)
+        torch.testing.assert_close(
+            alone([torch.zeros_like(feature) for feature in maps[:4]] + maps[4:]), before
+        )
 
 
-@pytest.mark.parametrize("options", [{}, {"fusion": "none"}, {"lateral_strides": [16]}, {"lateral_strides": [2]}])
+@pytest.mark.parametrize(
+    "options", [{}, {"fusion": "none"}, {"lateral_strides": [16]}, {"lateral_strides": [2]}]
+)
 def test_fast_upconv_stays_on_the_image_whatever_it_fuses(options: dict) -> None:
     raw = FastUpConvDecoder(INFO, **options)(features(97, 131))
     assert raw.shape == (2, 1, 49, 66)
 
 
 def test_raw_map_is_not_squeezed() -> None:
-    """A bright spot in the deepest feature comes out at its own place, also where 32 does not divide the image."""
+    """A bright spot in the deepest feature keeps its place, also where 32 does not divide the image."""
     decoder = UpConvDecoder(INFO).eval()
     for layer in decoder.modules():
         if isinstance(layer, UpConv2d | nn.Conv2d):
@@ -222,7 +229,9 @@ def test_raw_map_is_not_squeezed() -> None:
         assert 2 * cols == pytest.approx(64, abs=4)
 
 
-@pytest.mark.parametrize(("make", "stride"), [(FastUpConvDecoder, 1), (UpConvDecoder, 1), (MultiKernelDecoder, 2)])
+@pytest.mark.parametrize(
+    ("make", "stride"), [(FastUpConvDecoder, 1), (UpConvDecoder, 1), (MultiKernelDecoder, 2)]
+)
 def test_stride_of_the_raw_map(make: type[Decoder], stride: int) -> None:
     shallow = make(INFO[:4])
     assert shallow.stride == stride
@@ -267,7 +276,9 @@ def test_crop_or_pad() -> None:
 
 def test_baseline_has_sparse_to_denses_size() -> None:
     encoder = ResNet(18)
-    slow, fast = (EncoderDecoder(encoder, functools.partial(UpConvDecoder, fast=fast)) for fast in (False, True))
+    slow, fast = (
+        EncoderDecoder(encoder, functools.partial(UpConvDecoder, fast=fast)) for fast in (False, True)
+    )
     assert count_params(slow) == count_params(fast) == 12_396_720
     assert round(count_macs(slow, (224, 224)) / 1e9, 3) == 2.464
     assert round(count_macs(fast, (224, 224)) / 1e9, 3) == 1.982

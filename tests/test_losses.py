@@ -65,9 +65,15 @@ def test_the_yaml_files_are_found() -> None:
     assert {"berhu", "l1", "l2", "silog", "ssim_l1", "ssim_l1_gradient"} <= set(NAMES)
 
 
-@pytest.fixture(params=NAMES, scope="module")
+SPACED = {
+    space: lambda space=space: WeightedSum({"l1": WeightedTerm(L1Loss(), space=space)})
+    for space in ("log", "inverse")
+}
+
+
+@pytest.fixture(params=[*NAMES, *SPACED], scope="module")
 def total(request: pytest.FixtureRequest) -> Callable[..., Tensor]:
-    loss = from_yaml(request.param)
+    loss = SPACED[request.param]() if request.param in SPACED else from_yaml(request.param)
     return lambda *arguments: loss(*arguments)[0]
 
 
@@ -279,6 +285,20 @@ def test_total_is_the_weighted_sum() -> None:
     for name, value in terms.items():
         torch.testing.assert_close(value, LOSSES[name]()(prediction, target, mask))
     torch.testing.assert_close(total, 0.3 * terms["l1"] + 2.0 * terms["ssim"])
+
+
+def test_a_term_may_compare_logarithms_or_inverses() -> None:
+    prediction, target = maps(14)
+    mask = patchy(15, target.shape, 0.2)
+    for space, change in (("metres", lambda depth: depth), ("log", torch.log), ("inverse", lambda d: 1 / d)):
+        for name in ("l1", "berhu", "gradient"):
+            loss = WeightedSum({name: WeightedTerm(LOSSES[name](), 0.5, space=space)})
+            total, terms = loss(prediction, target, mask)
+            expected = LOSSES[name]()(change(prediction), change(target), mask)
+            torch.testing.assert_close(terms[name], expected)
+            torch.testing.assert_close(total, 0.5 * expected)
+    with pytest.raises(ValueError, match="space='disparity': choose one of"):
+        WeightedTerm(L1Loss(), space="disparity")
 
 
 def test_the_papers_loss_shows_both_weights() -> None:

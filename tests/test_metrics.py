@@ -45,7 +45,9 @@ def scores(protocol: EvalProtocol, *batches: tuple[Tensor, Tensor, Tensor]) -> d
 
 
 def assert_same(ours: dict[str, float], expected: dict[str, float], rel: float = 1e-5) -> None:
-    assert ours == {name: pytest.approx(value, rel=rel, abs=1e-9, nan_ok=True) for name, value in expected.items()}
+    assert ours == {
+        name: pytest.approx(value, rel=rel, abs=1e-9, nan_ok=True) for name, value in expected.items()
+    }
 
 
 # --- the reference: NumPy in double precision, written from the papers' formulas ---
@@ -74,13 +76,18 @@ def one_image(p: np.ndarray, g: np.ndarray, counts: np.ndarray, value_range: flo
 
 def summary(pixels: dict[str, np.ndarray]) -> dict[str, float]:
     mean = {name: values.mean() if len(values) else math.nan for name, values in pixels.items()}
-    mean |= {"rmse": math.sqrt(mean["mse"]), "silog": 100 * (pixels["log"].std() if len(pixels["log"]) else math.nan)}
+    mean |= {
+        "rmse": math.sqrt(mean["mse"]),
+        "silog": 100 * (pixels["log"].std() if len(pixels["log"]) else math.nan),
+    }
     return {name: mean[name] for name in METRICS}
 
 
 def reference(protocol: EvalProtocol, prediction: Tensor, depth: Tensor, mask: Tensor) -> dict[str, float]:
     images = []
-    for p, g, m in zip(prediction.double().numpy()[:, 0], depth.double().numpy()[:, 0], mask.numpy()[:, 0], strict=True):
+    for p, g, m in zip(
+        prediction.double().numpy()[:, 0], depth.double().numpy()[:, 0], mask.numpy()[:, 0], strict=True
+    ):
         counts = m & (g >= protocol.min_depth) & (g <= protocol.max_depth)
         if counts.any():
             p = p * np.median(g[counts]) / np.median(p[counts]) if protocol.scale == "median" else p
@@ -248,7 +255,12 @@ def test_protocols_are_the_literatures() -> None:
     assert (dense.ground_truth, dense.min_depth, dense.max_depth, dense.average, dense.flip) == (
         "inpainted", 0.1, 10.0, "pixel", "mean",
     )  # fmt: skip
-    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (0.5, (228, 304), False, "image")
+    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (
+        0.5,
+        (228, 304),
+        False,
+        "image",
+    )
 
 
 def test_pixels_outside_the_crop_do_not_matter() -> None:
@@ -257,7 +269,9 @@ def test_pixels_outside_the_crop_do_not_matter() -> None:
     inside = tuple(tensor[..., 2:9, 3:15] for tensor in (prediction, depth, mask))
     outside = torch.ones_like(mask)
     outside[..., 2:9, 3:15] = False
-    result = scores(protocol, (prediction.masked_fill(outside, math.nan), depth.masked_fill(outside, 3.0), mask))
+    result = scores(
+        protocol, (prediction.masked_fill(outside, math.nan), depth.masked_fill(outside, 3.0), mask)
+    )
     result.pop("ssim")  # needs whole windows
     expected = scores(EvalProtocol("p"), inside)
     assert_same(result, {name: expected[name] for name in result})
@@ -267,7 +281,16 @@ def test_range_is_inclusive_and_holes_do_not_count() -> None:
     protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
     depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    assert protocol.scored(depth, mask).flatten().tolist() == [False, False, True, True, True, False, False, False]
+    assert protocol.scored(depth, mask).flatten().tolist() == [
+        False,
+        False,
+        True,
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
     mask[..., 3] = False
     assert protocol.scored(depth, mask).sum() == 2
 
@@ -327,7 +350,9 @@ def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
 
 def test_size_of_another_data_set_is_an_error() -> None:
     prediction, depth, mask = batch(8)
-    with pytest.raises(ValueError, match=r"nyu_bts is defined on ground truth of \(480, 640\) pixels.*\(14, 18\)"):
+    with pytest.raises(
+        ValueError, match=r"nyu_bts is defined on ground truth of \(480, 640\) pixels.*\(14, 18\)"
+    ):
         scores(from_yaml("nyu_bts"), (prediction, depth, mask))
 
 

@@ -24,7 +24,10 @@ class Flat(nn.Module):
     [
         (nn.Conv2d(3, 8, 3, padding=1), 10 * 12 * 8 * 3 * 9),  # the bias does not count
         (nn.Conv2d(3, 8, 3, padding=1, stride=2, bias=False), 5 * 6 * 8 * 3 * 9),
-        (nn.Conv2d(3, 6, 5, padding=2, groups=3), 10 * 12 * 6 * 25),  # depthwise: one input channel per output
+        (
+            nn.Conv2d(3, 6, 5, padding=2, groups=3),
+            10 * 12 * 6 * 25,
+        ),  # depthwise: one input channel per output
         (nn.Conv2d(3, 8, 1), 10 * 12 * 8 * 3),
         (nn.ConvTranspose2d(3, 8, 2, stride=2), 10 * 12 * 8 * 3 * 4),
         (Flat(120), 5 * 360),

@@ -27,11 +27,11 @@ splits.mat                     (the official split: trainNdxs, testNdxs)
 class NYUHDF5(NYUFrames):
     """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
 
-    Ma and Karaman, "Sparse-to-Dense", ICRA 2018, section V-A: depth is projected into the colour picture and
+    Ma and Karaman, "Sparse-to-Dense", ICRA 2018: depth is projected into the colour picture and
     in-painted with the official toolbox's cross-bilateral filter.
 
-    Convention: there, ``val/official`` are the 654 official test frames, and the best epoch is chosen on them.
-    Here they are "test" and nothing else, and "val" is held out of the training frames.
+    Convention: there, ``val/official`` (the 654 official test frames) chooses the best epoch as well.
+    Here it is "test" and nothing else, and "val" is held out of the training frames.
 
     Args:
         root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.

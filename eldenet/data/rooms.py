@@ -1,5 +1,6 @@
 """``rooms``: furnished rooms rendered with rays, the data set that needs no download."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -100,6 +101,11 @@ class Rooms(DepthDataset):
             count = min(2, os.cpu_count() or 1) if workers is None else workers
             render_missing(self.folder, split, missing, self.size, count)
         self._open: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    @property
+    def split_hash(self) -> str:
+        """Names the split in reports: the frames, their size and the generator that rendered them."""
+        return hashlib.sha256("\n".join([self.folder.name, *self.names]).encode()).hexdigest()[:16]
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_open": {}}  # a worker process opens its own memory maps

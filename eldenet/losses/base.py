@@ -1,6 +1,6 @@
 """What a loss is, and the weighted sum that training minimises."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor, nn
@@ -30,14 +30,36 @@ def neutralise(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor
     return prediction.masked_fill(~mask, 1.0), target.masked_fill(~mask, 1.0)
 
 
-class WeightedTerm(nn.Module):
-    """One named term of the sum: ``weight * loss``."""
+SPACES: dict[str, Callable[[Tensor], Tensor]] = {
+    "metres": lambda depth: depth,
+    "log": torch.log,
+    "inverse": torch.reciprocal,
+}
 
-    def __init__(self, loss: Loss, weight: float = 1.0) -> None:
+
+class WeightedTerm(nn.Module):
+    """One named term of the sum: ``weight * loss``.
+
+    Args:
+        loss: of the two maps.
+        weight: 0 or more.
+        space: in which the two maps are compared: "metres"; "log" (an error counts by its ratio, as AbsRel and
+            delta count it); "inverse" (1 / m: near counts most; DenseDepth's).
+    """
+
+    def __init__(self, loss: Loss, weight: float = 1.0, space: str = "metres") -> None:
         super().__init__()
         if weight < 0:
             raise ValueError(f"weight={weight}: a loss weight is 0 or more")
-        self.loss, self.weight = loss, weight
+        if space not in SPACES:
+            raise ValueError(f"space={space!r}: choose one of {tuple(SPACES)}")
+        self.loss, self.weight, self.space = loss, weight, space
+
+    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar, not weighted."""
+        if self.space != "metres":
+            prediction, target = (SPACES[self.space](m) for m in neutralise(prediction, target, mask))
+        return self.loss(prediction, target, mask)
 
 
 class WeightedSum(nn.Module):
@@ -52,6 +74,7 @@ class WeightedSum(nn.Module):
         if not terms:
             raise ValueError("a loss needs at least one term")
         self.terms = nn.ModuleDict(dict(terms))
+        self.weights = {name: term.weight for name, term in terms.items()}
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool -> total and the unweighted terms by name."""
@@ -62,6 +85,6 @@ class WeightedSum(nn.Module):
             )
         if mask.dtype != torch.bool:
             raise ValueError(f"mask is {mask.dtype}: a bool tensor is needed, True where depth is known")
-        values = {name: term.loss(prediction, target, mask) for name, term in self.terms.items()}
-        total = sum(self.terms[name].weight * value for name, value in values.items())
-        return total, values  # type: ignore[return-value]
+        values = {name: term(prediction, target, mask) for name, term in self.terms.items()}
+        total = torch.stack([self.weights[name] * value for name, value in values.items()]).sum()
+        return total, values

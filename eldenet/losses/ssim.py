@@ -50,8 +50,10 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     with torch.autocast(prediction.device.type, enabled=False):
         dtype = torch.promote_types(torch.promote_types(prediction.dtype, target.dtype), torch.float32)
         prediction, target = prediction.to(dtype), target.to(dtype)
-        maps = torch.cat([prediction, target, prediction**2, target**2, prediction * target])
-        mean_p, mean_t, square_p, square_t, product = _blur(maps, window).chunk(5)
+        # apart, so that nothing is propagated back into the target's own moments
+        mean_t, square_t = _blur(torch.cat([target, target**2]), window).chunk(2)
+        moments = torch.cat([prediction, prediction**2, prediction * target])
+        mean_p, square_p, product = _blur(moments, window).chunk(3)
     c1, c2 = (0.01 * value_range) ** 2, (0.03 * value_range) ** 2
     means, squares = mean_p * mean_t, mean_p**2 + mean_t**2
     covariance, variances = product - means, square_p + square_t - squares
