@@ -256,7 +256,7 @@ def test_ssim_keeps_its_precision_under_autocast() -> None:
 
 def test_ssim_trains_after_an_evaluation_of_the_same_size() -> None:
     size = (13, 17)  # of no other test: its blur is built here, in inference mode
-    prediction, target = maps(10, size=size)
+    prediction, target = maps(10, size=size, dtype=torch.float64)  # as the blur is kept
     with torch.inference_mode():
         ssim_map(prediction, target, window=11, value_range=10.0)
     mask = torch.ones_like(target, dtype=torch.bool)

@@ -86,7 +86,7 @@ def test_what_does_not_compare_is_refused(changes, word):
 
 
 def test_the_same_seed_twice_is_refused():
-    with pytest.raises(ValueError, match="seeds .* repeat"):
+    with pytest.raises(ValueError, match=r"seeds .* repeat"):
         table_of([RUN, RUN], COLUMNS)
 
 
@@ -94,9 +94,7 @@ def test_markdown_and_latex():
     titles, rows = table_of([RUN], COLUMNS)
     markdown = to_markdown(titles, rows, ["a note"]).splitlines()
     assert markdown[0].startswith("| model | seeds | AbsRel ↓ | RMSE [m] ↓ | δ1 ↑ | params ↓ | GMACs ↓ |")
-    assert markdown[2] == (
-        "| eldenet | 1 | 0.200 | 0.500 | 0.800 | 0.587 M | 0.100 | 0.200 | 3.14 | 321 |"
-    )
+    assert markdown[2] == ("| eldenet | 1 | 0.200 | 0.500 | 0.800 | 0.587 M | 0.100 | 0.200 | 3.14 | 321 |")
     assert markdown[-1] == "- a note"
     assert all(line.count("|") == markdown[0].count("|") for line in markdown[:4])
     latex = to_latex(titles, [["a_b", *rows[0][1:]]], ["a note"])

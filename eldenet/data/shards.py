@@ -27,8 +27,8 @@ DEPTH_STEP = 0.0002
 SHARD_ROOMS, VIEWS = 8, 8
 
 _SOURCES = (
-    "camera", "culling", "furniture", "household", "kinds", "materials", "mjcf", "patterns",
-    "render", "rooms", "sensor", "shading", "textures", "walls",
+    "camera", "culling", "furniture", "household", "kinds", "materials", "mjcf", "motifs", "patterns",
+    "render", "rooms", "seating", "sensor", "shading", "textures", "walls", "weights",
 )  # fmt: skip
 _ARRAYS = ("image", "depth", "intrinsics")
 

@@ -43,7 +43,7 @@ class WeightedTerm(nn.Module):
     Args:
         loss: of the two maps.
         weight: 0 or more.
-        space: in which the two maps are compared: "metres"; "log" (an error counts by its ratio, as AbsRel and
+        space: in which the two maps are compared: "metres"; "log" (errors count by their ratio, as AbsRel and
             delta count it); "inverse" (1 / m: near counts most; DenseDepth's).
     """
 

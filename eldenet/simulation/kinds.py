@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from eldenet.simulation import furniture as f
 from eldenet.simulation import household as h
+from eldenet.simulation import seating as s
 
 Range = tuple[float, float]
 
@@ -32,11 +33,11 @@ class Kind(NamedTuple):
 TABLE = Item(f.table, (0.8, 1.8), (0.6, 1.0), 0.75)
 ROUND = Item(f.round_table, (0.6, 1.3), (0.6, 1.3), 0.7)
 COFFEE = Item(f.coffee_table, (0.6, 1.2), (0.4, 0.7), 0.45)
-CHAIR = Item(f.chair, (0.4, 0.52), (0.4, 0.52), 0.9)
-SWIVEL = Item(f.office_chair, (0.45, 0.55), (0.45, 0.55), 1.0)
-STOOL = Item(f.stool, (0.32, 0.45), (0.32, 0.45), 0.6)
-SOFA = Item(f.sofa, (1.4, 2.4), (0.8, 1.0), 0.85)
-ARMCHAIR = Item(f.sofa, (0.8, 1.0), (0.75, 0.95), 0.85)
+CHAIR = Item(s.chair, (0.4, 0.52), (0.4, 0.52), 0.9)
+SWIVEL = Item(s.office_chair, (0.45, 0.55), (0.45, 0.55), 1.0)
+STOOL = Item(s.stool, (0.32, 0.45), (0.32, 0.45), 0.6)
+SOFA = Item(s.sofa, (1.4, 2.4), (0.8, 1.0), 0.85)
+ARMCHAIR = Item(s.sofa, (0.8, 1.0), (0.75, 0.95), 0.85)
 BED = Item(f.bed, (1.4, 2.0), (1.95, 2.2), 0.7)
 SINGLE = Item(f.bed, (0.85, 1.1), (1.9, 2.1), 0.7)
 CHEST = Item(f.cabinet, (0.7, 1.6), (0.38, 0.6), 1.0)

@@ -9,7 +9,7 @@ The text of a room depends on ``(split, index)`` alone and is the same on every 
 import hashlib
 from dataclasses import dataclass, field
 
-from eldenet.simulation import furniture, household
+from eldenet.simulation import furniture, household, seating
 from eldenet.simulation.kinds import KINDS, Item, Kind
 from eldenet.simulation.materials import Materials
 from eldenet.simulation.mjcf import Body, Draw
@@ -185,7 +185,7 @@ class _Builder:
     def _chairs(self, x: float, y: float, wx: float, wy: float) -> None:
         """Chairs around a table, some pulled out or turned."""
         d = self.d
-        chair = Item(furniture.chair, (0.4, 0.5), (0.4, 0.5), 0.9)
+        chair = Item(seating.chair, (0.4, 0.5), (0.4, 0.5), 0.9)
         seats = [(0.0, -1.0, 0.0), (0.0, 1.0, 180.0), (-1.0, 0.0, 270.0), (1.0, 0.0, 90.0)]
         for sx, sy, yaw in seats:
             along = wx if sx == 0 else wy
