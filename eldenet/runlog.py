@@ -61,7 +61,7 @@ class RunLog:
     def history(self, rows: Sequence[Mapping[str, float]]) -> None:
         """Write one line per epoch to ``history.csv``."""
         if not self.quiet and rows:
-            header = list(rows[-1])
+            header = list(dict.fromkeys(name for row in rows for name in row))
             write_rows(
                 self.folder / "history.csv", header, [[row.get(name, "") for name in header] for row in rows]
             )

@@ -206,6 +206,22 @@ def test_fusion_and_lateral_strides() -> None:
 
 
 @pytest.mark.parametrize(
+    ("options", "used"),
+    [
+        ({}, {2, 4, 8, 16, 32}),
+        ({"fusion": "none"}, {32}),
+        ({"lateral_strides": [16, 4]}, {4, 16, 32}),
+    ],
+)
+def test_what_the_output_depends_on(options: dict, used: set[int]) -> None:
+    maps = [feature.requires_grad_() for feature in features(64, 96)]
+    raw = FastUpConvDecoder(INFO, **options).eval()(maps)
+    gradients = torch.autograd.grad(raw.square().sum(), maps, allow_unused=True)
+    pairs = zip(INFO, gradients, strict=True)
+    assert {info.stride for info, gradient in pairs if gradient is not None and gradient.any()} == used
+
+
+@pytest.mark.parametrize(
     "options", [{}, {"fusion": "none"}, {"lateral_strides": [16]}, {"lateral_strides": [2]}]
 )
 def test_fast_upconv_stays_on_the_image_whatever_it_fuses(options: dict) -> None:
