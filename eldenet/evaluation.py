@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 from eldenet.data.base import DepthDataset
 from eldenet.data.loading import collate, evaluation_loader
 from eldenet.metrics import METRICS, DepthMetrics, EvalProtocol
+from eldenet.modes import eval_mode
 
 Progress = Callable[[int], None]
 
@@ -76,17 +77,15 @@ def evaluate(
     )
     metrics = DepthMetrics(protocol).to(device)
     rows: list[tuple[Any, ...]] = []
-    was_training = model.training
-    model.eval()
-    for batch in loader:
-        image = batch["image"].to(device, memory_format=torch.channels_last)
-        prediction = predict_depth(model, image, flip=protocol.flip)
-        metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device))
-        values = metrics.rows.cpu().tolist()
-        rows += [(name, *row) for name, row in zip(batch["name"], values, strict=True)]
-        if advance is not None:
-            advance(len(image))
-    model.train(was_training)
+    with eval_mode(model):
+        for batch in loader:
+            image = batch["image"].to(device, memory_format=torch.channels_last)
+            prediction = predict_depth(model, image, flip=protocol.flip)
+            metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device))
+            values = metrics.rows.cpu().tolist()
+            rows += [(name, *row) for name, row in zip(batch["name"], values, strict=True)]
+            if advance is not None:
+                advance(len(image))
     if processes > 1:
         rows = _gather_rows(rows)
     return Evaluation(metrics.compute(), rows)
@@ -106,16 +105,14 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
     from eldenet.pictures import depth_row, stack_rows
 
     device = next(model.parameters()).device
-    was_training = model.training
-    model.eval()
     pictures = []
-    for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
-        batch: dict[str, Any] = collate([dataset[index]])
-        prediction = predict_depth(model, batch["image"].to(device)).cpu()
-        counts = protocol.scored(batch["depth"], batch["mask"])
-        prediction = protocol.prepare(prediction, batch["depth"], counts)
-        pictures.append(depth_row(batch["image"][0], batch["depth"][0], batch["mask"][0], prediction[0]))
-    model.train(was_training)
+    with eval_mode(model):
+        for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
+            batch: dict[str, Any] = collate([dataset[index]])
+            prediction = predict_depth(model, batch["image"].to(device)).cpu()
+            counts = protocol.scored(batch["depth"], batch["mask"])
+            prediction = protocol.prepare(prediction, batch["depth"], counts)
+            pictures.append(depth_row(batch["image"][0], batch["depth"][0], batch["mask"][0], prediction[0]))
     return stack_rows(pictures)
 
 

@@ -29,8 +29,8 @@ class EvalProtocol:
 
     Attributes:
         name: what a table calls it.
-        min_depth: ground truth below is not scored [m].
-        max_depth: ground truth above is not scored [m].
+        min_depth: ground truth at or below is not scored [m].
+        max_depth: ground truth at or above is not scored [m] (both strict, as in BTS and monodepth2).
         ground_truth: "raw" sensor depth with holes, "inpainted", "sparse" (LiDAR) or "dense" (rendered).
         resize: of the whole frame, image and ground truth alike, before anything else: a factor or
             ``(height, width)`` [px]; None: none.
@@ -100,7 +100,7 @@ class EvalProtocol:
                 f"protocol {self.name} is defined on ground truth of {tuple(self.size)} pixels, this one has "
                 f"{tuple(depth.shape[-2:])}: choose another protocol or another data set"
             )
-        counts = mask & (depth >= self.min_depth) & (depth <= self.max_depth)
+        counts = mask & (depth > self.min_depth) & (depth < self.max_depth)
         if self.crop is not None:
             top, bottom, left, right = self.crop
             inside = torch.zeros_like(counts)

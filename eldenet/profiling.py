@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from eldenet.modes import eval_mode
+
 
 @dataclass(frozen=True)
 class CostReport:
@@ -64,10 +66,8 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
     from torch.utils.flop_counter import FlopCounterMode
 
     image = _image(model, 1, size)
-    training = model.training
-    with FlopCounterMode(display=False) as counter, torch.inference_mode():
-        model.eval()(image)
-    model.train(training)
+    with eval_mode(model), FlopCounterMode(display=False) as counter, torch.inference_mode():
+        model(image)
     return counter.get_total_flops() // 2
 
 
@@ -101,8 +101,7 @@ def measure_cost(
     from torch.utils.benchmark import Timer
 
     device = _device_of(model)
-    training = model.training
-    model.eval()
+    model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
 
     def times(images: Tensor) -> Tensor:
         images = images.contiguous(memory_format=torch.channels_last)
@@ -114,10 +113,9 @@ def measure_cost(
         return torch.tensor([timer.timeit(1).mean for _ in range(rounds)])
 
     threads = torch.get_num_threads()
-    with torch.inference_mode():
+    with eval_mode(model), torch.inference_mode():
         single, batched = times(_image(model, 1, size)), times(_image(model, batch, size))
     macs = count_macs(model, size)
-    model.train(training)
     return CostReport(
         params=count_params(model),
         gmacs=macs / 1e9,

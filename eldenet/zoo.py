@@ -46,6 +46,8 @@ def load(
     if str(source) in list_models():
         from eldenet.config import build_model, compose
 
+        if revision is not None or trusted_modules:
+            raise ValueError(f"revision and trusted_modules are for saved models; {source} is built by name")
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides change a network built by name; {source} is read as it was saved")
@@ -55,7 +57,8 @@ def load(
             f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, or give a folder or a "
             "Hub id 'owner/name'"
         )
+    if revision is not None and folder.is_dir():
+        raise ValueError(f"revision={revision!r} is for Hub ids; {source} is a folder here")
     if (folder / "model" / "config.json").is_file():
-        folder = folder / "model"
-        return DepthNet.from_pretrained(folder, trusted_modules=trusted_modules)
+        return DepthNet.from_pretrained(folder / "model", trusted_modules=trusted_modules)
     return DepthNet.from_pretrained(source, trusted_modules=trusted_modules, revision=revision)

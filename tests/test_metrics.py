@@ -277,22 +277,22 @@ def test_pixels_outside_the_crop_do_not_matter() -> None:
     assert_same(result, {name: expected[name] for name in result})
 
 
-def test_range_is_inclusive_and_holes_do_not_count() -> None:
+def test_range_is_strict_and_holes_do_not_count() -> None:
     protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
     depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
     mask = torch.ones_like(depth, dtype=torch.bool)
     assert protocol.scored(depth, mask).flatten().tolist() == [
         False,
         False,
+        False,
         True,
-        True,
-        True,
+        False,
         False,
         False,
         False,
     ]
     mask[..., 3] = False
-    assert protocol.scored(depth, mask).sum() == 2
+    assert protocol.scored(depth, mask).sum() == 0
 
 
 def test_clamp() -> None:

@@ -10,7 +10,12 @@ class Loss(nn.Module):
     """Scalar loss over the pixels that ``mask`` allows.
 
     A masked pixel has no influence: not on the value, not on any gradient, whatever it holds.
+
+    Attributes:
+        spaces: in which the loss makes sense, see :class:`WeightedTerm`.
     """
+
+    spaces: tuple[str, ...] = ("metres", "log", "inverse")
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``prediction`` and ``target (B, 1, H, W)`` [m], ``mask (B, 1, H, W)`` bool -> scalar."""
@@ -53,6 +58,8 @@ class WeightedTerm(nn.Module):
             raise ValueError(f"weight={weight}: a loss weight is 0 or more")
         if space not in SPACES:
             raise ValueError(f"space={space!r}: choose one of {tuple(SPACES)}")
+        if space not in loss.spaces:
+            raise ValueError(f"{type(loss).__name__} compares in {loss.spaces} only, not in space={space!r}")
         self.loss, self.weight, self.space = loss, weight, space
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
@@ -74,7 +81,6 @@ class WeightedSum(nn.Module):
         if not terms:
             raise ValueError("a loss needs at least one term")
         self.terms = nn.ModuleDict(dict(terms))
-        self.weights = {name: term.weight for name, term in terms.items()}
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool -> total and the unweighted terms by name."""
@@ -86,5 +92,5 @@ class WeightedSum(nn.Module):
         if mask.dtype != torch.bool:
             raise ValueError(f"mask is {mask.dtype}: a bool tensor is needed, True where depth is known")
         values = {name: term(prediction, target, mask) for name, term in self.terms.items()}
-        total = torch.stack([self.weights[name] * value for name, value in values.items()]).sum()
+        total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

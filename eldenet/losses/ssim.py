@@ -68,7 +68,7 @@ class SSIMLoss(Loss):
 
     Args:
         window: side of the Gaussian window [px], odd.
-        value_range: L of the SSIM constants: the largest depth [m].
+        value_range: L of the SSIM constants: the largest depth [m] (or what that is in the term's space).
     """
 
     def __init__(self, window: int = 11, value_range: float = 10.0) -> None:
