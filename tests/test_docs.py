@@ -1,0 +1,89 @@
+"""What the documents say can be typed, can be typed; what they link to exists."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import torch
+
+from eldenet.config import compose, config_folder
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+PAGES = [
+    *REPOSITORY.glob("*.md"),
+    *(REPOSITORY / "docs").rglob("*.md"),
+    *(REPOSITORY / "experiments").glob("*/README.md"),
+]
+CONFIGS = sorted(config_folder().rglob("*.yaml"))
+
+
+def commands() -> list[tuple[str, str]]:
+    """Every ``python -m eldenet.<command> ...`` of the pages and of the comments in the configs."""
+    found = set()
+    for page in [*PAGES, *CONFIGS]:
+        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", page.read_text()):
+            line = re.split(r"\s{2,}#?|\s#\s|\s&&|`|; ", match.group(1))[0].strip().rstrip(".,:)")
+            found.add((str(page.relative_to(REPOSITORY)), line))
+    return sorted(found)
+
+
+def test_there_are_commands_to_check():
+    assert len(commands()) > 20
+
+
+@pytest.mark.parametrize(("page", "line"), commands(), ids=lambda value: value[-60:])
+def test_a_documented_command_composes(page, line):
+    name, *arguments = shlex.split(line)
+    name = name.removeprefix("eldenet.")
+    sweep = "-m" in arguments
+    overrides = []
+    for argument in arguments:
+        if argument in ("-m", "...", "--help", "--cfg", "job") or argument.startswith("-"):
+            continue
+        if argument == "my_configs" or argument.endswith("backbone=mine"):
+            continue  # made by test_packaging.py's project
+        key, _, value = argument.partition("=")
+        overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
+    config = compose(name, overrides)
+    assert config is not None
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+            if not link.startswith("http"):
+                assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def python_blocks(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text(), re.S)
+
+
+def test_the_readme_snippet_runs():
+    (block,) = python_blocks("README.md")
+    names: dict = {}
+    exec(block, names)
+    assert names["depth"].shape == (1, 1, 480, 640)
+
+
+def test_the_backbone_of_contributing_works():
+    block = next(text for text in python_blocks("CONTRIBUTING.md") if "class Mine" in text)
+    names: dict = {"__name__": "mine"}
+    exec(block, names)
+    backbone = names["Mine"]()
+    features = backbone(torch.rand(1, 3, 64, 96))
+    for feature, info in zip(features, backbone.feature_info, strict=True):
+        assert feature.shape[1:] == (info.channels, 64 // info.stride, 96 // info.stride)
+
+
+def test_sharing_as_documented(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = python_blocks("docs/use_from_elsewhere.md")
+    load, save = blocks[0], blocks[1]
+    names: dict = {}
+    exec(load, names)
+    exec(
+        "\n".join(line for line in save.splitlines() if "push_to_hub" not in line), {"eldenet": None} | names
+    )
+    assert (tmp_path / "my-model" / "model.safetensors").is_file()
