@@ -62,12 +62,12 @@ def choose_resources(
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
     cores = available_cores()
-    if workers == "auto":
-        workers = min(8, max(1, cores - 1)) if device == "cuda" or cores > 2 else 0
-        if device == "cpu" and cores > 2:
-            workers = min(workers, cores // 2)
-    threads = max(1, cores - int(workers)) if threads == "auto" else int(threads)
-    workers = int(workers)
+    if threads == "auto":
+        # half of them: a small network gains little from a second thread, data loading gains a core, and two
+        # threads that wait for each other stall when anything else runs (measured: experiments/training_speed)
+        threads = max(1, cores // 2 if workers == "auto" else cores - int(workers))
+    threads = int(threads)
+    workers = min(8, max(0, cores - threads)) if workers == "auto" else int(workers)
     if device == "cpu" and threads + workers > cores:
         warnings.warn(
             f"threads={threads} + workers={workers} exceed the {cores} cores: they take turns and slow each "

@@ -33,6 +33,25 @@ def cosine(
     return LambdaLR(optimizer, factor)
 
 
+def one_cycle(
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, peak: float = 10.0, warmup: float = 0.1
+) -> LambdaLR:
+    """Up from the optimiser's rate to ``peak`` times it over the share ``warmup``, then a cosine to zero.
+
+    Smith & Topin 2018 ("super-convergence"): small networks with batch normalisation bear large rates, and
+    learn the faster for it.
+    """
+    warmup_steps = max(1, round(warmup * total_steps))
+
+    def factor(step: int) -> float:
+        if step < warmup_steps:
+            return 1 + (peak - 1) * step / warmup_steps
+        progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
+        return peak * 0.5 * (1 + math.cos(math.pi * progress))
+
+    return LambdaLR(optimizer, factor)
+
+
 def epoch_decay(
     optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, decay: float = 0.9
 ) -> LambdaLR:

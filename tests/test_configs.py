@@ -37,6 +37,7 @@ SUPPLIED: dict[str, set[str]] = {
     "eldenet.trainer.Trainer": {"optimizer", "scheduler", "seed"},
     "eldenet.schedules.constant": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.schedules.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.schedules.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.schedules.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.data.": {"transform", "resize_depth", "seed"},  # build_split gives these to every data set
     "torch.optim.": {"params"},

@@ -23,7 +23,7 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.metrics import EvalProtocol
 from eldenet.resources import Resources, seed_everything
-from eldenet.schedules import constant, cosine, epoch_decay
+from eldenet.schedules import constant, cosine, epoch_decay, one_cycle
 from eldenet.trainer import Trainer
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
@@ -220,6 +220,10 @@ def test_schedules():
     assert values[2] == 1.0
     assert values == sorted(values[:3]) + sorted(values[3:], reverse=True)
     assert values[-1] > 0.1
+    values = rates(partial(one_cycle, peak=10, warmup=0.2))
+    assert values[:3] == pytest.approx([1.0, 5.5, 10.0])
+    assert values[2:] == sorted(values[2:], reverse=True)
+    assert values[-1] < 1.0
 
 
 def test_constant_predictor_is_the_mean_of_known_depth():
