@@ -102,7 +102,7 @@ def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
 
 def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol, rows: int = 4) -> np.ndarray:
     """Picture ``(H, W, 3)`` uint8 of fixed frames: image, ground truth, prediction, relative error."""
-    from eldenet.pictures import depth_row, stack_rows
+    from eldenet.pictures import PANELS, depth_row, stack_rows
 
     device = next(model.parameters()).device
     pictures = []
@@ -113,7 +113,7 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
             counts = protocol.scored(batch["depth"], batch["mask"])
             prediction = protocol.prepare(prediction, batch["depth"], counts)
             pictures.append(depth_row(batch["image"][0], batch["depth"][0], batch["mask"][0], prediction[0]))
-    return stack_rows(pictures)
+    return stack_rows(pictures, PANELS)
 
 
 class ConstantPredictor(nn.Module):

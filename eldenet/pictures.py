@@ -8,6 +8,9 @@ import numpy as np
 from torch import Tensor
 
 UNKNOWN = (0, 0, 0)
+PANEL_WIDTH = 256  # [px], about
+GAP = 2  # [px]
+PANELS = ("image", "depth", "prediction", "relative error (0 to 0.5)")
 
 
 def colour_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None) -> np.ndarray:
@@ -51,14 +54,24 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
         colour_depth(guess, near, far),
         colour_error(guess, truth, known),
     ]
-    gap = np.full((height, 2, 3), 255, np.uint8)
+    times = max(1, round(PANEL_WIDTH / width))  # small maps are enlarged, pixel by pixel
+    panels = [panel.repeat(times, axis=0).repeat(times, axis=1) for panel in panels]
+    gap = np.full((height * times, GAP, 3), 255, np.uint8)
     return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
 
 
-def stack_rows(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of one width below each other."""
-    gap = np.full((2, rows[0].shape[1], 3), 255, np.uint8)
-    return np.concatenate([piece for row in rows for piece in (row, gap)][:-1], axis=0)
+def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
+    """Rows of one width below each other, under a line of ``titles`` spread evenly over the width."""
+    width = rows[0].shape[1]
+    gap = np.full((GAP, width, 3), 255, np.uint8)
+    pieces = [piece for row in rows for piece in (row, gap)][:-1]
+    if titles:
+        strip = np.full((18, width, 3), 255, np.uint8)
+        for number, title in enumerate(titles):
+            left = number * (width + GAP) // len(titles) + 3
+            cv2.putText(strip, title, (left, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+        pieces.insert(0, strip)
+    return np.concatenate(pieces, axis=0)
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:

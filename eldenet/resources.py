@@ -63,8 +63,8 @@ def choose_resources(
         raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
     cores = available_cores()
     if threads == "auto":
-        # half of them: a small network gains little from a second thread, data loading gains a core, and two
-        # threads that wait for each other stall when anything else runs (measured: experiments/training_speed)
+        # half of them: a small network gains little from a second thread, loading gains a core, and threads
+        # that wait for each other stall when anything else runs (measured: experiments/training_speed)
         threads = max(1, cores // 2 if workers == "auto" else cores - int(workers))
     threads = int(threads)
     workers = min(8, max(0, cores - threads)) if workers == "auto" else int(workers)

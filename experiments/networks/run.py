@@ -48,8 +48,9 @@ def main() -> None:
         )
     lines += [
         "",
-        f"Input {SIZE[0]} x {SIZE[1]}, batch 1, torch {where['versions']['torch']} eager, fp32, channels_last, 1 thread, "
-        f"{where['hardware']['processor']}, {where['date'][:10]}; medians of 15 interleaved rounds.",
+        f"Input {SIZE[0]} x {SIZE[1]}, batch 1, torch {where['versions']['torch']} eager, fp32, "
+        f"channels_last, 1 thread, {where['hardware']['processor']}, {where['date'][:10]}; "
+        "medians of 15 interleaved rounds.",
         "1 MAC = 2 FLOPs. Made by `python experiments/networks/run.py`.",
     ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
