@@ -99,6 +99,8 @@ class NYUMat(NYUFrames):
         ValueError: for an unknown split or ground truth, or a .mat without it or with too few frames.
     """
 
+    frame_lists = ("names", "numbers")
+
     def __init__(
         self,
         root: str | Path | None = None,
@@ -118,7 +120,9 @@ class NYUMat(NYUFrames):
         self._process = -1
         with _open(self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
-        self.numbers = range(1, count + 1) if split == "all" else _split_numbers(folder / "splits.mat", split)
+        self.numbers: Sequence[int] = range(1, count + 1)
+        if split != "all":
+            self.numbers = _split_numbers(folder / "splits.mat", split)
         if max(self.numbers, default=0) > count:
             raise ValueError(
                 f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
