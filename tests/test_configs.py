@@ -170,6 +170,8 @@ def test_augmentation_runs(choice: str, tmp_path: Path) -> None:
 
 FULL = layouts.content((480, 640))
 TREES: dict[str, Callable[[Path], list[str]]] = {
+    "cityscapes": lambda root: [f"data.root={layouts.cityscapes(root, layouts.content((1024, 2048)))}"],
+    "cityscapes_mtan": lambda root: [f"data.root={layouts.cityscapes_mtan(root)}", "data.val_frames=1"],
     "folder": lambda root: [f"data.root={layouts.folder(root)}"],
     "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
