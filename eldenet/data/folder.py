@@ -13,7 +13,7 @@ from eldenet.geometry import pinhole
 from eldenet.types import Frame
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
-DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm")
+DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)
 """

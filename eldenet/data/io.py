@@ -4,6 +4,7 @@ A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``fo
 """
 
 import io
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -64,6 +65,8 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("mm", 1e-3, lowest_peak=255),
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
+        # SUN RGB-D turns the bits of its millimetres: (v >> 3) | (v << 13), as its toolbox reads them.
+        DepthEncoding("sunrgbd", 1e-3, decode=lambda v: ((v >> 3) | (v << 13)) / 1000.0, lowest_peak=255),
         # DenseDepth's training pictures: eight bits over ten metres.
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
         # The labelled frames in eight bits: bin centres up to the set's largest depth.
@@ -126,7 +129,7 @@ def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
     """Read a depth map as float32 [m], ``(H, W)``, 0 where unknown.
 
     Args:
-        path: ``.npy``, or a picture with one channel.
+        path: ``.npy``, ``.pfm``, ``.exr``, or a picture with one channel.
         encoding: a name of ``ENCODINGS``, or ``{scale, offset, dtype}``.
 
     Raises:
@@ -144,7 +147,8 @@ def read_raw_depth(path: str | Path) -> np.ndarray:
         ValueError: where the file is cut, damaged, or has several channels.
     """
     path = Path(path)
-    raw = read_array(path) if path.suffix.lower() == ".npy" else _decode(path, -1)  # cv2.IMREAD_UNCHANGED
+    reader = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}.get(path.suffix.lower())
+    raw = _decode(path, -1) if reader is None else reader(path)  # -1 is cv2.IMREAD_UNCHANGED
     if raw.ndim == 3 and 1 in (raw.shape[0], raw.shape[2]):
         raw = raw.squeeze(0 if raw.shape[0] == 1 else 2)
     if raw.ndim != 2:
@@ -213,6 +217,53 @@ def read_array(path: Path) -> np.ndarray:
         raise ValueError(
             f"{path} is cut or is no plain .npy file ({error}): fetch or write it again"
         ) from error
+
+
+def read_pfm(path: Path) -> np.ndarray:
+    """A portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
+
+    Convention: rows come from the bottom up; the third line's sign is the byte order, and its size is not
+    multiplied in, as in Middlebury's and MiDaS's own readers.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut or is no PFM.
+    """
+    content = _read_bytes(path)
+    header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)[ \t\r]*\n", content)
+    if header is None:
+        raise ValueError(f"{path} is no PFM file, or is cut within its header: fetch or write it again")
+    shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
+    wanted, have = 4 * int(np.prod(shape)), len(content) - header.end()
+    if have < wanted:
+        raise ValueError(f"{path} is cut ({have} of {wanted} bytes of pixels): fetch or copy it again")
+    order = "<f4" if float(header[4]) < 0 else ">f4"
+    values = np.frombuffer(content, order, wanted // 4, header.end()).reshape(shape)[::-1].astype(np.float32)
+    return values[..., 0] if shape[2] == 1 else values
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """The one channel of an OpenEXR file, or any of several that are equal (grey), ``(H, W)``.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ImportError: OpenEXR is not installed; OpenCV's wheels come without it.
+        ValueError: where the file is cut, damaged, or its channels differ.
+    """
+    _read_bytes(path)
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except Exception as error:  # the library raises several kinds
+        raise ValueError(f"{path} is cut or is no OpenEXR file ({error}): fetch or write it again") from error
+    first, *others = channels.values()
+    if not all(np.array_equal(first, other) for other in others):
+        raise ValueError(f"{path} has the channels {', '.join(channels)}: write depth alone, as one channel")
+    return first
 
 
 def _decode(path: Path, flags: int) -> np.ndarray:
