@@ -1,10 +1,11 @@
 """Checkpoints: all state of a training as tensors and plain values, safe against a kill while writing."""
 
+import functools
 import json
 import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ class TrainingState:
         scheduler: of the learning rate.
         scaler: of fp16 gradients, or None.
         progress: how far it is.
-        identity: what must agree for a checkpoint to fit (model config, data, seed, batch size ...).
+        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser ...).
     """
 
     model: nn.Module
@@ -70,7 +71,7 @@ class TrainingState:
             "scheduler": self.scheduler.state_dict(),
             "scaler": None if self.scaler is None else self.scaler.state_dict(),
             "progress": asdict(self.progress),
-            "identity": json.dumps(self.identity, sort_keys=True),
+            "identity": json.dumps(self.identity, sort_keys=True, default=str),
             "torch_rng": torch.get_rng_state(),
         }
         save_checkpoint(path, state)
@@ -84,9 +85,9 @@ class TrainingState:
         """
         state = load_checkpoint(path)
         theirs = json.loads(state["identity"])
-        ours = json.loads(json.dumps(self.identity, sort_keys=True))
-        if theirs != ours:
-            different = [name for name in ours if theirs.get(name) != ours[name]]
+        ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
+        different = [name for name in ours if theirs.get(name, ours[name]) != ours[name]]
+        if different:
             raise ValueError(
                 f"{path} belongs to another training: {', '.join(different)} differ (there "
                 f"{[theirs.get(name) for name in different]}, here {[ours[name] for name in different]}). "
@@ -104,12 +105,27 @@ class TrainingState:
             setattr(self.progress, name, value)
 
 
-def bring_best(source: Path, folder: Path) -> None:
+def described(factory: Callable[..., Any]) -> dict[str, Any]:
+    """What a factory will make, in plain values, so that a checkpoint can tell one from another."""
+    function = factory.func if isinstance(factory, functools.partial) else factory
+    options = factory.keywords if isinstance(factory, functools.partial) else {}
+    return {"name": getattr(function, "__name__", type(function).__name__)} | options
+
+
+def bring_best(source: Path, folder: Path, progress: Progress) -> None:
     """Copy the best epoch of the run that ``source`` belongs to into the run folder ``folder``.
 
     A best epoch that lies before the point of resuming must be found in the new run folder too.
+
+    Raises:
+        FileNotFoundError: ``progress`` has a best epoch, but its weights are not beside ``source``.
     """
     old = (source if source.is_dir() else source.parent.parent).resolve()
+    if progress.best_epoch > 0 and not (old / "model").is_dir():
+        raise FileNotFoundError(
+            f"the best epoch so far is {progress.best_epoch}, but its weights are not in {old / 'model'}: "
+            "keep the checkpoint in its run folder, and give that"
+        )
     if old == folder.resolve():
         return
     if (old / "checkpoints" / BEST).is_file():

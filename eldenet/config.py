@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -52,15 +53,22 @@ def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], Any]]:
     """Make ``main(config, run_folder)`` a command with Hydra's command line.
 
-    A user's mistake (a wrong value, a missing file) ends in one line and exit code 1; the traceback goes to
-    the run's log file. Anything else is our bug and shows its traceback.
+    A user's mistake (a wrong value, a missing file) ends in one line and exit code 1; ``hydra.verbose=true``
+    shows its traceback. Anything else is our bug and shows its traceback. In a sweep the other jobs go on.
     """
 
     def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], Any]:
         @functools.wraps(main)
         def task(config: DictConfig) -> Any:
-            folder = Path(HydraConfig.get().runtime.output_dir)
+            hydra_config = HydraConfig.get()
+            folder = Path(hydra_config.runtime.output_dir)
+            sweep = hydra_config.mode == RunMode.MULTIRUN
             try:
+                if sweep and any(word.startswith("run_dir=") for word in hydra_config.overrides.task):
+                    raise ValueError(
+                        "run_dir is the folder of a single run: give a sweep's as hydra.sweep.dir=..., and "
+                        "each job's name in it as hydra.sweep.subdir=..."
+                    )
                 return main(config, folder)
             except MissingMandatoryValue as error:
                 print(f"error: give {error.full_key}=... on the command line", file=sys.stderr)  # noqa: T201
@@ -68,11 +76,18 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             except USER_ERRORS as error:
                 logging.getLogger("eldenet").debug("", exc_info=True)
                 print(f"error: {error}", file=sys.stderr)  # noqa: T201
+                if sweep:
+                    raise  # Hydra notes it, runs the other jobs and fails at the end
                 raise SystemExit(1) from None
 
         return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
 
     return decorate
+
+
+def is_main_process() -> bool:
+    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
+    return os.environ.get("RANK", "0") == "0"
 
 
 def plain(config: Any) -> Any:
@@ -109,7 +124,13 @@ def build_protocol(config: DictConfig) -> Any:
 
 
 def build_split(
-    config: DictConfig, split: str, protocol: Any, *, augment: bool = False, seed: int = 0
+    config: DictConfig,
+    split: str,
+    protocol: Any,
+    *,
+    augment: bool = False,
+    score: bool = False,
+    seed: int = 0,
 ) -> Any:
     """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
 
@@ -118,15 +139,18 @@ def build_split(
         split: "train", "val" or "test": an entry of ``config.data``.
         protocol: whose frame geometry (resize, centre crop) is applied first.
         augment: for training.
+        score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
     """
     from eldenet.data.base import Chain
     from eldenet.data.transforms import ResizeCrop
 
-    if config.data.get(split) is None:
-        raise ValueError(f"data={config.data.name} has no split '{split}'")
+    if not OmegaConf.is_dict(config.data.get(split)):
+        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
     steps: list[Any] = []
     changes: dict[str, Any] = {}
+    if score and config.data[split].get("load_size") is not None:
+        changes = {"load_size": None, "cache": False}
     if protocol.resize is not None or protocol.frame_crop is not None:
         steps.append(ResizeCrop(resize=protocol.resize, crop=protocol.frame_crop))
         if config.data[split].get("load_size") is not None:
@@ -143,7 +167,7 @@ def build_split(
         config.data[split],
         **changes,
         transform=Chain(steps) if steps else None,
-        resize_depth=split == "train",
+        resize_depth=split == "train" and not score,
         seed=seed,
     )
     if dataset.on_error == "skip":

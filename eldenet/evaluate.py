@@ -18,6 +18,10 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
 
+    if (folder / "checkpoints").is_dir():
+        raise ValueError(
+            f"run_dir={folder} holds a training, whose run.json this would replace: give another"
+        )
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
     model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))

@@ -75,7 +75,7 @@ def evaluate(
     loader: DataLoader = evaluation_loader(
         dataset, batch_size, workers=workers, rank=rank, processes=processes
     )
-    metrics = DepthMetrics(protocol).to(device)
+    metrics = DepthMetrics(protocol, sync=processes > 1).to(device)
     rows: list[tuple[Any, ...]] = []
     with eval_mode(model):
         for batch in loader:

@@ -216,6 +216,7 @@ class DepthMetrics(Metric):
 
     Args:
         protocol: the rules.
+        sync: ``compute`` adds up the sums of all processes, where several run; then each must call it.
     """
 
     full_state_update = False
@@ -223,8 +224,8 @@ class DepthMetrics(Metric):
     image_sums: Tensor
     image_counts: Tensor
 
-    def __init__(self, protocol: EvalProtocol) -> None:
-        super().__init__()
+    def __init__(self, protocol: EvalProtocol, *, sync: bool = True) -> None:
+        super().__init__(sync_on_compute=sync)
         self.protocol = protocol
         self.set_dtype(torch.float64)
         zeros = torch.zeros(len(METRICS), dtype=torch.float64)

@@ -132,8 +132,9 @@ class DepthNet(Configurable, nn.Module):
         folder.mkdir(parents=True, exist_ok=True)
         unfinished = folder / f".{WEIGHTS_NAME}.part"  # a kill leaves the old weights or the new, never half
         save_file(state, unfinished, metadata={"format": "pt"})
-        unfinished.replace(folder / WEIGHTS_NAME)
         (folder / CONFIG_NAME).write_text(text + "\n")
+        unfinished.chmod((folder / CONFIG_NAME).stat().st_mode)  # safetensors keeps others out
+        unfinished.replace(folder / WEIGHTS_NAME)
         return folder
 
     @classmethod

@@ -101,6 +101,8 @@ def measure_cost(
     from torch.utils.benchmark import Timer
 
     device = _device_of(model)
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
     model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
 
     def times(images: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.metrics import LOWER_IS_BETTER, UNITS
+from eldenet.metrics import LOWER_IS_BETTER, METRICS, UNITS
 from eldenet.record import RUN_FILE, read_run
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ COLUMNS = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
 COSTS = ("params", "gmacs", "gflops", "latency_ms_p50", "throughput_img_s")
 # a metrics column may hold one of each only; so may a cost column
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
+# runs that share a row differ in their seed, and in nothing that shapes a training
+SAME_IN_A_ROW = ("model", "loss", "optimizer", "scheduler", "augmentation", "trainer")
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
 WORDS = {
     "abs_rel": "AbsRel",
@@ -43,9 +45,9 @@ class Row:
     runs: Sequence[Mapping[str, Any]]
 
     def values(self, group: str, name: str) -> list[float]:
-        """The value of every run."""
+        """The value of every run; none at all if one run has none: a mean over some seeds would mislead."""
         found = [run[group].get(name) for run in self.runs]
-        return [value for value in found if value is not None]
+        return [] if None in found else found
 
     def text(self, group: str, name: str) -> str:
         """Mean, with the sample standard deviation if there are several seeds."""
@@ -58,8 +60,10 @@ class Row:
         return f"{mean} ± {number(name, statistics.stdev(values))}"
 
 
-def number(name: str, value: float) -> str:
+def number(name: str, value: float | None) -> str:
     """A value as a table shows it."""
+    if value is None:
+        return "-"
     if name == "params":
         return f"{value / 1e6:.3f} M"
     if name in ("latency_ms_p50", "latency_ms_p95"):
@@ -139,19 +143,23 @@ def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
     Raises:
         FileNotFoundError: a source does not exist, or there is no run anywhere.
     """
-    runs = []
+    files: list[Path] = []
     for source in map(Path, sources):
         if not source.exists():
             raise FileNotFoundError(f"no such file or folder: {source}")
-        files = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
-        runs += [read_run(file) for file in files]
+        files += [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
+    runs = [read_run(file) for file in dict.fromkeys(file.resolve() for file in files)]
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
     return runs
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Runs of one model, seeds together, in order of first appearance."""
+    """Runs of one model, seeds together, in order of first appearance.
+
+    Raises:
+        ValueError: runs of one name have one seed, or differ in more than it.
+    """
     rows: dict[str, list[Mapping[str, Any]]] = {}
     for run in runs:
         rows.setdefault(str(run["model"]), []).append(run)
@@ -162,6 +170,13 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
                 f"{len(members)} runs are called {model!r} and seeds {seeds} repeat: give them names of "
                 "their own (model_name=...), or report them apart"
             )
+        for section in SAME_IN_A_ROW:
+            settings = [run.get("config", {}).get(section) for run in members]
+            if any(other != settings[0] for other in settings):
+                raise ValueError(
+                    f"{len(members)} runs are called {model!r}, but {section} differs in their config: seeds "
+                    "share a row, other settings do not. Give them names of their own (model_name=...)"
+                )
     return [Row(model, members) for model, members in rows.items()]
 
 
@@ -194,6 +209,9 @@ def table_of(
     runs: Sequence[Mapping[str, Any]], columns: Sequence[str] = COLUMNS, *, costs: bool = True
 ) -> tuple[list[str], list[list[str]]]:
     """Titles and rows of the table over ``runs``."""
+    unknown = [name for name in columns if name not in METRICS]
+    if unknown:
+        raise ValueError(f"columns={unknown}: choose among {', '.join(METRICS)}")
     refuse_mixtures(runs, costs=costs)
     wanted = [("metrics", name) for name in columns] + [("cost", name) for name in COSTS if costs]
     titles = ["model", "seeds", *(heading(name, runs[0]) for _, name in wanted)]
@@ -209,15 +227,21 @@ def table_of(
 
 def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """A Markdown table with the notes that make it believable below."""
-    lines = [f"| {' | '.join(titles)} |", f"|---|{'---:|' * (len(titles) - 1)}"]
-    lines += [f"| {' | '.join(row)} |" for row in rows]
+
+    def line(cells: Sequence[str]) -> str:
+        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+    lines = [line(titles), f"|---|{'---:|' * (len(titles) - 1)}", *map(line, rows)]
     return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
 
 
 def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """A booktabs table."""
-    swaps = {
-        "_": r"\_",
+    swaps: dict[str, str | int | None] = {
+        **{sign: f"\\{sign}" for sign in "_&%#${}"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
         "δ": r"$\delta$",
         "±": r"$\pm$",
         "↓": r"$\downarrow$",
@@ -226,10 +250,7 @@ def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequen
     }
 
     def line(cells: Sequence[str]) -> str:
-        text = " & ".join(cells)
-        for old, new in swaps.items():
-            text = text.replace(old, new)
-        return text + r" \\"
+        return " & ".join(cell.translate(str.maketrans(swaps)) for cell in cells) + r" \\"
 
     body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
     head = [f"% {note}" for note in notes] + [r"\begin{tabular}{l" + "r" * (len(titles) - 1) + "}"]
@@ -246,13 +267,14 @@ def main(config: "DictConfig", folder: Path) -> None:
     titles, rows = table_of(runs, cfg.plain(config.columns), costs=config.costs)
     notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if config.costs else [])
     output = Path(config.output)
+    stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.with_suffix(".md").write_text(to_markdown(titles, rows, notes))
-    output.with_suffix(".tex").write_text(to_latex(titles, rows, notes))
-    write_rows(output.with_suffix(".csv"), titles, rows)
+    output.with_name(f"{stem}.md").write_text(to_markdown(titles, rows, notes))
+    output.with_name(f"{stem}.tex").write_text(to_latex(titles, rows, notes))
+    write_rows(output.with_name(f"{stem}.csv"), titles, rows)
     log = RunLog(output.parent)
     log.table(notes[0], titles, rows)
-    log.say(f"written to {output.with_suffix('.md')}, .csv and .tex")
+    log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
 
 
 if __name__ == "__main__":

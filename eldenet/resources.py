@@ -61,7 +61,8 @@ def choose_resources(
         device = "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
-    cores = available_cores()
+    # processes of one machine (torchrun, accelerate launch) share its cores
+    cores = max(1, available_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
     if threads == "auto":
         # half of them: a small network gains little from a second thread, loading gains a core, and threads
         # that wait for each other stall when anything else runs (measured: experiments/training_speed)

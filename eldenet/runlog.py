@@ -23,12 +23,15 @@ class RunLog:
     Args:
         folder: of the run.
         quiet: for processes that are not the main one.
-        first_step: of a resumed run: older TensorBoard points from that step on are dropped.
+        first_step: of a resumed run: TensorBoard drops the points from that step on, which a killed
+            sitting left; None: it keeps all there are.
     """
 
-    def __init__(self, folder: Path, *, quiet: bool = False, first_step: int = 0) -> None:
+    def __init__(self, folder: Path, *, quiet: bool = False, first_step: int | None = None) -> None:
         self.folder, self.quiet = folder, quiet
         self.console = Console(quiet=quiet)
+        if not self.console.is_terminal:
+            self.console.width = 200  # a file has no width: a table is not cut off
         self._writer: Any = None
         self._first_step = first_step
 
@@ -69,7 +72,7 @@ class RunLog:
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table."""
-        table = Table(title=escape(title), title_justify="left")  # rich would take a unit [m] for a colour
+        table = Table(title=escape(title), title_justify="left")  # escaped: rich would drop "[m]"
         for number, column in enumerate(columns):
             table.add_column(escape(column), justify="left" if number == 0 else "right")
         for row in rows:

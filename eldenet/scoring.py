@@ -51,7 +51,7 @@ def score_and_record(
     Returns:
         What was written to ``run.json``.
     """
-    dataset = cfg.build_split(config, split, protocol)
+    dataset = cfg.build_split(config, split, protocol, score=True)
     model = model.to(resources.device)
 
     def score(predictor: Any, title: str) -> Any:
@@ -86,7 +86,7 @@ def score_and_record(
         "metrics": result.metrics,
         "constant_predictor": baseline.metrics,
         "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
-        "seed": config.get("seed"),
+        "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),
         "training": None if progress is None else asdict(progress),
         "config": cfg.plain(config),

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.model import DepthNet
+    from eldenet.runlog import RunLog
 
 
 @cfg.entry_point("train")
@@ -21,6 +22,8 @@ def main(config: "DictConfig", folder: Path) -> float:
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
 
+    checkpoint = _checkpoint(config, folder)
+    refuse_to_mix(folder, checkpoint)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
     train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
@@ -32,10 +35,11 @@ def main(config: "DictConfig", folder: Path) -> float:
         seed=config.seed,
     )
     loss = cfg.instantiate(config.loss)
-    model = build_seeded_model(config)
-    folder.mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(config, folder / "config.yaml", resolve=True)
-    log = RunLog(folder)
+    log = RunLog(folder, quiet=not cfg.is_main_process())
+    model = build_seeded_model(config, log)
+    if cfg.is_main_process():
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(config, folder / "config.yaml", resolve=True)
     log.say(
         f"{config.data.name}: {len(train_set)} training and {len(val_set)} validation frames; "
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
@@ -49,14 +53,17 @@ def main(config: "DictConfig", folder: Path) -> float:
         protocol,
         folder,
         resources,
-        ckpt_path=_checkpoint(config, folder),
+        ckpt_path=checkpoint,
         info={
             "model_name": config.model_name,
+            "seed": config.seed,
             "data": config.data.name,
             "input_size": cfg.plain(config.data.input_size),
             "started_from": config.weights,
         },
     )
+    trainer.accelerator.wait_for_everyone()
+    trainer.accelerator.end_training()  # a process that leaves with its group open may abort
     if not trainer.accelerator.is_main_process:
         return progress.best_value
     best = _load_best(folder, config)
@@ -75,7 +82,7 @@ def main(config: "DictConfig", folder: Path) -> float:
     return progress.best_value
 
 
-def build_seeded_model(config: "DictConfig") -> "DepthNet":
+def build_seeded_model(config: "DictConfig", log: "RunLog") -> "DepthNet":
     """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``."""
     from eldenet.resources import seed_everything
 
@@ -84,7 +91,9 @@ def build_seeded_model(config: "DictConfig") -> "DepthNet":
     if config.weights is not None:
         import eldenet
 
-        start = eldenet.load(config.weights).state_dict()
+        named = str(config.weights) in eldenet.list_models()
+        trusted = [] if named else _own_modules(cfg.plain(config.model))
+        start = eldenet.load(config.weights, trusted_modules=trusted).state_dict()
         own = model.state_dict()
         fitting = {
             name: value for name, value in start.items() if name in own and own[name].shape == value.shape
@@ -94,8 +103,26 @@ def build_seeded_model(config: "DictConfig") -> "DepthNet":
         model.load_state_dict(fitting, strict=False)
         if len(fitting) < len(own):
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
-            print(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")  # noqa: T201
+            log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
     return model
+
+
+def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:
+    """A run folder holds one run: go on with it, or take another folder.
+
+    Raises:
+        ValueError: ``folder`` holds a run, and ``checkpoint`` is not that run's.
+    """
+    held = [name for name in ("run.json", "checkpoints/last.pt") if (folder / name).exists()]
+    if checkpoint is not None:
+        resolved = checkpoint.resolve()
+        if folder.resolve() in (resolved, *resolved.parents):
+            return
+    if held:
+        raise ValueError(
+            f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
+            "another run_dir, or remove that folder"
+        )
 
 
 def _checkpoint(config: "DictConfig", folder: Path) -> Path | None:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from eldenet.averaging import WeightAverage
-from eldenet.checkpoint import BEST, LAST, Progress, TrainingState, bring_best
+from eldenet.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.data.base import DepthDataset
 from eldenet.data.loading import EpochSampler, training_loader
 from eldenet.evaluation import evaluate, sample_rows
@@ -59,9 +59,17 @@ class Trainer:
     ) -> None:
         if monitor not in METRICS:
             raise ValueError(f"monitor={monitor!r}: choose one of {METRICS}")
-        for name, value in {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate}.items():
+        counts = {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate}
+        counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
+        for name, value in counts.items():
             if value < 1:
                 raise ValueError(f"{name}={value}: 1 or more is needed")
+        if gradient_clip is not None and not gradient_clip > 0:
+            raise ValueError(
+                f"gradient_clip={gradient_clip}: a number above 0 is needed, or null for no clipping"
+            )
+        if seed < 0:
+            raise ValueError(f"seed={seed}: 0 or more is needed")
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
         self.epochs, self.batch_size, self.accumulate = epochs, batch_size, accumulate
         self.gradient_clip, self.ema_decay, self.channels_last = gradient_clip, ema_decay, channels_last
@@ -132,9 +140,10 @@ class Trainer:
         Returns:
             The detached loss terms by name, ``total`` first.
         """
-        prediction = self.model(batch["image"])
+        with self.accelerator.autocast():
+            prediction = self.model(batch["image"])
         total, terms = self.loss(prediction, batch["depth"], batch["mask"])
-        self.accelerator.backward(total / self.accumulate)
+        self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             if self.gradient_clip is not None:
                 self.accelerator.clip_grad_norm_(self.model.parameters(), self.gradient_clip)
@@ -144,6 +153,11 @@ class Trainer:
             if self.average is not None:
                 self.average.update(self.bare_model, self.progress.step)
         return {"total": total.detach()} | {name: value.detach() for name, value in terms.items()}
+
+    def _batches_of_this_update(self) -> int:
+        """``accumulate``, but for the epoch's last update, which has what is left."""
+        earlier = (self.progress.batch - 1) // self.accumulate * self.accumulate
+        return min(self.accumulate, self.sampler.batches - earlier)
 
     # ------------------------------------------------------------------ before
 
@@ -165,7 +179,6 @@ class Trainer:
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
-        self.bare_model = model
         self.train_set = train_set
         self.sampler = EpochSampler(
             len(train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
@@ -176,6 +189,8 @@ class Trainer:
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
         optimizer = self.make_optimizer(model.parameters())
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        # accelerate's autocast would stay on the model, in validation too; train_step has its own
+        self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
         self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)
         self.average = None if self.ema_decay is None else WeightAverage(model, self.ema_decay)
         self.progress = Progress()
@@ -193,14 +208,20 @@ class Trainer:
                 "batch_size": self.batch_size * self.processes,
                 "accumulate": self.accumulate,
                 "epochs": self.epochs,
+                "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
+                "scheduler": described(self.make_scheduler),
+                "ema_decay": self.ema_decay,
             },
         )
         if ckpt_path is not None:
             self.state.restore(Path(ckpt_path))
             if self.accelerator.is_main_process:
-                bring_best(Path(ckpt_path), folder)
+                bring_best(Path(ckpt_path), folder, self.progress)
         self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
-        self.log = RunLog(folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step)
+        # an epoch's points stand at its last step: a run that goes on from there keeps them
+        self.log = RunLog(
+            folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
+        )
 
     def _to_device(self, batch: dict[str, Any]) -> dict[str, Any]:
         device = self.accelerator.device
@@ -261,6 +282,9 @@ class Trainer:
 
     def _validate(self) -> dict[str, float]:
         model = self._best_candidate()
+        if self.processes > 1:
+            for buffer in model.buffers():  # BatchNorm's are each process's own: score what is saved
+                torch.distributed.broadcast(buffer, 0)
         with self.log.bar("validation", len(self.val_set)) as bar:
             result = evaluate(
                 model,

@@ -100,6 +100,7 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
         ("train", [*TINY, "protocol=nyu_bts"], "protocol nyu_bts scores raw ground truth"),
         ("train", ["data=nyu_mat", "data.root=/nowhere"], "/nowhere"),
         ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
+        ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
         ("report", ["runs=[nowhere]"], "no such file or folder: nowhere"),
     ],
 )
@@ -108,6 +109,74 @@ def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
     assert finished.returncode == 1
     assert message in finished.stderr + finished.stdout
     assert "Traceback" not in finished.stderr + finished.stdout
+
+
+def test_a_run_folder_holds_one_run(trained, run_command):
+    for command, message in (
+        (("train", *TINY), "holds another run already (run.json)"),
+        (("evaluate", f"checkpoint={trained}", *TINY[:3]), "holds a training"),
+    ):
+        before = (trained / "run.json").read_bytes()
+        finished = run_command(*command, f"run_dir={trained}")
+        assert finished.returncode == 1
+        assert message in finished.stderr
+        assert (trained / "run.json").read_bytes() == before
+
+
+def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_command):
+    finished = run_command(
+        *("evaluate", f"checkpoint={trained}", "data.size=[32,40]", "data.input_size=[16,20]", TINY[2]),
+        *("split=train", "run_dir=a run/of mine"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    run = json.loads((trained.parent / "a run" / "of mine" / "run.json").read_text())
+    assert run["metrics"]["images"] == 16
+    assert run["metrics"]["pixels"] > 16 * 16 * 20
+    assert run["seed"] == 0
+
+
+def test_a_sweep_goes_on_after_a_job_that_failed(run_command, tmp_path):
+    finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "hydra.sweep.dir=sweep")
+    assert finished.returncode == 1
+    assert "error: monitor='wrong'" in finished.stderr
+    assert (tmp_path / "sweep" / "1" / "run.json").is_file()
+    finished = run_command("train", "-m", *TINY, "seed=0,1", "run_dir=mine")
+    assert finished.returncode == 1
+    assert "hydra.sweep.dir" in finished.stderr
+
+
+def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
+    import os
+    import subprocess
+    import sys
+
+    import eldenet
+    from eldenet.config import compose, instantiate
+    from eldenet.evaluation import evaluate
+
+    finished = subprocess.run(
+        [
+            *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
+            *("-m", "eldenet.train", *TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:]),
+            *("runtime.threads=1", "runtime.workers=0", "trainer.monitor=abs_rel", "run_dir=run"),
+        ],
+        cwd=tmp_path,
+        env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+    assert finished.returncode == 0, finished.stderr[-2000:]
+    assert finished.stdout.count("epoch   1/1") == finished.stdout.count("training and 7 validation") == 1
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert run["metrics"]["images"] == 8
+    # both halves of the validation were scored with the weights and statistics that were saved
+    data = compose("train", [*TINY[:2], f"data.cache={cache}"]).data
+    val_set = instantiate(data.val, frames=7, resize_depth=False)
+    saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data.protocol)).metrics
+    assert run["training"]["best_value"] == pytest.approx(saved["abs_rel"], rel=1e-6)
 
 
 def test_cfg_job_shows_the_config_from_any_folder(run_command):

@@ -699,3 +699,9 @@ def test_base_classes_do_nothing_by_themselves() -> None:
         Decoder((FeatureInfo(8, 2),))([torch.zeros(1, 8, 4, 4)])
     with pytest.raises(NotImplementedError):
         Head(0.1, 10)(torch.zeros(1))
+
+
+def test_saved_files_are_as_readable_as_any_other(tmp_path):
+    eldenet.load("eldenet_s").save_pretrained(tmp_path)
+    modes = {(tmp_path / name).stat().st_mode for name in ("config.json", "model.safetensors")}
+    assert len(modes) == 1

@@ -7,6 +7,7 @@ import pytest
 
 from eldenet.metrics import EvalProtocol
 from eldenet.report import find_runs, group_rows, table_of, to_latex, to_markdown
+from eldenet.runlog import RunLog
 
 RUN = {
     "model": "eldenet",
@@ -103,6 +104,41 @@ def test_markdown_and_latex():
     assert latex.count("&") == 2 * (len(titles) - 1)
 
 
+def test_signs_in_a_name_do_not_break_the_table():
+    titles, rows = table_of([run_with(model="a|b_c & 50% {x}")], COLUMNS)
+    markdown = to_markdown(titles, rows, []).splitlines()
+    assert markdown[2].startswith(r"| a\|b_c & 50% {x} | 1 |")
+    latex = to_latex(titles, rows, [])
+    assert r"a|b\_c \& 50\% \{x\} & 1 &" in latex
+
+
+def test_other_settings_are_no_seeds():
+    runs = [
+        run_with(seed=seed, config={"optimizer": {"lr": lr}, "seed": seed})
+        for seed, lr in ((0, 1e-3), (1, 1e-2))
+    ]
+    with pytest.raises(ValueError, match=r"optimizer differs in their config"):
+        table_of(runs, COLUMNS)
+    runs[1]["config"]["optimizer"]["lr"] = 1e-3
+    assert table_of(runs, COLUMNS)[1][0][1] == "2"
+
+
+def test_a_missing_value_is_shown_as_missing():
+    runs = [RUN, run_with(seed=1, metrics__rmse=None, constant_predictor__rmse=None)]
+    _, rows = table_of(runs[::-1], COLUMNS)
+    assert [row[3] for row in rows] == ["-", "-"]
+    with pytest.raises(ValueError, match=r"columns=\['absrel'\]"):
+        table_of([RUN], ("absrel",))
+
+
+def test_a_printed_table_keeps_its_units_and_its_words(capsys, tmp_path):
+    titles, rows = table_of([run_with(model="a_rather_long_name_of_a_network")])
+    RunLog(tmp_path).table("a [title]", titles, rows)
+    printed = capsys.readouterr().out
+    for text in ("a [title]", "RMSE [m]", "latency [ms]", "a_rather_long_name_of_a_network"):
+        assert text in printed
+
+
 def test_runs_are_found_and_damaged_ones_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         find_runs([str(tmp_path / "none")])
@@ -113,6 +149,7 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
         (tmp_path / name / "run.json").write_text(json.dumps(run_with(model=name)))
     assert [run["model"] for run in find_runs([str(tmp_path)])] == ["a", "b"]
     assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
+    assert len(find_runs([str(tmp_path), str(tmp_path / "a")])) == 2  # not twice
     (tmp_path / "a" / "run.json").write_text("{")
     with pytest.raises(ValueError, match="is not JSON"):
         find_runs([str(tmp_path)])

@@ -84,9 +84,24 @@ def test_the_best_epoch_is_one_epoch_by_one_metric(tmp_path):
     assert best == pytest.approx(min(values), rel=1e-6)
 
 
-@pytest.mark.parametrize("options", [{}, {"ema_decay": 0.9}, {"accumulate": 2, "gradient_clip": 1.0}])
-def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options):
-    fit(tmp_path / "whole", epochs=3, checkpoint_every=1, **options)
+class NoisyLoss(L1Loss):
+    """Draws from torch's generator, as dropout does."""
+
+    def forward(self, prediction, target, mask):
+        return super().forward(prediction, target, mask) * (0.5 + torch.rand(()))
+
+
+@pytest.mark.parametrize(
+    ("options", "loss"),
+    [
+        ({}, L1Loss),
+        ({"ema_decay": 0.9}, NoisyLoss),
+        ({"accumulate": 2, "gradient_clip": 1.0}, L1Loss),
+        ({"accumulate": 3, "evaluate_every": 2}, L1Loss),
+    ],
+)
+def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options, loss):
+    fit(tmp_path / "whole", epochs=3, checkpoint_every=1, loss=loss(), **options)
 
     class Stopped(Exception):
         pass
@@ -108,11 +123,12 @@ def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, op
         "checkpoint_every": 1,
     } | options
     with pytest.raises(Stopped):
-        fit(tmp_path / "part", trainer=StoppingTrainer(**settings))
-    fit(tmp_path / "part", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part")
+        fit(tmp_path / "part", trainer=StoppingTrainer(**settings), loss=loss())
+    assert load_checkpoint(tmp_path / "part")["progress"]["epoch"] == 1
+    fit(tmp_path / "part", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part", loss=loss())
     assert digest(tmp_path / "part") == digest(tmp_path / "whole")
     # into another folder: the best epoch so far comes along
-    fit(tmp_path / "other", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part")
+    fit(tmp_path / "other", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part", loss=loss())
     assert digest(tmp_path / "other") == digest(tmp_path / "whole")
 
 
@@ -180,6 +196,80 @@ def test_resuming_another_training_is_refused(tmp_path):
     fit(tmp_path, epochs=1)
     with pytest.raises(ValueError, match="belongs to another training"):
         fit(tmp_path, epochs=1, batch_size=8, ckpt_path=tmp_path)
+    # the checkpoint's own learning rate would win without a word
+    with pytest.raises(ValueError, match="optimizer differ"):
+        fit(tmp_path, epochs=1, optimizer=partial(torch.optim.Adam, lr=1e-5), ckpt_path=tmp_path)
+    with pytest.raises(ValueError, match="scheduler differ"):
+        fit(tmp_path, epochs=1, scheduler=partial(cosine, final=0.5), ckpt_path=tmp_path)
+    with pytest.raises(ValueError, match="ema_decay differ"):
+        fit(tmp_path, epochs=1, ema_decay=0.9, ckpt_path=tmp_path)
+
+
+def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
+    fit(tmp_path / "run", epochs=1)
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "run" / "checkpoints" / "last.pt").rename(tmp_path / "alone" / "last.pt")
+    with pytest.raises(FileNotFoundError, match="best epoch so far is 1"):
+        fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path / "alone" / "last.pt")
+
+
+@pytest.mark.parametrize("name", ["epochs", "checkpoint_every", "evaluate_every", "gradient_clip"])
+def test_settings_that_make_no_sense_are_refused(name):
+    with pytest.raises(ValueError, match=f"{name}=0"):
+        make_trainer(**{name: 0})
+
+
+def test_an_epochs_last_update_averages_the_batches_it_has(tmp_path):
+    def weights(accumulate):
+        plain = partial(torch.optim.SGD, lr=1e-2)
+        return fit(
+            tmp_path / str(accumulate), epochs=1, accumulate=accumulate, optimizer=plain, scheduler=constant
+        )[1].state_dict()
+
+    whole, cut = weights(4), weights(8)  # an epoch has four batches
+    assert all(torch.equal(whole[name], cut[name]) for name in whole)
+
+
+@pytest.mark.parametrize("options", [{}, {"ema_decay": 0.9}])
+def test_validation_is_in_fp32_whatever_the_training(tmp_path, options):
+    seed_everything(0)
+    model, data = eldenet.load("eldenet_s").train(), SyntheticDepth(6)
+    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
+    resources = Resources(device="cpu", precision="bf16", threads=1, workers=0, cores=2)
+    seen = set()
+    model.network.register_forward_hook(lambda part, args, raw: seen.add((part.training, raw.dtype)))
+    trainer = make_trainer(epochs=1, monitor="abs_rel", **options)
+    progress = trainer.fit(model, SyntheticDepth(8), data, loss, PROTOCOL, tmp_path, resources)
+    assert (True, torch.bfloat16) in seen
+    saved = evaluate(eldenet.load(tmp_path), data, PROTOCOL).metrics["abs_rel"]
+    assert progress.best_value == pytest.approx(saved, rel=1e-6)
+
+
+def test_tensorboard_keeps_every_epoch(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    from eldenet.evaluation import sample_rows
+    from eldenet.runlog import RunLog
+
+    class Stopped(Exception):
+        pass
+
+    class StoppingTrainer(Trainer):
+        def _end_epoch(self, epoch):
+            super()._end_epoch(epoch)
+            if epoch == 0:
+                raise Stopped
+
+    settings = {"optimizer": partial(torch.optim.Adam, lr=3e-3), "scheduler": cosine, "epochs": 2}
+    with pytest.raises(Stopped):
+        fit(tmp_path, trainer=StoppingTrainer(**settings, batch_size=4))
+    _, model, _ = fit(tmp_path, trainer=make_trainer(**settings), ckpt_path=tmp_path)
+    log = RunLog(tmp_path)  # as the command does, once training is over
+    log.picture("predictions", 8, sample_rows(model, SyntheticDepth(2), PROTOCOL))
+    log.close()
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    assert [point.step for point in events.Scalars("val/delta1")] == [4, 8]
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
@@ -270,6 +360,8 @@ def test_two_processes_score_as_one(tmp_path):
         "ground_truth='dense'), batch_size=2, rank=state.process_index, processes=state.num_processes)\n"
         "if state.is_main_process:\n"
         "    json.dump([result.metrics, result.rows], open(sys.argv[1], 'w'))\n"
+        "state.wait_for_everyone()\n"
+        "state.destroy_process_group()\n"
     )
     subprocess.run(
         [

@@ -63,6 +63,7 @@ def training_loader(
     return DataLoader(
         dataset,
         batch_sampler=sampler,
+        generator=torch.Generator(),  # else every start of an epoch, resumed ones too, draws from torch's own
         num_workers=workers,
         collate_fn=collate,
         persistent_workers=workers > 0,
@@ -81,6 +82,7 @@ def evaluation_loader(
         dataset,
         batch_size=batch_size,
         sampler=mine,
+        generator=torch.Generator(),
         num_workers=workers,
         collate_fn=collate,
         worker_init_fn=_quiet_worker if workers else None,
