@@ -163,10 +163,21 @@ def build_split(
             changes = {"load_size": None, "cache": False}
     if augment and config.get("augmentation"):  # augmentation=none is an empty node
         steps.append(instantiate(config.augmentation))
-    return instantiate(
+    dataset = instantiate(
         config.data[split],
         **changes,
         transform=Chain(steps) if steps else None,
         resize_depth=split == "train" and not score,
         seed=seed,
     )
+    if dataset.on_error == "skip":
+        dataset.leave_out_unreadable()
+    if dataset.skipped:
+        logging.getLogger("eldenet").warning(
+            "%s: %d of %d frames left out, such as %s",
+            split,
+            len(dataset.skipped),
+            len(dataset.skipped) + len(dataset),
+            "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
+        )
+    return dataset

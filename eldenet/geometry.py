@@ -29,6 +29,19 @@ def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
     return shifted
 
 
+def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> np.ndarray:
+    """Depth ``baseline * focal / disparity`` ``(H, W)`` float32 [m]; 0 = unknown, in both.
+
+    Args:
+        disparity: ``(H, W)`` [px of the picture that ``focal`` speaks of, however it was resized since].
+        focal: fx [px].
+        baseline: distance of the two cameras [m].
+    """
+    known = disparity > 0  # no disparity is infinitely far, which no number stands for
+    depth = baseline * focal / np.where(known, disparity, 1.0).astype(np.float64)
+    return np.where(known, depth, 0.0).astype(np.float32)
+
+
 def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth itself."""
     rows, cols = np.indices(depth.shape, dtype=np.float64)

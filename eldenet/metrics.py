@@ -42,6 +42,7 @@ class EvalProtocol:
         average: "image": a metric per image, then the mean over images; "pixel": all pixels pooled.
         scale: "metric": as predicted; "median": each prediction times median(truth) / median(prediction).
         flip: "mean": predictions of the image and of its mirror image are averaged before scoring.
+        inverse_scale: score ``inverse_scale / depth`` (pure numbers) instead of depth [m]; None: score depth.
     """
 
     name: str
@@ -57,6 +58,7 @@ class EvalProtocol:
     average: str = "image"
     scale: str = "metric"
     flip: str = "none"
+    inverse_scale: float | None = None
 
     def __post_init__(self) -> None:
         for field, allowed in _CHOICES.items():
@@ -66,6 +68,10 @@ class EvalProtocol:
                 )
         if not 0 < self.min_depth < self.max_depth:
             raise ValueError(f"protocol {self.name}: 0 < min_depth < max_depth is needed [m]")
+        if self.inverse_scale is not None and not self.inverse_scale > 0:
+            raise ValueError(
+                f"protocol {self.name}: inverse_scale={self.inverse_scale}, give metres above 0, or null"
+            )
         if self.crop is not None and self.size is None:
             raise ValueError(f"protocol {self.name}: crop={self.crop} needs size, whose pixels it speaks of")
         for field in ("crop", "size", "frame_crop"):  # YAML's lists: one form, so that protocols compare
@@ -127,6 +133,17 @@ class EvalProtocol:
         if not torch.isfinite(prediction[counts]).all():  # before the clamp, which would hide infinity
             raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
+
+    @property
+    def largest(self) -> float:
+        """The largest number that is compared: the farthest depth [m], or the inverse of the nearest."""
+        return self.max_depth if self.inverse_scale is None else self.inverse_scale / self.min_depth
+
+    def compared(self, prediction: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """What is compared: depth [m] as it is, or its inverse; unknown depth (0) becomes infinite there."""
+        if self.inverse_scale is None:
+            return prediction, depth
+        return self.inverse_scale / prediction.clamp(min=self.min_depth), self.inverse_scale / depth
 
 
 def _median_ratio(prediction: Tensor, depth: Tensor, counts: Tensor) -> Tensor:
@@ -227,7 +244,8 @@ class DepthMetrics(Metric):
         """
         counts = self.protocol.scored(depth, mask)
         prediction = self.protocol.prepare(prediction.float(), depth, counts)
-        sums = error_sums(prediction, depth, counts, ssim_range=self.protocol.max_depth)
+        prediction, depth = self.protocol.compared(prediction, depth)
+        sums = error_sums(prediction, depth, counts, ssim_range=self.protocol.largest)
         self.rows = metrics_of(sums)
         # an image without a pixel to score is left out; a NaN of one that has some is not
         defined = sums[:, :1].expand_as(self.rows) > 0

@@ -83,3 +83,39 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
         raise OSError(f"could not write {path}")
+
+
+def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:
+    """Image ``(H, W, 3)`` uint8 above its coloured depth [m], both ``PANEL_WIDTH`` wide; unknown is black."""
+    known = (depth > 0) & (depth <= max_depth)
+    near, far = np.percentile(depth[known], (2, 98)) if known.any() else (0.0, 1.0)
+    pieces = []
+    for picture, way in (
+        (image, cv2.INTER_AREA),
+        (colour_depth(depth, near, far, known), cv2.INTER_NEAREST_EXACT),
+    ):
+        height = max(1, round(picture.shape[0] * PANEL_WIDTH / picture.shape[1]))
+        pieces.append(np.asarray(cv2.resize(picture, (PANEL_WIDTH, height), interpolation=way), np.uint8))
+    legend = np.full((16, PANEL_WIDTH, 3), 255, np.uint8)
+    text = f"{near:.2f} to {far:.2f} m, {known.mean():.0%} known"
+    cv2.putText(legend, text, (3, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([*pieces, legend], axis=0)
+
+
+def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.ndarray:
+    """Titled panels of one width, ``columns`` beside each other; a long title keeps its end."""
+    width = panels[0][1].shape[1]
+    rows = []
+    for first in range(0, len(panels), columns):
+        row = panels[first : first + columns]
+        height = max(panel.shape[0] for _, panel in row) + 18
+        strip = np.full((height, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+        for number, (title, panel) in enumerate(row):
+            left = number * (width + GAP)
+            text = title if len(title) <= 38 else f"...{title[-35:]}"
+            cv2.putText(
+                strip, text, (left + 3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (0, 0, 0), 1, cv2.LINE_AA
+            )
+            strip[18 : 18 + panel.shape[0], left : left + width] = panel
+        rows.append(strip)
+    return stack_rows(rows)

@@ -73,8 +73,8 @@ def number(name: str, value: float | None) -> str:
     return f"{value:.3f}"
 
 
-def heading(name: str) -> str:
-    """Column title with unit and direction."""
+def heading(name: str, run: Mapping[str, Any]) -> str:
+    """Column title with unit and direction; an inverse depth has no unit."""
     costs = {
         "params": "params ↓",
         "gmacs": "GMACs ↓",
@@ -85,6 +85,7 @@ def heading(name: str) -> str:
     if name in costs:
         return costs[name]
     unit = f" [{UNITS[name].replace('^2', '²')}]" if name in UNITS else ""
+    unit = "" if run["protocol"].get("inverse_scale") else unit
     return f"{WORDS.get(name, name)}{unit} {'↓' if name in LOWER_IS_BETTER else '↑'}"
 
 
@@ -100,6 +101,8 @@ def protocol_line(run: Mapping[str, Any]) -> str:
     ]
     if rules["flip"] != "none":
         parts.append("mirror averaged")
+    if rules.get("inverse_scale"):
+        parts.append(f"scored as inverse depth, {rules['inverse_scale']:g} m / depth")
     return ", ".join(parts) + (
         f"; {run['data']}/{run['split']} {run['split_hash']}, {run['metrics']['images']} images"
     )
@@ -117,7 +120,7 @@ def cost_line(run: Mapping[str, Any]) -> str:
 
 def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
     """Print what one run reached, beside the constant predictor, and what it costs."""
-    names = ("model", *(heading(name) for name in COLUMNS))
+    names = ("model", *(heading(name, run) for name in COLUMNS))
     rows = [
         [label, *(number(name, run[group][name]) for name in COLUMNS)]
         for label, group in ((str(run["model"]), "metrics"), ("constant predictor", "constant_predictor"))
@@ -125,7 +128,7 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
     log.table(protocol_line(run), names, rows)
     log.table(
         cost_line(run),
-        [heading(name) for name in COSTS],
+        [heading(name, run) for name in COSTS],
         [[number(name, run["cost"][name]) for name in COSTS]],
     )
     log.say(f"written to {log.folder}: {RUN_FILE}, per_image.csv, predictions.png, model/ ...")
@@ -211,7 +214,7 @@ def table_of(
         raise ValueError(f"columns={unknown}: choose among {', '.join(METRICS)}")
     refuse_mixtures(runs, costs=costs)
     wanted = [("metrics", name) for name in columns] + [("cost", name) for name in COSTS if costs]
-    titles = ["model", "seeds", *(heading(name) for _, name in wanted)]
+    titles = ["model", "seeds", *(heading(name, runs[0]) for _, name in wanted)]
     rows = [
         [row.model, str(len(row.runs)), *(row.text(group, name) for group, name in wanted)]
         for row in group_rows(runs)

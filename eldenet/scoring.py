@@ -1,5 +1,6 @@
 """From a trained network to ``run.json``: what ``train`` and ``evaluate`` both end with."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,7 @@ def score_and_record(
     split: str = "test",
     batch_size: int = 16,
     progress: Progress | None = None,
+    skipped: Mapping[str, Mapping[str, str]] | None = None,
 ) -> dict[str, Any]:
     """Evaluate on ``split`` and measure the cost; write ``run.json``, ``per_image.csv``, ``predictions.png``.
 
@@ -44,6 +46,7 @@ def score_and_record(
         split: of the data set.
         batch_size: of the evaluation.
         progress: of the training, if there was one.
+        skipped: split -> name -> reason of the frames that the training left out.
 
     Returns:
         What was written to ``run.json``.
@@ -69,7 +72,8 @@ def score_and_record(
         "predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol)
     )
     log.close()
-    constant = fit_constant_predictor(cfg.build_split(config, "train", protocol)).to(resources.device)
+    train_set = cfg.build_split(config, "train", protocol)
+    constant = fit_constant_predictor(train_set).to(resources.device)
     baseline = score(constant, "evaluating the constant predictor")
     sample = dataset[0]["image"]
     record = {
@@ -77,6 +81,7 @@ def score_and_record(
         "data": config.data.name,
         "split": split,
         "split_hash": dataset.split_hash,
+        "skipped": {"train": train_set.skipped, **(skipped or {}), split: dataset.skipped},
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,
         "constant_predictor": baseline.metrics,

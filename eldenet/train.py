@@ -68,7 +68,15 @@ def main(config: "DictConfig", folder: Path) -> float:
         return progress.best_value
     best = _load_best(folder, config)
     record = score_and_record(
-        config, best, protocol, resources, folder, log, name=config.model_name, progress=progress
+        config,
+        best,
+        protocol,
+        resources,
+        folder,
+        log,
+        name=config.model_name,
+        progress=progress,
+        skipped={"train": train_set.skipped, "val": val_set.skipped},
     )
     closing_table(log, record)
     return progress.best_value

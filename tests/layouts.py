@@ -1,5 +1,8 @@
 """Tiny data sets in the layouts that people have on disk, written by the tests."""
 
+import json
+import shutil
+import tarfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,6 +83,19 @@ def hdf5(root: Path, frame: Content = SMALL) -> Path:
     return root
 
 
+def tar(root: Path, frame: Content = SMALL) -> Path:
+    """The Hub's shards: the same files as :func:`hdf5`, the scenes dealt to two shards."""
+    files = hdf5(root / "unpacked", frame)
+    (root / "data").mkdir()
+    for shard, part in (("train-000000", "train/kitchen_0001"), ("train-000001", "train/office_0002")):
+        with tarfile.open(root / f"data/{shard}.tar", "w") as archive:
+            archive.add(files / part, arcname=part.removeprefix("train/"))
+    with tarfile.open(root / "data/val-000000.tar", "w") as archive:
+        archive.add(files / "val/official", arcname="official")
+    shutil.rmtree(files)
+    return root
+
+
 def mat(root: Path, frame: Content = SMALL, count: int = 4) -> Path:
     root.mkdir(parents=True, exist_ok=True)
     raw = frame.metres.copy()
@@ -101,4 +117,58 @@ def folder(root: Path, frame: Content = SMALL, count: int = 10) -> Path:
     for i in range(count):
         picture(root / f"images/f{i:03d}.png", frame.rgb)
         picture(root / f"depths/f{i:03d}.png", frame.millimetres)
+    return root
+
+
+CAMERA = {  # the keys and the size of numbers of an official file
+    "extrinsic": {
+        "baseline": 0.209313,
+        "pitch": 0.038,
+        "roll": 0.0,
+        "x": 1.7,
+        "y": 0.1,
+        "yaw": -0.0195,
+        "z": 1.22,
+    },
+    "intrinsic": {"fx": 2262.52, "fy": 2265.3017905988554, "u0": 1096.98, "v0": 513.137},
+}
+CITIES = {"train": ("aachen", "darmstadt", "ulm"), "val": ("munster",), "test": ("berlin",)}
+
+
+def disparity_of(metres: np.ndarray, camera: dict = CAMERA) -> np.ndarray:
+    """An official disparity picture: round(256 d) + 1, holes 0."""
+    focal = camera["extrinsic"]["baseline"] * camera["intrinsic"]["fx"]
+    steps = np.round(256 * focal / np.where(metres > 0, metres, 1)) + 1
+    return np.where(metres > 0, steps, 0).astype(np.uint16)
+
+
+def cityscapes(root: Path, frame: Content = SMALL, place: str = "{kind}", camera: dict = CAMERA) -> Path:
+    """Official files; ``place`` says where a zip was unpacked."""
+    disparity = disparity_of(frame.metres * 5, camera)
+    disparity[5:9, 7:20] = 0
+    for part, cities in CITIES.items():
+        for city in cities:
+            stem = f"{part}/{city}/{city}_000000_000019"
+            picture(root / place.format(kind="leftImg8bit") / f"{stem}_leftImg8bit.png", frame.rgb)
+            picture(root / place.format(kind="disparity") / f"{stem}_disparity.png", disparity)
+            file = root / place.format(kind="camera") / f"{stem}_camera.json"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(camera))
+    return root
+
+
+def cityscapes_mtan(root: Path, size: tuple[int, int] = (128, 256), count: int = 4) -> Path:
+    """MTAN's arrays: v = p / 65535."""
+    metres = np.random.default_rng(0).uniform(4, 70, (*size, 1))
+    metres[5:9, 7:20] = 0
+    steps = 0.22 * 2262.52 * 256 / np.where(metres > 0, metres, 1) + 1
+    for part in ("train", "val"):
+        for kind in ("image", "depth"):
+            (root / part / kind).mkdir(parents=True, exist_ok=True)
+        for number in range(count):
+            image = np.full((*size, 3), (0.2, 0.4, 0.6))
+            np.save(root / f"{part}/image/{number}.npy", image)
+            np.save(
+                root / f"{part}/depth/{number}.npy", np.where(metres > 0, steps / 65535, 0).astype(np.float32)
+            )
     return root

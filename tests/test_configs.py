@@ -170,11 +170,14 @@ def test_augmentation_runs(choice: str, tmp_path: Path) -> None:
 
 FULL = layouts.content((480, 640))
 TREES: dict[str, Callable[[Path], list[str]]] = {
+    "cityscapes": lambda root: [f"data.root={layouts.cityscapes(root, layouts.content((1024, 2048)))}"],
+    "cityscapes_mtan": lambda root: [f"data.root={layouts.cityscapes_mtan(root)}", "data.val_frames=1"],
     "folder": lambda root: [f"data.root={layouts.folder(root)}"],
     "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
     "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],
     "nyu_mat": lambda root: [f"data.root={mat_with_all_splits(root)}"],
+    "nyu_tar": lambda root: [f"data.root={layouts.tar(root, FULL)}", f"data.index={root / 'index'}"],
     "nyu_sync": lambda root: [
         f"data.root={layouts.sync(root / 'sync', FULL)}",
         f"data.test_root={layouts.sync(root / 'test', FULL, (('bathroom', '00045'),))}",
@@ -210,6 +213,40 @@ def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
         counts = protocol.scored(sample["depth"][None], sample["mask"][None])
         assert counts.any()
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
+
+
+# One file of a training frame in each tree.
+DAMAGE = {
+    "folder": "images/f003.png",
+    "nyu_densedepth": "data/nyu2_train/office_0002_out/1.png",
+    "nyu_labelled": "data/nyu2_train/labeled_out/0030.png",
+    "nyu_sync": "sync/office_0002/sync_depth_00041.png",
+}
+
+
+@pytest.mark.parametrize("how", ["missing", "cut"])
+@pytest.mark.parametrize("name", sorted(DAMAGE))
+def test_skip_leaves_frames_out_and_says_so(name: str, how: str, tmp_path: Path) -> None:
+    overrides = [f"data={name}", *TREES[name](tmp_path), "data.on_error=skip"]
+    if name in ("nyu_densedepth", "nyu_sync"):  # their train split here is that one frame
+        overrides.append("data.train.split=" + {"nyu_sync": "all"}.get(name, "trainval"))
+    config = compose("train", overrides)
+    whole = build_split(config, "train", build_protocol(config))
+    assert whole.skipped == {}
+    path = tmp_path / DAMAGE[name]
+    content = path.read_bytes()
+    path.unlink()
+    if how == "cut":
+        path.write_bytes(content[:-20])
+    data = build_split(config, "train", build_protocol(config))
+    ((lost, reason),) = data.skipped.items()
+    assert path.stem in reason
+    assert data.names == [frame for frame in whole.names if frame != lost]
+    assert [data[i]["name"] for i in range(len(data))] == data.names
+    assert data.split_hash != whole.split_hash
+    stopping = compose("train", [*overrides, "data.on_error=stop"])
+    with pytest.raises((FileNotFoundError, ValueError), match=path.stem):
+        [*build_split(stopping, "train", build_protocol(config))]
 
 
 def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:

@@ -123,6 +123,7 @@ def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
         ("mm", np.uint16([0, 1, 1000, 65535]), [0.0, 0.001, 1.0, 65.535]),
         ("kitti", np.uint16([0, 256, 640, 20480]), [0.0, 1.0, 2.5, 80.0]),
         ("tum", np.uint16([0, 5000, 1, 10000]), [0.0, 1.0, 0.0002, 2.0]),
+        ("sunrgbd", np.uint16([0, 8000, 7, 8193]), [0.0, 1.0, 57.344, 9.216]),
         ("nyu8", np.uint8([0, 255, 51, 102]), [0.0, 10.0, 2.0, 4.0]),
         (
             "nyu8_labelled",
@@ -193,6 +194,58 @@ def test_pickles_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match=r"a\.npy"):
         read_depth(tmp_path / "a.npy", "metres")
+
+
+def test_sunrgbd_turns_back_what_its_toolbox_turned() -> None:
+    millimetres = MILLIMETRES.astype(np.uint32)
+    stored = ((millimetres << 3) | (millimetres >> 13)).astype(np.uint16)
+    expected = (MILLIMETRES / 1000.0).astype(np.float32)
+    np.testing.assert_array_equal(decode_depth(stored, "sunrgbd", "x"), expected)
+
+
+METRES = np.where(MILLIMETRES > 100, MILLIMETRES / np.float32(1000), np.inf).astype(np.float32)
+
+
+def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = METRES) -> Path:
+    scale = "-1.0" if order == "<f4" else "0.0039"
+    header = f"{kind}\n{values.shape[1]} {values.shape[0]}\n{scale}\n".encode()
+    path.write_bytes(header + values[::-1].astype(order).tobytes())
+    return path
+
+
+@pytest.mark.parametrize("order", ["<f4", ">f4"])
+def test_pfm(tmp_path: Path, order: str) -> None:
+    path = pfm(tmp_path / "a.pfm", order)
+    np.testing.assert_array_equal(read_depth(path, "metres"), np.where(np.isfinite(METRES), METRES, 0))
+    for fraction in (0.001, 0.3, 0.99):
+        with pytest.raises(ValueError, match=r"cut_a\.pfm is (no PFM file, or )?(is )?cut"):
+            read_depth(cut(path, fraction), "metres")
+    with pytest.raises(ValueError, match=r"c\.pfm has shape.*one channel"):
+        read_depth(pfm(tmp_path / "c.pfm", kind="PF", values=np.dstack([METRES] * 3)), "metres")
+    if order == "<f4":  # OpenCV writes the same
+        assert cv2.imwrite(str(tmp_path / "b.pfm"), METRES)
+        np.testing.assert_array_equal(read_depth(tmp_path / "b.pfm", "metres"), read_depth(path, "metres"))
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_exr(tmp_path: Path, half: bool) -> None:
+    exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed: pip install 'eldenet[exr]'")
+    metres = (MILLIMETRES / 1000.0).astype(np.float16 if half else np.float32)
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+
+    def written(name: str, channels: dict[str, np.ndarray]) -> Path:
+        exr.File(header, channels).write(str(tmp_path / name))
+        return tmp_path / name
+
+    path = written("a.exr", {"Z": metres})
+    np.testing.assert_array_equal(read_depth(path, "metres"), metres.astype(np.float32))
+    grey = written("grey.exr", {"R": metres, "G": metres, "B": metres})
+    np.testing.assert_array_equal(read_depth(grey, "metres"), metres.astype(np.float32))
+    with pytest.raises(ValueError, match=r"colour\.exr has the channels"):
+        read_depth(written("colour.exr", {"R": metres, "G": metres, "B": metres * 2}), "metres")
+    for fraction in (0.0, 0.01, 0.3, 0.9, 0.99):
+        with pytest.raises(ValueError, match=r"cut_a\.exr is cut"):
+            read_depth(cut(path, fraction), "metres")
 
 
 def test_float_tiff(tmp_path: Path) -> None:

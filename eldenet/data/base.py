@@ -1,13 +1,15 @@
 """What every data set shares: frames in, samples out, seeded per sample, split named by a hash."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from eldenet.data.roots import check_files, missing_files, one_of
 from eldenet.geometry import resize_intrinsics
 from eldenet.types import DepthSample, Frame
 
@@ -26,6 +28,7 @@ class SampleOptions(TypedDict, total=False):
     seed: int
     load_size: Sequence[int] | None
     cache: bool
+    on_error: str
 
 
 class DepthDataset(Dataset[DepthSample]):
@@ -46,9 +49,17 @@ class DepthDataset(Dataset[DepthSample]):
         load_size: ``(height, width)`` a frame is resized to as soon as it is read, before the transform [px]:
             an augmentation at the training size costs a tenth of one at the camera's. None keeps the frame's.
         cache: keep the frames in memory once read (and resized), one copy per worker.
+        on_error: "stop" at a frame whose files are missing or cannot be read, or "skip": leave it out of
+            ``names`` and list it in ``skipped``. Missing files are found at once, the others by
+            :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
+
+    Attributes:
+        names: the frames, in order.
+        skipped: name -> reason of the frames that were left out.
     """
 
     ground_truth = "raw"
+    frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
 
     def __init__(
         self,
@@ -62,9 +73,13 @@ class DepthDataset(Dataset[DepthSample]):
         seed: int = 0,
         load_size: Sequence[int] | None = None,
         cache: bool = False,
+        on_error: str = "stop",
     ) -> None:
         if not names:
             raise ValueError(f"{type(self).__name__} found no frames: check root and split")
+        one_of("on_error", on_error, ("stop", "skip"))
+        self.on_error = on_error
+        self.skipped: dict[str, str] = {}
         self.names = list(names)
         self.min_depth, self.max_depth = min_depth, max_depth
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
@@ -77,6 +92,52 @@ class DepthDataset(Dataset[DepthSample]):
     def load_frame(self, index: int) -> Frame:
         """Read frame ``index`` from disk, decoded to RGB and metres."""
         raise NotImplementedError
+
+    def check_frames(self, root: Path, files: Sequence[Sequence[str]]) -> None:
+        """Stop at frames whose files are not there, or leave them out; an adapter's constructor ends with it.
+
+        Args:
+            root: of the data set.
+            files: of every frame, relative to ``root``.
+
+        Raises:
+            FileNotFoundError: naming the missing files, where ``on_error`` is "stop".
+        """
+        every = [file for frame in files for file in frame]
+        if self.on_error == "stop":
+            check_files(root, every)
+            return
+        missing = set(missing_files(root, every))
+        reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
+        self.leave_out({i: f"missing: {', '.join(lost)}" for i, lost in reasons.items() if lost})
+
+    def leave_out(self, reasons: Mapping[int, str]) -> None:
+        """Drop the frames of these indices and remember why.
+
+        Raises:
+            ValueError: no frame would be left.
+        """
+        if not reasons:
+            return
+        self.skipped |= {self.names[index]: reason for index, reason in reasons.items()}
+        if len(reasons) == len(self):
+            raise ValueError(f"all {len(self)} frames were left out, such as: {next(iter(reasons.values()))}")
+        kept = [index for index in range(len(self)) if index not in reasons]
+        for name in self.frame_lists:
+            entries = getattr(self, name)
+            setattr(self, name, [entries[index] for index in kept])
+        if self._cache is not None:
+            self._cache = {}
+
+    def leave_out_unreadable(self) -> None:
+        """Read every frame once and leave out those that cannot be read."""
+        reasons = {}
+        for index in range(len(self)):
+            try:
+                self.load_frame(index)
+            except (ValueError, OSError) as error:
+                reasons[index] = str(error)
+        self.leave_out(reasons)
 
     @property
     def split_hash(self) -> str:

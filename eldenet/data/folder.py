@@ -8,12 +8,12 @@ import numpy as np
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.roots import check_files, csv_pairs, find_root, one_of
+from eldenet.data.roots import csv_pairs, find_root, one_of
 from eldenet.geometry import pinhole
 from eldenet.types import Frame
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
-DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm")
+DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)
 """
@@ -49,6 +49,8 @@ class FolderDataset(DepthDataset):
         ValueError: for settings that do not fit together.
     """
 
+    frame_lists = ("names", "pairs")
+
     def __init__(
         self,
         root: str | Path,
@@ -78,7 +80,10 @@ class FolderDataset(DepthDataset):
         self.intrinsics = None if intrinsics is None else pinhole(*(float(v) for v in intrinsics))
 
         self.root = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
-        pairs = _csv_frames(self.root, csv) if csv else _folder_frames(self.root, images, depths)
+        if csv:
+            pairs = _csv_frames(self.root, csv)
+        else:
+            pairs = _folder_frames(self.root, images, depths, strict=options.get("on_error") != "skip")
         names = sorted(pairs)
         if split != "all":
             if val_names is None:
@@ -89,6 +94,7 @@ class FolderDataset(DepthDataset):
                 names = _named(names, val_names, wanted=split == "val")
         super().__init__(names, **options)
         self.pairs = [pairs[name] for name in names]
+        self.check_frames(self.root, self.pairs)
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
@@ -105,26 +111,27 @@ class FolderDataset(DepthDataset):
 
 def _csv_frames(root: Path, table: str) -> dict[str, tuple[str, str]]:
     pairs = csv_pairs(root / table)
-    check_files(root, [file for pair in pairs for file in pair])
     frames = {image.rsplit(".", 1)[0]: (image, depth) for image, depth in pairs}
     if len(frames) != len(pairs):
         raise ValueError(f"{root / table} has {len(pairs)} lines, but only {len(frames)} different pictures")
     return frames
 
 
-def _folder_frames(root: Path, images: str, depths: str) -> dict[str, tuple[str, str]]:
-    """Pairs by the path below their folder, without the ending."""
+def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dict[str, tuple[str, str]]:
+    """Pairs by the path below their folder, without the ending; a missing partner is called ``name.*``."""
     pictures = _files(root, images, IMAGE_ENDINGS)
     maps = _files(root, depths, DEPTH_ENDINGS)
     lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
     lonely += [f"{maps[n]} (no picture in {images})" for n in sorted(set(maps) - set(pictures))]
-    if lonely:
+    if lonely and strict:
         more = f" and {len(lonely) - 10} more" if len(lonely) > 10 else ""
         raise FileNotFoundError(
             f"{len(lonely)} files in {root} have no partner of that name: {', '.join(lonely[:10])}{more}. "
-            "Complete them, or pair files of different names in a CSV (csv=...)"
+            "Complete them, pair files of different names in a CSV (csv=...), or leave them out "
+            "(on_error: skip)"
         )
-    return {name: (pictures[name], maps[name]) for name in pictures}
+    both = set(pictures) | set(maps)
+    return {n: (pictures.get(n, f"{images}/{n}.*"), maps.get(n, f"{depths}/{n}.*")) for n in both}
 
 
 def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:

@@ -1,17 +1,18 @@
 """Reading images and depth maps from disk: whole files or a clear error, metres or a clear error.
 
-A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``_FORMATS``.
+A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``formats.FORMATS``.
 """
 
 import io
 import re
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+
+from eldenet.data.formats import FORMATS
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("mm", 1e-3, lowest_peak=255),
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
+        # SUN RGB-D turns the bits of its millimetres: (v >> 3) | (v << 13), as its toolbox reads them.
+        DepthEncoding("sunrgbd", 1e-3, decode=lambda v: ((v >> 3) | (v << 13)) / 1000.0, lowest_peak=255),
         # DenseDepth's training pictures: eight bits over ten metres.
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
         # The labelled frames in eight bits: bin centres up to the set's largest depth.
@@ -126,22 +129,33 @@ def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
     """Read a depth map as float32 [m], ``(H, W)``, 0 where unknown.
 
     Args:
-        path: ``.npy``, or a picture with one channel.
+        path: ``.npy``, ``.pfm``, ``.exr``, or a picture with one channel.
         encoding: a name of ``ENCODINGS``, or ``{scale, offset, dtype}``.
 
     Raises:
         FileNotFoundError: where there is no such file.
         ValueError: where the file is cut, damaged, or does not hold this encoding.
     """
-    row, path = depth_encoding(encoding), Path(path)
-    raw = _read_npy(path) if path.suffix.lower() == ".npy" else _decode(path, -1)  # cv2.IMREAD_UNCHANGED
+    return decode_depth(read_raw_depth(path), encoding, path)
+
+
+def read_raw_depth(path: str | Path) -> np.ndarray:
+    """The numbers of a depth file as they stand, ``(H, W)``.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut, damaged, or has several channels.
+    """
+    path = Path(path)
+    reader = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}.get(path.suffix.lower())
+    raw = _decode(path, -1) if reader is None else reader(path)  # -1 is cv2.IMREAD_UNCHANGED
     if raw.ndim == 3 and 1 in (raw.shape[0], raw.shape[2]):
         raw = raw.squeeze(0 if raw.shape[0] == 1 else 2)
     if raw.ndim != 2:
         raise ValueError(
             f"{path} has shape {raw.shape}, a depth map has one channel: is it a coloured picture of depth?"
         )
-    return decode_depth(raw, row, path)
+    return raw
 
 
 def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndarray:
@@ -189,7 +203,13 @@ def _read_bytes(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def _read_npy(path: Path) -> np.ndarray:
+def read_array(path: Path) -> np.ndarray:
+    """A plain ``.npy`` file.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut, damaged or holds Python objects.
+    """
     try:
         # No pickles: a data file must not run code.
         return np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False)
@@ -199,11 +219,58 @@ def _read_npy(path: Path) -> np.ndarray:
         ) from error
 
 
+def read_pfm(path: Path) -> np.ndarray:
+    """A portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
+
+    Convention: rows come from the bottom up; the third line's sign is the byte order, and its size is not
+    multiplied in, as in Middlebury's and MiDaS's own readers.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut or is no PFM.
+    """
+    content = _read_bytes(path)
+    header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)[ \t\r]*\n", content)
+    if header is None:
+        raise ValueError(f"{path} is no PFM file, or is cut within its header: fetch or write it again")
+    shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
+    wanted, have = 4 * int(np.prod(shape)), len(content) - header.end()
+    if have < wanted:
+        raise ValueError(f"{path} is cut ({have} of {wanted} bytes of pixels): fetch or copy it again")
+    order = "<f4" if float(header[4]) < 0 else ">f4"
+    values = np.frombuffer(content, order, wanted // 4, header.end()).reshape(shape)[::-1].astype(np.float32)
+    return values[..., 0] if shape[2] == 1 else values
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """The one channel of an OpenEXR file, or any of several that are equal (grey), ``(H, W)``.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ImportError: OpenEXR is not installed; OpenCV's wheels come without it.
+        ValueError: where the file is cut, damaged, or its channels differ.
+    """
+    _read_bytes(path)
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except Exception as error:  # the library raises several kinds
+        raise ValueError(f"{path} is cut or is no OpenEXR file ({error}): fetch or write it again") from error
+    first, *others = channels.values()
+    if not all(np.array_equal(first, other) for other in others):
+        raise ValueError(f"{path} has the channels {', '.join(channels)}: write depth alone, as one channel")
+    return first
+
+
 def _decode(path: Path, flags: int) -> np.ndarray:
     import cv2
 
     content = _read_bytes(path)
-    check = next((check for magic, check in _FORMATS if content.startswith(magic)), None)
+    check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None:
         raise ValueError(f"{path} is no JPEG, PNG, BMP, TIFF or binary PPM/PGM file ({len(content)} bytes)")
     # OpenCV returns a full-size picture from a third of a JPEG, so completeness is checked first.
@@ -214,93 +281,3 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     if picture is None:
         raise ValueError(f"{path} is complete but cannot be decoded: write it again as PNG")
     return picture
-
-
-_JPEG_MARKER = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # any marker that ends entropy-coded data
-
-
-def _jpeg_fault(content: bytes) -> str:
-    """Walk the segments to the end-of-image marker; what follows it (a camera's padding) does not matter."""
-    if content.endswith(b"\xff\xd9"):
-        return ""  # compressed data cannot hold this marker, so there is nothing to look for
-    at = 2
-    while found := _JPEG_MARKER.search(content, at):
-        marker, at = content[found.end() - 1], found.end()
-        if marker == 0xD9:
-            return ""
-        if marker not in (0x01, 0xD8):
-            if at + 2 > len(content):
-                break
-            at += int.from_bytes(content[at : at + 2], "big")
-    return "no end-of-image marker"
-
-
-def _png_fault(content: bytes) -> str:
-    """Walk the chunks to IEND, checking each check sum."""
-    at = 8
-    while at + 12 <= len(content):
-        length = int.from_bytes(content[at : at + 4], "big")
-        end = at + 12 + length
-        if end > len(content):
-            return f"chunk at byte {at} is incomplete"
-        if zlib.crc32(memoryview(content)[at + 4 : end - 4]) != int.from_bytes(content[end - 4 : end], "big"):
-            return f"wrong check sum in the chunk at byte {at}"
-        if content[at + 4 : at + 8] == b"IEND":
-            return ""
-        at = end
-    return "no IEND chunk"
-
-
-def _netpbm_fault(content: bytes) -> str:
-    header = re.match(
-        rb"P([56])(?:\s+|#[^\n]*\n)+(\d+)\s+(?:#[^\n]*\n)*(\d+)\s+(?:#[^\n]*\n)*(\d+)\s", content
-    )
-    if header is None:
-        return "incomplete header"
-    kind, width, height, peak = (int(g) for g in header.groups())
-    wanted = width * height * (3 if kind == 6 else 1) * (2 if peak > 255 else 1)
-    have = len(content) - header.end()
-    return "" if have >= wanted else f"{have} of {wanted} bytes of pixels"
-
-
-def _bmp_fault(content: bytes) -> str:
-    wanted = int.from_bytes(content[2:6], "little")
-    return "" if len(content) >= wanted else f"{len(content)} of {wanted} bytes"
-
-
-def _tiff_fault(content: bytes) -> str:
-    """Every strip or tile of every directory must lie within the file."""
-    order = "little" if content[:2] == b"II" else "big"
-
-    def number(at: int, size: int) -> int:
-        if at + size > len(content):
-            raise EOFError
-        return int.from_bytes(content[at : at + size], "little" if order == "little" else "big")
-
-    try:
-        directory = number(4, 4)
-        lists: dict[int, list[int]] = {}
-        for entry in range(number(directory, 2)):
-            at = directory + 2 + 12 * entry
-            tag, kind, count = number(at, 2), number(at + 2, 2), number(at + 4, 4)
-            if tag in (273, 279, 324, 325) and kind in (3, 4):  # where strips or tiles lie, and their lengths
-                size = 2 if kind == 3 else 4
-                first = at + 8 if size * count <= 4 else number(at + 8, 4)
-                lists[tag] = [number(first + size * i, size) for i in range(count)]
-        starts = lists.get(273, []) + lists.get(324, [])
-        lengths = lists.get(279, []) + lists.get(325, [])
-        ends = [start + length for start, length in zip(starts, lengths, strict=True)]
-    except (EOFError, ValueError):
-        return "incomplete directory"
-    return "" if ends and max(ends) <= len(content) else "incomplete pixels"
-
-
-_FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
-    (b"\xff\xd8\xff", _jpeg_fault),
-    (b"\x89PNG\r\n\x1a\n", _png_fault),
-    (b"P5", _netpbm_fault),
-    (b"P6", _netpbm_fault),
-    (b"BM", _bmp_fault),
-    (b"II*\0", _tiff_fault),
-    (b"MM\0*", _tiff_fault),
-)

@@ -13,7 +13,7 @@ import numpy as np
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.roots import check_files, csv_pairs, find_root, one_of
+from eldenet.data.roots import csv_pairs, find_root, one_of
 from eldenet.data.scenes import hold_out
 from eldenet.geometry import pinhole, resize_intrinsics
 from eldenet.types import Frame
@@ -57,6 +57,8 @@ class NYUFrames(DepthDataset):
 class _NYUPairs(NYUFrames):
     """Frames that are one picture and one depth file each."""
 
+    frame_lists = ("names", "pairs")
+
     def __init__(
         self,
         root: Path,
@@ -66,8 +68,8 @@ class _NYUPairs(NYUFrames):
         **options: Unpack[SampleOptions],
     ) -> None:
         super().__init__(names, **options)
-        check_files(root, [file for pair in pairs for file in pair])
         self.root, self.pairs, self.encoding = root, list(pairs), depth_encoding(encoding)
+        self.check_frames(root, pairs)
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 
@@ -62,21 +62,8 @@ class NYUHDF5(NYUFrames):
         """Read one file."""
         name = self.names[index]
         path = self.root / f"{name}.h5"
-        with _open(path) as file:
-            image, depth = _take(file, "rgb", path)[()], _take(file, "depth", path)[()]
-        if (
-            image.ndim != 3
-            or image.shape[0] != 3
-            or image.dtype != np.uint8
-            or image.shape[1:] != depth.shape
-        ):
-            raise ValueError(
-                f"{path}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, wanted (3, H, W) uint8 "
-                "and (H, W)"
-            )
-        size = (depth.shape[0], depth.shape[1])
-        image = np.ascontiguousarray(image.transpose(1, 2, 0))
-        return Frame(image, decode_depth(depth, "metres", path), nyu_intrinsics(size), name)
+        with open_hdf5(path, path) as file:
+            return read_hdf5_frame(file, path, name)
 
 
 class NYUMat(NYUFrames):
@@ -99,6 +86,8 @@ class NYUMat(NYUFrames):
         ValueError: for an unknown split or ground truth, or a .mat without it or with too few frames.
     """
 
+    frame_lists = ("names", "numbers")
+
     def __init__(
         self,
         root: str | Path | None = None,
@@ -116,9 +105,11 @@ class NYUMat(NYUFrames):
         self.depth_key = {"raw": "rawDepths", "inpainted": "depths"}[ground_truth]
         self._handle: Any = None
         self._process = -1
-        with _open(self.path) as mat:
+        with open_hdf5(self.path, self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
-        self.numbers = range(1, count + 1) if split == "all" else _split_numbers(folder / "splits.mat", split)
+        self.numbers: Sequence[int] = range(1, count + 1)
+        if split != "all":
+            self.numbers = _split_numbers(folder / "splits.mat", split)
         if max(self.numbers, default=0) > count:
             raise ValueError(
                 f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
@@ -137,29 +128,53 @@ class NYUMat(NYUFrames):
     def _mat(self) -> Any:
         """The open file, opened once in each process: a handle must not cross a fork or a pickle."""
         if self._handle is None or self._process != os.getpid():
-            self._handle, self._process = _open(self.path), os.getpid()
+            self._handle, self._process = open_hdf5(self.path, self.path), os.getpid()
         return self._handle
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_handle": None}
 
 
-def _open(path: Path) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: check root, or fetch the file again")
+def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
+    """The frame that one of sparse-to-dense's open HDF5 files holds; ``source`` is for messages.
+
+    Raises:
+        ValueError: a key is missing, or an array has another shape or type.
+    """
+    image, depth = _take(file, "rgb", source)[()], _take(file, "depth", source)[()]
+    if image.ndim != 3 or image.shape[0] != 3 or image.dtype != np.uint8 or image.shape[1:] != depth.shape:
+        raise ValueError(
+            f"{source}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, wanted (3, H, W) uint8 "
+            "and (H, W)"
+        )
+    size = (depth.shape[0], depth.shape[1])
+    image = np.ascontiguousarray(image.transpose(1, 2, 0))
+    return Frame(image, decode_depth(depth, "metres", source), nyu_intrinsics(size), name)
+
+
+def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
+    """Open an HDF5 file on disk or in memory; ``source`` is for messages.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ImportError: h5py is not installed.
+        ValueError: where it is cut or no HDF5 file.
+    """
+    if isinstance(file, Path) and not file.is_file():
+        raise FileNotFoundError(f"{source} does not exist: check root, or fetch the file again")
     try:
         import h5py
     except ImportError as error:
         raise ImportError("reading NYU's HDF5 files needs h5py: pip install 'eldenet[nyu]'") from error
     try:
-        return h5py.File(path, "r")
+        return h5py.File(file, "r")
     except OSError as error:
-        raise ValueError(f"{path} is cut or is no HDF5 file ({error}): fetch it again") from error
+        raise ValueError(f"{source} is cut or is no HDF5 file ({error}): fetch it again") from error
 
 
-def _take(file: Any, key: str, path: Path) -> Any:
+def _take(file: Any, key: str, source: object) -> Any:
     if key not in file:
-        raise ValueError(f"{path} has no {key!r}, only {', '.join(sorted(file))}: is it the right file?")
+        raise ValueError(f"{source} has no {key!r}, only {', '.join(sorted(file))}: is it the right file?")
     return file[key]
 
 

@@ -40,13 +40,10 @@ def find_root(root: str | Path | None, default: str | None, must_contain: Sequen
     return folder
 
 
-def check_files(root: Path, files: Sequence[str]) -> None:
-    """Make sure that every file, relative to ``root``, is there: no frame is skipped in silence.
+def missing_files(root: Path, files: Sequence[str]) -> list[str]:
+    """Those of ``files``, relative to ``root``, that are not there.
 
     Each folder is listed once, so fifty thousand frames take a moment even on a network drive.
-
-    Raises:
-        FileNotFoundError: naming the first ten missing files and how many there are.
     """
     listed: dict[Path, set[str]] = {}
     missing = []
@@ -55,12 +52,22 @@ def check_files(root: Path, files: Sequence[str]) -> None:
         if path.parent not in listed:
             listed[path.parent] = set(os.listdir(path.parent)) if path.parent.is_dir() else set()
         if path.name not in listed[path.parent]:
-            missing.append(str(path))
+            missing.append(file)
+    return missing
+
+
+def check_files(root: Path, files: Sequence[str]) -> None:
+    """Make sure that every file, relative to ``root``, is there: no frame is skipped in silence.
+
+    Raises:
+        FileNotFoundError: naming the first ten missing files and how many there are.
+    """
+    missing = [str(root / file) for file in missing_files(root, files)]
     if missing:
         more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise FileNotFoundError(
             f"{len(missing)} of {len(files)} files are missing: {', '.join(missing[:10])}{more}. Complete "
-            "the data set, or leave these frames out of its list"
+            "the data set, or leave these frames out (on_error: skip)"
         )
 
 

@@ -1,0 +1,235 @@
+"""Cityscapes: the official files with each frame's own camera, and MTAN's small ``.npy`` set.
+
+Cordts et al., "The Cityscapes Dataset for Semantic Urban Scene Understanding", CVPR 2016. Depth comes from
+stereo (SGM): it has holes, and it grows coarse with distance, as disparity does.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from eldenet.data.base import DepthDataset, SampleOptions
+from eldenet.data.io import DepthEncoding, decode_depth, read_array, read_depth, read_image, read_raw_depth
+from eldenet.data.roots import find_root, one_of
+from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
+from eldenet.types import Frame
+
+CITYSCAPES_SIZE = (1024, 2048)  # the picture that disparity [px] and camera speak of
+# p = 0 is unknown and stays so; p = 1 is a disparity of 0, which is infinitely far and unknown too.
+DISPARITY = DepthEncoding("cityscapes disparity", 1 / 256, -1.0, lowest_peak=256)
+
+CITYSCAPES_TREE = """
+leftImg8bit/{train,val,test}/<city>/<city>_000000_000019_leftImg8bit.png
+disparity/{train,val,test}/<city>/<city>_000000_000019_disparity.png       (16 bits)
+camera/{train,val,test}/<city>/<city>_000000_000019_camera.json
+(each also below its zip's name: disparity_trainvaltest/disparity/..., disparity_trainvaltest/...)
+"""
+MTAN_TREE = """
+train/image/0.npy ... 2974.npy     (128, 256, 3) float, 0 to 1
+train/depth/0.npy ...              (128, 256, 1) float, inverse depth, 0 = unknown
+val/image/0.npy ... 499.npy, val/depth/0.npy ...
+"""
+KINDS = {"leftImg8bit": ".png", "disparity": ".png", "camera": ".json"}
+
+
+class Cityscapes(DepthDataset):
+    """The official layout: left picture, disparity and camera of each frame.
+
+    Convention: depth = baseline x fx / d with d = (p - 1) / 256 [px of the full 2048 x 1024 picture], p = 0
+    taken out before; baseline and fx are the frame's own. Files that were made smaller keep their disparity
+    values.
+
+    Args:
+        root: the folder that holds ``leftImg8bit``, ``disparity`` and ``camera``, each of them also under its
+            zip's name; None for ``$ELDENET_DATA/cityscapes``.
+        split: "train" and "val", parts of the official training frames that share no city, "trainval" for all
+            of these, "official_val" (500 frames) or "official_test" (1,525).
+        val_cities: cities of the official training part that are for validation.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown split or city.
+    """
+
+    ground_truth = "raw"
+    frame_lists = ("names", "files")
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        val_cities: Sequence[str] = ("darmstadt", "ulm"),
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "trainval", "official_val", "official_test"))
+        options.setdefault("min_depth", 1.0)
+        options.setdefault("max_depth", 80.0)
+        self.root = find_root(root, "cityscapes", [], CITYSCAPES_TREE)
+        part = split.removeprefix("official_") if split.startswith("official_") else "train"
+        places = {kind: _place(self.root, kind, part) for kind in KINDS}
+        names = sorted(
+            {
+                f"{part}/{path.parent.name}/{path.stem.removesuffix(f'_{kind}')}"
+                for kind in ("leftImg8bit", "disparity")
+                for path in (self.root / places[kind]).glob(f"*/*_{kind}.png")
+            }
+        )
+        if split in ("train", "val"):
+            cities = {name.split("/")[1] for name in names}
+            unknown = sorted(set(val_cities) - cities)
+            if unknown or not cities - set(val_cities):
+                raise ValueError(
+                    f"val_cities={list(val_cities)}: give some, not all, of {', '.join(sorted(cities))}"
+                )
+            names = [name for name in names if (name.split("/")[1] in val_cities) == (split == "val")]
+        super().__init__(names, **options)
+        self.files = [
+            tuple(f"{places[kind]}/{_below(name)}_{kind}{ending}" for kind, ending in KINDS.items())
+            for name in names
+        ]
+        self.check_frames(self.root, self.files)
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one frame."""
+        image_file, disparity_file, camera_file = (self.root / file for file in self.files[index])
+        image = read_image(image_file)
+        disparity = read_depth(disparity_file, DISPARITY)
+        if image.shape[:2] != disparity.shape:
+            raise ValueError(
+                f"{image_file} is {image.shape[:2]}, {disparity_file} is {disparity.shape} (height, width): "
+                "they are no pair"
+            )
+        intrinsics, baseline = read_camera(camera_file)
+        depth = disparity_to_depth(disparity, intrinsics[0, 0], baseline)
+        intrinsics = resize_intrinsics(intrinsics, CITYSCAPES_SIZE, (image.shape[0], image.shape[1]))
+        return Frame(image, depth, intrinsics, self.names[index])
+
+
+def read_camera(path: Path) -> tuple[np.ndarray, float]:
+    """Intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: naming the file, where it is cut or a number is missing or cannot be.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist: fetch camera_trainvaltest.zip")
+    try:
+        content = json.loads(path.read_text())
+        camera = content["intrinsic"]
+        fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
+        baseline = float(content["extrinsic"]["baseline"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is cut or is no Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
+        ) from error
+    if not (fx > 0 and fy > 0 and baseline > 0):
+        raise ValueError(f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0: fetch it again")
+    return pinhole(fx, fy, cx, cy), baseline
+
+
+def _place(root: Path, kind: str, part: str) -> str:
+    """The folder of one kind of file, relative to ``root``, however its zip was unpacked."""
+    places = [f"{kind}/{part}", f"{kind}_trainvaltest/{kind}/{part}", f"{kind}_trainvaltest/{part}"]
+    found = next((place for place in places if (root / place).is_dir()), None)
+    if found is None:
+        raise FileNotFoundError(
+            f"{root} holds none of {', '.join(places)}: set data.root, or fetch {kind}_trainvaltest.zip. "
+            f"Expected tree:\n{CITYSCAPES_TREE.strip()}"
+        )
+    return found
+
+
+def _below(name: str) -> str:
+    return name.partition("/")[2]
+
+
+class CityscapesMTAN(DepthDataset):
+    """MTAN's 128 x 256 arrays (Dropbox, Kaggle): pictures in [0, 1] and inverse depth.
+
+    Liu et al., "End-to-End Multi-Task Learning with Attention", CVPR 2019.
+
+    Convention: the set does not say its unit. That a value v is p / 65535 of the official disparity file's p
+    is inferred from its range (0.49 = 126 px), not documented; then depth = baseline x focal x 256 /
+    (65535 v - 1). The frames' own cameras are not in the set, so even then metres are rough, and there are no
+    intrinsics. Pictures are brought to 8 bits.
+
+    Args:
+        root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/cityscapes_mtan``.
+        split: "train" and "val", parts of their training frames, "trainval" for all of these, "official_val"
+            for their 500 validation frames, on which papers report.
+        val_frames: how many of the training frames are for validation: those of the highest numbers.
+        baseline: of the stereo camera, one for all frames [m].
+        focal: fx at 2048 pixels of width, one for all frames [px].
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown split or a ``val_frames`` that leaves nothing.
+    """
+
+    ground_truth = "raw"
+    frame_lists = ("names", "files")
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        val_frames: int = 150,
+        baseline: float = 0.22,
+        focal: float = 2262.52,
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "trainval", "official_val"))
+        if not (baseline > 0 and focal > 0):
+            raise ValueError(f"baseline={baseline} [m], focal={focal} [px]: both must be above 0")
+        options.setdefault("min_depth", 1.0)
+        options.setdefault("max_depth", 80.0)
+        self.root = find_root(root, "cityscapes_mtan", ["train", "val"], MTAN_TREE)
+        part = "val" if split == "official_val" else "train"
+        stems = {path.stem for kind in ("image", "depth") for path in (self.root / part / kind).glob("*.npy")}
+        wrong = sorted(stem for stem in stems if not stem.isdecimal())
+        if wrong:
+            raise ValueError(f"{self.root / part}: {wrong[0]}.npy is no frame number, such as 0.npy")
+        numbers = sorted(int(stem) for stem in stems)
+        if split in ("train", "val"):
+            if not 0 < val_frames < max(len(numbers), 1):
+                raise ValueError(f"val_frames={val_frames}: give at least 1 and fewer than {len(numbers)}")
+            numbers = numbers[-val_frames:] if split == "val" else numbers[:-val_frames]
+        super().__init__([f"{part}/{number}" for number in numbers], **options)
+        self.files = [(f"{part}/image/{n}.npy", f"{part}/depth/{n}.npy") for n in numbers]
+        self.constant = baseline * focal * 256
+        self.encoding = DepthEncoding("MTAN inverse depth", dtype="float", decode=self._metres)
+        self.check_frames(self.root, self.files)
+
+    def _metres(self, inverse: np.ndarray) -> np.ndarray:
+        steps = inverse.astype(np.float64) * 65535 - 1  # of 1/256 px; up to 0 is infinitely far
+        return np.where(steps > 1e-6, self.constant / np.maximum(steps, 1e-6), 0.0)
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one frame."""
+        image_file, depth_file = (self.root / file for file in self.files[index])
+        image, inverse = read_array(image_file), read_raw_depth(depth_file)
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype.kind != "f":
+            raise ValueError(f"{image_file} is {image.shape} {image.dtype}, wanted (H, W, 3) float")
+        if not (image.min(initial=0) >= -1e-3 and image.max(initial=0) <= 1.001):  # NaN fails too
+            raise ValueError(
+                f"{image_file} reaches from {image.min()} to {image.max()}: wanted 0 to 1, is it normalised?"
+            )
+        if image.shape[:2] != inverse.shape:
+            raise ValueError(
+                f"{image_file} is {image.shape[:2]}, {depth_file} is {inverse.shape} (height, width): "
+                "they are no pair"
+            )
+        if inverse.max(initial=0) > 1:
+            raise ValueError(
+                f"{depth_file} reaches {inverse.max()}: inverse depth ends at 1, is it in metres?"
+            )
+        depth = decode_depth(inverse, self.encoding, depth_file)
+        return Frame((image.clip(0, 1) * 255).round().astype(np.uint8), depth, None, self.names[index])

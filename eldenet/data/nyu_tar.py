@@ -1,0 +1,178 @@
+"""NYU Depth V2 in tar shards of HDF5 files, as the Hugging Face Hub's ``sayakpaul/nyu_depth_v2`` holds it."""
+
+import hashlib
+import io
+import json
+import os
+import tarfile
+import uuid
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple, Unpack
+
+from eldenet.data.base import SampleOptions
+from eldenet.data.nyu import NYUFrames
+from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
+from eldenet.data.roots import find_root, one_of
+from eldenet.data.scenes import hold_out
+from eldenet.data.shards import default_cache
+from eldenet.types import Frame
+
+TAR_TREE = """
+data/train-000000.tar ... train-000011.tar     (47,584 frames: <scene>/00001.h5, sparse-to-dense's files)
+data/val-000000.tar, val-000001.tar            (the official 654)
+"""
+
+
+class Member(NamedTuple):
+    """Where one file lies within its shard: bytes ``start`` to ``start + size``."""
+
+    shard: str
+    name: str
+    start: int
+    size: int
+
+
+class NYUTar(NYUFrames):
+    """The Hub's tar shards, read in place: every frame by its place in its shard, in any order.
+
+    The places are looked up once, by walking the shards' headers, and kept in the cache folder under the
+    shard's path, size and time of change: a shard that was fetched again is walked again.
+
+    Convention: as in :class:`~eldenet.data.nyu_hdf5.NYUHDF5`, "val" is held out of the training frames and
+    the official test frames (the Hub's ``val``) are "test".
+
+    Args:
+        root: the folder that holds ``data``; None for ``$ELDENET_DATA/nyu_depth_v2_hub``.
+        split: "train" and "val", parts of the training frames that share no scene
+            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of these, or "test".
+        index: folder for the places; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: where there are no shards.
+        ValueError: for an unknown split, or a shard that is cut (with ``on_error: skip`` its whole frames
+            stay, and ``skipped`` names the shard); on reading, for a damaged frame.
+    """
+
+    ground_truth = "inpainted"
+    frame_lists = ("names", "members")
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        split: str = "train",
+        index: str | Path | None = None,
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, ("train", "val", "trainval", "test"))
+        self.root = find_root(root, "nyu_depth_v2_hub", ["data"], TAR_TREE)
+        part = "val" if split == "test" else "train"
+        shards = sorted((self.root / "data").glob(f"{part}-*.tar"))
+        if not shards:
+            raise FileNotFoundError(
+                f"{self.root / 'data'} holds no {part}-*.tar: is data.root right? Expected tree:\n"
+                f"{TAR_TREE.strip()}"
+            )
+        cache = (default_cache() if index is None else Path(index)).expanduser() / "tar_index"
+        members: list[Member] = []
+        cut: dict[str, str] = {}
+        for shard in shards:
+            found, fault = shard_members(shard, cache)
+            if fault and options.get("on_error") != "skip":
+                raise ValueError(
+                    f"{shard} is cut ({fault}): fetch it again, or take what it has (on_error: skip)"
+                )
+            if fault:
+                cut[f"data/{shard.name}"] = f"{shard} is cut ({fault})"
+            members += found
+        names = [_frame_name(part, member.name) for member in members]
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
+        if twice:
+            raise ValueError(f"{self.root / 'data'}: {len(twice)} frames are there twice, such as {twice[0]}")
+        order = sorted(range(len(names)), key=names.__getitem__)
+        members, names = [members[i] for i in order], [names[i] for i in order]
+        if split in ("train", "val"):
+            chosen = hold_out(names, split)
+            members, names = [members[i] for i in chosen], [names[i] for i in chosen]
+        super().__init__(names, **options)
+        self.members = members
+        self.skipped |= cut
+        self._open: dict[str, int] = {}
+        self._process = -1
+
+    def load_frame(self, index: int) -> Frame:
+        """Read one frame."""
+        member = self.members[index]
+        source = f"{self.root / member.shard}, {member.name}"
+        content = os.pread(self._shard(member.shard), member.size, member.start)
+        if len(content) < member.size:
+            raise ValueError(
+                f"{source} is cut ({len(content)} of {member.size} bytes): fetch the shard again"
+            )
+        with open_hdf5(io.BytesIO(content), source) as file:
+            return read_hdf5_frame(file, source, self.names[index])
+
+    def _shard(self, shard: str) -> int:
+        """The open shard, opened once in each process."""
+        if self._process != os.getpid():
+            self._open, self._process = {}, os.getpid()
+        if shard not in self._open:
+            self._open[shard] = os.open(self.root / shard, os.O_RDONLY)
+        return self._open[shard]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": {}, "_process": -1}
+
+    def __del__(self) -> None:
+        if getattr(self, "_process", -1) == os.getpid():
+            for handle in self._open.values():
+                os.close(handle)
+
+
+def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
+    """The ``.h5`` files of a shard and, if it is cut, how; from the cache if the shard is still the same."""
+    state = shard.stat()
+    path = str(shard.resolve())
+    key = [path, state.st_size, state.st_mtime_ns]
+    file = cache / f"{hashlib.sha256(path.encode()).hexdigest()[:16]}.json"
+    try:
+        known = json.loads(file.read_text())
+        if known["shard"] == key:
+            return [Member(*entry) for entry in known["members"]], known["fault"]
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # not there, or not ours: walk the shard
+    members, fault = _walk(shard)
+    cache.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_name(f".{file.name}.{uuid.uuid4().hex}")  # written whole, or not at all
+    unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
+    unfinished.replace(file)
+    return members, fault
+
+
+def _walk(shard: Path) -> tuple[list[Member], str]:
+    """Read header after header; tarfile takes the end of a cut file for the end of the archive."""
+    members: list[Member] = []
+    length, end = shard.stat().st_size, 0
+    try:
+        with tarfile.open(shard, "r:") as archive:
+            for entry in archive:
+                end = entry.offset_data + -(-entry.size // 512) * 512
+                if entry.offset_data + entry.size > length:
+                    return members, f"{entry.name} is incomplete"
+                if entry.isfile() and entry.name.endswith(".h5"):
+                    members.append(Member(f"data/{shard.name}", entry.name, entry.offset_data, entry.size))
+    except tarfile.TarError as error:
+        return members, f"no tar header at byte {end}: {error}"
+    with shard.open("rb") as file:
+        file.seek(end)
+        closing = file.read(512)
+    return members, "" if len(closing) == 512 and not any(closing) else f"no end of archive at byte {end}"
+
+
+def _frame_name(part: str, member: str) -> str:
+    """As NYUHDF5 names it, ``train/<scene>/00001``, whatever folders stand before the scene."""
+    path = PurePosixPath(member).with_suffix("")
+    return f"{part}/{path.parent.name}/{path.name}"
