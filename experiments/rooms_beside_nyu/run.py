@@ -17,7 +17,7 @@ COLUMNS = ("p5", "median", "p95", "frame_median", "frame_median_std", "frame_ran
 TITLES = ("5 % [m]", "median [m]", "95 % [m]", "frame median [m]", "± over frames", "95 % / 5 %", "gradient")
 
 
-def contact_sheet(rooms: Rooms, across: int = 8, down: int = 4) -> np.ndarray:
+def contact_sheet(rooms: Rooms, across: int = 6, down: int = 3) -> np.ndarray:
     """Image over depth, evenly spaced frames: ``(H, W, 3)`` uint8."""
     rows = []
     indices = iter(np.linspace(0, len(rooms) - 1, across * down).astype(int))
@@ -43,7 +43,11 @@ def main() -> None:
         "",
         "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
     ]
-    lines += ["Made by `python experiments/rooms_beside_nyu/run.py`."]
+    lines += [
+        "Made by `python experiments/rooms_beside_nyu/run.py`.",
+        "",
+        "![test rooms, image over depth](rooms.png)",
+    ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
     write_picture(HERE / "rooms.png", contact_sheet(rooms))
     print("\n".join(lines))
