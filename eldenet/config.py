@@ -120,15 +120,25 @@ def build_split(
         augment: for training.
         seed: of the augmentation.
     """
-    from eldenet.data.base import Chain
+    from eldenet.data.base import SPARSE, Chain
     from eldenet.data.transforms import ResizeCrop
 
     if config.data.get(split) is None:
         raise ValueError(f"data={config.data.name} has no split '{split}'")
     steps: list[Any] = []
     changes: dict[str, Any] = {}
-    if protocol.resize is not None or protocol.frame_crop is not None:
-        steps.append(ResizeCrop(resize=protocol.resize, crop=protocol.frame_crop))
+    if protocol.changes_frames:
+        steps.append(
+            ResizeCrop(
+                box=protocol.frame_box,
+                resize=protocol.resize,
+                crop=protocol.frame_crop,
+                anchor=protocol.frame_anchor,
+                size=protocol.frame_size,
+                sparse=protocol.ground_truth in SPARSE,
+                keep_depth=protocol.paste and split != "train",
+            )
+        )
         if config.data[split].get("load_size") is not None:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(

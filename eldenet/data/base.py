@@ -1,18 +1,20 @@
 """What every data set shares: frames in, samples out, seeded per sample, split named by a hash."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import TypedDict
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldenet.geometry import resize_intrinsics
+from eldenet.geometry import resize_intrinsics, resize_sparse
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int]
+SPARSE = ("sparse", "improved")
+"""Kinds of ground truth that are single points: a resize moves them, and never mixes or multiplies them."""
 
 
 class SampleOptions(TypedDict, total=False):
@@ -26,6 +28,8 @@ class SampleOptions(TypedDict, total=False):
     seed: int
     load_size: Sequence[int] | None
     cache: bool
+    subset: int | None
+    subset_seed: int
 
 
 class DepthDataset(Dataset[DepthSample]):
@@ -46,6 +50,16 @@ class DepthDataset(Dataset[DepthSample]):
         load_size: ``(height, width)`` a frame is resized to as soon as it is read, before the transform [px]:
             an augmentation at the training size costs a tenth of one at the camera's. None keeps the frame's.
         cache: keep the frames in memory once read (and resized), one copy per worker.
+        subset: as many frames drawn from ``names``, in their order, each at most once; None for all. The
+            split's hash is that of the drawn frames.
+        subset_seed: of that draw; the same seed draws the same frames on every machine.
+
+    Attributes:
+        kept: positions in the given ``names`` of the frames in ``self.names``: an adapter picks what else it
+            holds per frame by them.
+
+    Raises:
+        ValueError: there are no frames, or fewer than ``subset``.
     """
 
     ground_truth = "raw"
@@ -62,10 +76,13 @@ class DepthDataset(Dataset[DepthSample]):
         seed: int = 0,
         load_size: Sequence[int] | None = None,
         cache: bool = False,
+        subset: int | None = None,
+        subset_seed: int = 0,
     ) -> None:
         if not names:
             raise ValueError(f"{type(self).__name__} found no frames: check root and split")
-        self.names = list(names)
+        self.kept = _drawn(len(names), subset, subset_seed, type(self).__name__)
+        self.names = [names[i] for i in self.kept]
         self.min_depth, self.max_depth = min_depth, max_depth
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.transform = transform
@@ -83,6 +100,10 @@ class DepthDataset(Dataset[DepthSample]):
         """First 16 hex digits of the SHA-256 over the frame names in order: names the split in reports."""
         return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
 
+    def size_group(self, index: int) -> Hashable:
+        """Frames of one group have one size and can share a batch in evaluation; by default all."""
+        return None
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -92,7 +113,7 @@ class DepthDataset(Dataset[DepthSample]):
         if self.transform is not None:
             frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
         if self.input_size is not None:
-            frame = resize_frame(frame, self.input_size, resize_depth=self.resize_depth)
+            frame = self._resized(frame, self.input_size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
     def _ready_frame(self, index: int) -> Frame:
@@ -100,14 +121,33 @@ class DepthDataset(Dataset[DepthSample]):
             return self._cache[index]
         frame = self.load_frame(index)
         if self.load_size is not None:
-            frame = resize_frame(frame, self.load_size, resize_depth=self.resize_depth)
+            frame = self._resized(frame, self.load_size)
         if self._cache is not None:
             self._cache[index] = frame
         return frame
 
+    def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
+        sparse = self.ground_truth in SPARSE
+        return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 
-def resize_frame(frame: Frame, size: tuple[int, int], *, resize_depth: bool = True) -> Frame:
-    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix)."""
+
+def _drawn(count: int, subset: int | None, seed: int, who: str) -> list[int]:
+    if subset is None:
+        return list(range(count))
+    if not 1 <= subset <= count:
+        raise ValueError(
+            f"subset={subset}: {who} found {count} frames in this split, give 1 to {count} or null"
+        )
+    return sorted(np.random.default_rng(seed).permutation(count)[:subset].tolist())
+
+
+def resize_frame(
+    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False
+) -> Frame:
+    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix).
+
+    Sparse depth keeps its points instead (:func:`~eldenet.geometry.resize_sparse`): nearest would lose most.
+    """
     import cv2
 
     image, depth, intrinsics, name = frame
@@ -117,7 +157,10 @@ def resize_frame(frame: Frame, size: tuple[int, int], *, resize_depth: bool = Tr
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
     if resize_depth and depth.shape != size:
-        depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        if sparse:
+            depth = resize_sparse(depth, size)
+        else:
+            depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return Frame(image, depth, intrinsics, name)
 
 

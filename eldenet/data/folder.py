@@ -88,7 +88,7 @@ class FolderDataset(DepthDataset):
             else:
                 names = _named(names, val_names, wanted=split == "val")
         super().__init__(names, **options)
-        self.pairs = [pairs[name] for name in names]
+        self.pairs = [pairs[name] for name in self.names]
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""

@@ -67,7 +67,8 @@ class _NYUPairs(NYUFrames):
     ) -> None:
         super().__init__(names, **options)
         check_files(root, [file for pair in pairs for file in pair])
-        self.root, self.pairs, self.encoding = root, list(pairs), depth_encoding(encoding)
+        self.root, self.encoding = root, depth_encoding(encoding)
+        self.pairs = [pairs[i] for i in self.kept]
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""

@@ -118,12 +118,15 @@ class NYUMat(NYUFrames):
         self._process = -1
         with _open(self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
-        self.numbers = range(1, count + 1) if split == "all" else _split_numbers(folder / "splits.mat", split)
+        self.numbers: Sequence[int] = (
+            range(1, count + 1) if split == "all" else _split_numbers(folder / "splits.mat", split)
+        )
         if max(self.numbers, default=0) > count:
             raise ValueError(
                 f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
             )
         super().__init__([f"{number:04d}" for number in self.numbers], **options)
+        self.numbers = [self.numbers[i] for i in self.kept]
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
