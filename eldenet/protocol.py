@@ -35,7 +35,7 @@ class EvalProtocol:
         resize: of the frame after ``frame_box``, image and ground truth alike: a factor or
             ``(height, width)`` [px]; None: none.
         frame_crop: crop of the frame after ``resize``, ``(height, width)`` [px]; None: none.
-        frame_anchor: where ``frame_crop`` lies: "center", or "bottom" (lowest rows, centred, as BTS's KB crop).
+        frame_anchor: where ``frame_crop`` lies: "center", or "bottom" (lowest rows, centred: BTS's KB crop).
         frame_size: ``(height, width)`` of a last resize of the frame, after ``frame_crop`` [px]; None: none.
         paste: ``frame_crop`` is for the image alone: the ground truth stays whole, the prediction is put back
             into its place, and what the network did not see is not scored.
