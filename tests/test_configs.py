@@ -74,10 +74,14 @@ def nodes(node: Any) -> Iterator[dict[str, Any]]:
             yield from nodes(value)
 
 
+# What a data set leaves to the user without a default.
+GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw", "improved")}
+
+
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    config = compose("train", [f"{group}={choice}"])
+    config = compose("train", [f"{group}={choice}", *GIVEN.get(choice, [])])
     if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config
@@ -171,6 +175,23 @@ def test_augmentation_runs(choice: str, tmp_path: Path) -> None:
 FULL = layouts.content((480, 640))
 TREES: dict[str, Callable[[Path], list[str]]] = {
     "folder": lambda root: [f"data.root={layouts.folder(root)}"],
+    "kitti": lambda root: [f"data.root={layouts.kitti_depth(root)}"],
+    "kitti_eigen_improved": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1])}",
+        "data.frames=1",
+    ],
+    "kitti_eigen_raw": lambda root: [
+        f"data.root={layouts.kitti_raw(root / 'raw')}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1], 69)}",
+        "data.frames=1",
+    ],
+    "kitti_raw": lambda root: [f"data.root={layouts.kitti_raw(root)}"],
+    "kitti_selection": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.selection_root={layouts.kitti_selection(root / 'selection')}",
+        "data.frames=2",
+    ],
     "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
     "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],

@@ -167,7 +167,8 @@ class KITTIRaw(KITTIFrames):
         """Project the frame's scan."""
         place = self.places[index]
         matrix = self.matrices[place.date, place.camera]
-        return project_scan(read_scan(self.sources[index]), matrix, size, self.projection)
+        points = read_scan(self.sources[index])
+        return project_scan(points, matrix, size, self.projection).astype(np.float32)
 
 
 class KITTISelection(KITTIFrames):

@@ -32,7 +32,7 @@ def read_scan(path: Path) -> np.ndarray:
 def project_scan(
     points: np.ndarray, matrix: np.ndarray, size: tuple[int, int], projection: str = "camera"
 ) -> np.ndarray:
-    """Sparse depth ``(H, W)`` float32 [m], 0 = unknown; in each pixel the nearest point stays.
+    """Sparse depth ``(H, W)`` float64 [m], 0 = unknown; in each pixel the nearest point stays.
 
     Convention: "camera" is what the geometry says: depth is the distance along the camera's axis, the pixel
     is the nearest one (centres on whole numbers). "eigen" is how the field's 697 test frames are made (Eigen,
@@ -55,4 +55,4 @@ def project_scan(
         cols, rows, depth = cols - 1, rows - 1, forward
     inside = (rows >= 0) & (rows < size[0]) & (cols >= 0) & (cols < size[1]) & (depth > 0)
     rows, cols = rows[inside].astype(np.int64), cols[inside].astype(np.int64)
-    return nearest_points(rows, cols, depth[inside], size).astype(np.float32)
+    return nearest_points(rows, cols, depth[inside], size)
