@@ -165,6 +165,25 @@ def test_mat_without_the_ground_truth(tmp_path: Path) -> None:
         NYUMat(tmp_path, split="all", ground_truth="raw")
 
 
+@pytest.mark.parametrize(
+    ("write", "dataset"),
+    [(densedepth, NYUDenseDepth), (labelled, NYULabelled), (sync, NYUSync), (hdf5, NYUHDF5), (mat, NYUMat)],
+)
+def test_subset_takes_everything_of_its_frames(
+    tmp_path: Path, write: Callable[[Path], Path], dataset: Callable[..., DepthDataset]
+) -> None:
+    split = "trainval" if dataset in (NYUDenseDepth, NYUHDF5) else "all"
+    whole = dataset(write(tmp_path), split=split)
+    for seed in range(4):
+        drawn = dataset(tmp_path, split=split, subset=1, subset_seed=seed)
+        assert (len(drawn), drawn[0]["name"]) == (1, drawn.names[0])
+        assert drawn.split_hash != whole.split_hash
+        expected = whole[whole.names.index(drawn.names[0])]
+        assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
+    with pytest.raises(ValueError, match=f"subset=9: {dataset.__name__} found {len(whole)} frames"):
+        dataset(tmp_path, split=split, subset=9)
+
+
 LAYOUTS: dict[str, tuple[Callable[[Path], Path], Callable[..., DepthDataset], str]] = {
     "densedepth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.jpg"),
     "densedepth_depth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.png"),
