@@ -64,8 +64,8 @@ def choose_resources(
     # processes of one machine (torchrun, accelerate launch) share its cores
     cores = max(1, available_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
     if threads == "auto":
-        # half of them: a small network gains little from a second thread, loading gains a core, and threads
-        # that wait for each other stall when anything else runs (measured: experiments/training_speed)
+        # half of them: while a machine is idle a second thread gives a small network a quarter more
+        # (experiments/training_speed), and it costs most of the speed once anything else wants a core
         threads = max(1, cores // 2 if workers == "auto" else cores - int(workers))
     threads = int(threads)
     workers = min(8, max(0, cores - threads)) if workers == "auto" else int(workers)
