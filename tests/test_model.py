@@ -198,9 +198,8 @@ def test_copies_and_pickles() -> None:
 
 def test_public_names() -> None:
     assert eldenet.list_models() == NAMES
-    assert sorted(dir(eldenet)) == sorted(
-        ["DepthNet", "EncoderDecoder", "__version__", "list_models", "load"]
-    )
+    assert dir(eldenet) == eldenet.__all__
+    assert all(getattr(eldenet, name) is not None for name in eldenet.__all__)
     with pytest.raises(AttributeError, match="no attribute 'Depthnet'"):
         _ = eldenet.Depthnet
 
