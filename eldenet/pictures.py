@@ -61,8 +61,9 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
 
 
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Rows of one width below each other, under a line of ``titles`` spread evenly over the width."""
-    width = rows[0].shape[1]
+    """Rows below each other, narrow ones filled up, under ``titles`` spread evenly over the width."""
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     gap = np.full((GAP, width, 3), 255, np.uint8)
     pieces = [piece for row in rows for piece in (row, gap)][:-1]
     if titles:
