@@ -1,5 +1,6 @@
 """What KITTI's layouts share: missing partners by name, intrinsics and size by date."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Unpack
@@ -34,7 +35,14 @@ class KITTIFrames(DepthDataset):
         options.setdefault("min_depth", KITTI_MIN_DEPTH)
         options.setdefault("max_depth", KITTI_MAX_DEPTH)
         super().__init__([place.name for place in places], **options)
-        self.skipped |= {place.name: "the list says None: no depth was made of it" for place in without_depth}
+        if without_depth:
+            logging.getLogger("eldenet").info(
+                "%s: the list says None, no depth was made, for %d frames, such as %s: %d frames remain",
+                type(self).__name__,
+                len(without_depth),
+                without_depth[0].name,
+                len(places),
+            )
         self.places = list(places)
         self.pictures = [Path(str(pictures.get(place))) for place in places]
         self.sources = [Path(str(sources.get(place))) for place in places]
@@ -42,7 +50,8 @@ class KITTIFrames(DepthDataset):
         self._check_partners(pictures, sources)
         if frames is not None and len(self) != frames:
             raise ValueError(
-                f"{len(self)} frames where {frames} are expected ({len(self.skipped)} left out): is it the "
+                f"{len(self)} frames where {frames} are expected ({len(without_depth)} without depth in the "
+                f"list, {len(self.skipped)} left out): is it the "
                 "right list, and the data set complete? For a list of your own, data.frames=null"
             )
 
