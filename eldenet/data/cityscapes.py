@@ -11,8 +11,9 @@ from typing import Unpack
 
 import numpy as np
 
+from eldenet.data.arrays import read_array, read_text
 from eldenet.data.base import DepthDataset, SampleOptions
-from eldenet.data.io import DepthEncoding, decode_depth, read_array, read_depth, read_image, read_raw_depth
+from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
 from eldenet.data.roots import find_root, one_of
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.types import Frame
@@ -97,7 +98,7 @@ class Cityscapes(DepthDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         image_file, disparity_file, camera_file = (self.root / file for file in self.files[index])
-        image = read_image(image_file)
+        image = read_image(image_file, grey=False)
         disparity = read_depth(disparity_file, DISPARITY)
         if image.shape[:2] != disparity.shape:
             raise ValueError(
@@ -117,10 +118,9 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         FileNotFoundError: where there is no such file.
         ValueError: naming the file, where it is cut or a number is missing or cannot be.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: fetch camera_trainvaltest.zip")
+    text = read_text(path, "fetch camera_trainvaltest.zip")
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(text)
         camera = content["intrinsic"]
         fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
         baseline = float(content["extrinsic"]["baseline"])
@@ -128,8 +128,11 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         raise ValueError(
             f"{path} is cut or is no Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
         ) from error
-    if not (fx > 0 and fy > 0 and baseline > 0):
-        raise ValueError(f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0: fetch it again")
+    if not (min(fx, fy, baseline) > 0 and np.isfinite([fx, fy, cx, cy, baseline]).all()):
+        raise ValueError(
+            f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0, and u0={cx}, v0={cy} "
+            "finite: fetch it again"
+        )
     return pinhole(fx, fy, cx, cy), baseline
 
 
