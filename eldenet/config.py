@@ -182,9 +182,9 @@ def build_split(
     )
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
-    count = config.data.get("subset", {}).get(split)
-    if count is not None:
-        dataset.draw_subset(count, config.data.subset_seed)
+    places = config.data.get("subset", {}).get(split)
+    if places is not None:
+        dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
         logging.getLogger("eldenet").warning(
             "%s: %d of %d frames left out, such as %s",

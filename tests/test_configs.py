@@ -249,9 +249,43 @@ def test_subset_draws_whole_frames(name: str, tmp_path: Path) -> None:
         assert drawn[0]["name"] == drawn.names[0]
         expected = whole[whole.names.index(drawn.names[0])]
         assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
+    if len(whole) > 1:
+        rest = compose("train", [*overrides, f"data.subset.{split}=[1,{len(whole)}]", "data.subset_seed=2"])
+        others = build_split(rest, split, build_protocol(rest))
+        assert sorted([*others.names, *drawn.names]) == sorted(whole.names)
     greedy = compose("train", [*overrides, f"data.subset.{split}={len(whole) + 1}"])
     with pytest.raises(ValueError, match=f"found {len(whole)} frames in this split"):
         build_split(greedy, split, build_protocol(greedy))
+
+
+@pytest.mark.parametrize(
+    ("experiment", "tree", "overrides"),
+    [
+        (
+            "nyu_paper",
+            lambda root: layouts.densedepth(root, FULL),
+            ["data.subset={train: [0, 1], val: [1, 2], test: [1, 2]}"],
+        ),
+        ("kitti_paper", layouts.kitti_depth, ["data.subset={train: 1, val: 1, test: 1}"]),
+        (
+            "cityscapes_paper",
+            lambda root: layouts.cityscapes(root, layouts.content((1024, 2048))),
+            [],
+        ),
+    ],
+)
+def test_the_papers_set_ups(
+    experiment: str, tree: Callable[[Path], Path], overrides: list[str], tmp_path: Path
+) -> None:
+    if experiment == "kitti_paper":
+        layouts.kitti_depth(tmp_path, kind="velodyne_raw")
+    config = compose("train", [f"+experiment={experiment}", f"data.root={tree(tmp_path)}", *overrides])
+    protocol = build_protocol(config)
+    assert protocol.name == experiment
+    splits = {split: build_split(config, split, protocol) for split in ("train", "val", "test")}
+    assert not set(splits["train"].names) & (set(splits["val"].names) | set(splits["test"].names))
+    for data in splits.values():
+        assert data[0]["image"].shape[1:] == data[0]["depth"].shape[1:] == protocol.size
 
 
 # One file of a training frame in each tree.

@@ -129,18 +129,24 @@ class DepthDataset(Dataset[DepthSample]):
             raise ValueError(f"all {len(self)} frames were left out, such as: {next(iter(reasons.values()))}")
         self._keep([index for index in range(len(self)) if index not in reasons])
 
-    def draw_subset(self, count: int, seed: int) -> None:
-        """Keep ``count`` of the frames, in their order, drawn by ``seed``: the same ones on every machine.
+    def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
+        """Keep a draw of the frames, in their order: the same ones on every machine.
+
+        Args:
+            places: how many, or ``(first, end)``: these places of the frames shuffled by ``seed``. Ranges
+                that do not overlap share no frame.
+            seed: of the draw.
 
         Raises:
             ValueError: there are fewer.
         """
-        if not 1 <= count <= len(self):
+        first, end = (0, places) if isinstance(places, int) else places
+        if not 0 <= first < end <= len(self):
             raise ValueError(
-                f"subset={count}: {type(self).__name__} found {len(self)} frames in this split, give 1 to "
-                f"{len(self)} or null"
+                f"subset={places}: {type(self).__name__} found {len(self)} frames in this split, give 1 to "
+                f"{len(self)}, a range [first, end] within 0 to {len(self)}, or null"
             )
-        self._keep(sorted(np.random.default_rng(seed).permutation(len(self))[:count].tolist()))
+        self._keep(sorted(np.random.default_rng(seed).permutation(len(self))[first:end].tolist()))
 
     def _keep(self, indices: Sequence[int]) -> None:
         for name in self.frame_lists:
