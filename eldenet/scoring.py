@@ -84,6 +84,7 @@ def score_and_record(
         "skipped": {"train": train_set.skipped, **(skipped or {}), split: dataset.skipped},
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,
+        "errors_by_class": result.classes or None,
         "constant_predictor": baseline.metrics,
         "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),

@@ -65,6 +65,7 @@ class DepthDataset(Dataset[DepthSample]):
 
     ground_truth = "raw"
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
+    class_names: tuple[str, ...] = ()  # of the semantic labels, by their number; none where they are not read
 
     def __init__(
         self,
@@ -210,18 +211,20 @@ def resize_frame(
     """
     import cv2
 
-    image, depth, intrinsics, name = frame
+    image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
         shrink = image.shape[0] > size[0]
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
     if resize_depth and depth.shape != size:
+        if labels is not None:
+            labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
         if sparse:
             depth = resize_sparse(depth, size)
         else:
             depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-    return Frame(image, depth, intrinsics, name)
+    return Frame(image, depth, intrinsics, name, labels)
 
 
 def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
@@ -229,13 +232,16 @@ def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
     known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
     depth = np.where(known, frame.depth, 0.0).astype(np.float32)
     intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
-    return {
+    sample: DepthSample = {
         "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))).float().div_(255.0),
         "depth": torch.from_numpy(depth)[None],
         "mask": torch.from_numpy(known)[None],
         "intrinsics": torch.from_numpy(np.array(intrinsics, dtype=np.float32)),
         "name": frame.name,
     }
+    if frame.labels is not None:
+        sample["labels"] = torch.from_numpy(np.ascontiguousarray(frame.labels))[None]
+    return sample
 
 
 class Chain:
