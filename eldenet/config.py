@@ -112,9 +112,9 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         raise ValueError(str(error)) from error
 
 
-def build_model(config: DictConfig) -> Any:
-    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``."""
-    return instantiate(config)
+def build_model(config: DictConfig, **arguments: Any) -> Any:
+    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
+    return instantiate(config, **arguments)
 
 
 def build_protocol(config: DictConfig) -> Any:

@@ -86,6 +86,10 @@ def score_and_record(
         "metrics": result.metrics,
         "errors_by_class": result.classes or None,
         "constant_predictor": baseline.metrics,
+        "normalisation": {
+            "mean": [round(value, 6) for value in model.mean.flatten().tolist()],
+            "std": [round(value, 6) for value in model.std.flatten().tolist()],
+        },
         "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),

@@ -24,7 +24,7 @@ LAYERS = {
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
     4: "averaging checkpoint evaluation legend meter pictures pointcloud predictions predictor "
-    "profiling record runlog runtimes schedules",
+    "normalisation profiling record runlog runtimes schedules",
     5: "trainer",
     6: "perception",
     7: "navigation",
