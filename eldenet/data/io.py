@@ -36,6 +36,11 @@ class DepthEncoding:
     decode: Callable[[np.ndarray], np.ndarray] | None = None
     lowest_peak: int = 0
 
+    @property
+    def description(self) -> str:
+        """Tells one encoding from another; ``decode`` goes by its name."""
+        return f"{self.name}: {self.scale!r}, {self.offset!r}, {self.dtype}"
+
     def to_metres(self, raw: np.ndarray) -> np.ndarray:
         """Turn ``(H, W)`` numbers of the file into float32 [m], 0 where unknown."""
         if raw.dtype in (np.uint8, np.uint16):
