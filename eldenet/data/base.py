@@ -112,7 +112,7 @@ class DepthDataset(Dataset[DepthSample]):
         )
 
     def frame_settings(self) -> dict[str, object]:
-        """The adapter's own settings that :meth:`load_frame` depends on, as plain values: name a disk cache."""
+        """The adapter's own settings that :meth:`load_frame` depends on, as plain values: for a cache."""
         return {}
 
     def check_frames(self, root: Path, files: Sequence[Sequence[str]]) -> None:

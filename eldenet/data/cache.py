@@ -2,8 +2,8 @@
 
 One store is one memory-mapped file of slots, a frame in each: a header, the image as uint8, the depth as
 float32. The header is written after the pixels and holds their checksum, which every read checks. So whatever
-a killed process, a lost power supply or two writers leave in a slot is whole, or is read again from the
-frame's files. "disk" is a file below the cache folder; "ram" is a file without a name that lives in memory and
+a killed process, a lost power supply or two writers leave in a slot is whole, or is read again from the files
+of the frame. "disk" is a file below the cache folder; "ram" is a file without a name that lives in memory and
 ends with its processes.
 """
 
@@ -167,8 +167,8 @@ class FrameStore:
         image, depth = np.ascontiguousarray(frame.image), np.ascontiguousarray(frame.depth)
         if image.dtype != np.uint8 or depth.dtype != np.float32:
             raise ValueError(
-                f"{frame.name}: load_frame gave {image.dtype} image and {depth.dtype} depth, a cache keeps uint8 "
-                "and float32"
+                f"{frame.name}: load_frame gave {image.dtype} image and {depth.dtype} depth, a cache keeps "
+                "uint8 and float32"
             )
         if HEADER + image.nbytes + depth.nbytes > self.slot:
             self._warn("large", f"{frame.name} is larger than the first frame: frames like it are not cached")
