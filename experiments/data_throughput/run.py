@@ -191,8 +191,8 @@ def main() -> None:
         f"torch's, {where['date']}; versions {json.dumps(where['versions'])}.",
         "",
         f"NYU labelled, 665 frames, {SIZE[0]} x {SIZE[1]}, batch {BATCH}, full augmentation. The source "
-        "files are in the operating system's memory, so cold means decoding, not a slow disk. Medians and quartiles of "
-        "interleaved rounds.",
+        "files are in the operating system's memory, so cold means decoding, not a slow disk. Medians and "
+        "quartiles of interleaved rounds.",
         "",
         "| loader | workers | images/s | over cold | quartiles |",
         "|---|---:|---:|---:|---|",
@@ -201,8 +201,8 @@ def main() -> None:
     lines += [
         "",
         f"The trainer's wait for data, ELDE-Net at {SIZE[0]} x {SIZE[1]}, batch {BATCH}, {FRAMES} frames an "
-        f"epoch, {resources.precision}, {resources.threads} thread + {resources.workers} workers (`waited` and "
-        "`seconds` in `run.json`). The first epoch fills the cache and starts the workers.",
+        f"epoch, {resources.precision}, {resources.threads} thread + {resources.workers} workers (`waited` "
+        "and `seconds` in `run.json`). The first epoch fills the cache and starts the workers.",
         "",
         "| cache | epoch | waited [s] | in steps [s] | wait over step |",
         "|---|---:|---:|---:|---:|",
