@@ -449,7 +449,7 @@ def train(folder: Path, *, cache: str = "none", workers: int = 0, epochs: int = 
 
 def test_cached_training_is_the_training_resumed_too(tmp_path: Path, monkeypatch) -> None:
     train(tmp_path / "plain")
-    train(tmp_path / "ram", cache="ram", workers=2)
+    train(tmp_path / "ram", cache="ram", workers=1)
     assert digest(tmp_path / "ram") == digest(tmp_path / "plain")
 
     class Stopped(Exception):
