@@ -73,6 +73,8 @@ def score_and_record(
     )
     log.close()
     train_set = cfg.build_split(config, "train", protocol)
+    if train_set.cache == "ram":
+        train_set.cache = "none"  # each frame is read once: nothing to keep
     constant = fit_constant_predictor(train_set).to(resources.device)
     baseline = score(constant, "evaluating the constant predictor")
     sample = dataset[0]["image"]

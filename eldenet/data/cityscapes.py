@@ -103,6 +103,10 @@ class Cityscapes(DepthDataset):
         self.files = [tuple(f"{place}/{_below(name)}_{kind}" for place, kind in kinds) for name in names]
         self.check_frames(self.root, self.files)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture, disparity and camera."""
+        return [self.root / file for file in self.files[index]]
+
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         image_file, disparity_file, camera_file, *label_file = (self.root / f for f in self.files[index])
@@ -243,6 +247,14 @@ class CityscapesMTAN(DepthDataset):
     def _metres(self, inverse: np.ndarray) -> np.ndarray:
         steps = inverse.astype(np.float64) * 65535 - 1  # of 1/256 px; up to 0 is infinitely far
         return np.where(steps > 1e-6, self.constant / np.maximum(steps, 1e-6), 0.0)
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and inverse depth."""
+        return [self.root / file for file in self.files[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """What makes metres of inverse depth."""
+        return {"constant": self.constant}
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""

@@ -97,6 +97,15 @@ class FolderDataset(DepthDataset):
         self.pairs = [pairs[name] for name in names]
         self.check_frames(self.root, self.pairs)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and depth."""
+        return [self.root / file for file in self.pairs[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """Encoding and camera."""
+        camera = None if self.intrinsics is None else self.intrinsics.tolist()
+        return {"encoding": self.encoding.description, "intrinsics": camera}
+
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
         image_file, depth_file = self.pairs[index]

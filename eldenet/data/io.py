@@ -35,6 +35,11 @@ class DepthEncoding:
     decode: Callable[[np.ndarray], np.ndarray] | None = None
     lowest_peak: int = 0
 
+    @property
+    def description(self) -> str:
+        """Tells one encoding from another; ``decode`` goes by its name."""
+        return f"{self.name}: {self.scale!r}, {self.offset!r}, {self.dtype}"
+
     def to_metres(self, raw: np.ndarray) -> np.ndarray:
         """Turn ``(H, W)`` numbers of the file into float32 [m], 0 where unknown."""
         if raw.dtype in (np.uint8, np.uint16):
@@ -57,6 +62,10 @@ def _table(encoding: DepthEncoding, dtype: str) -> np.ndarray:
     return encoding._metres_of(np.arange(np.iinfo(dtype).max + 1, dtype=dtype))
 
 
+def _turned_bits(raw: np.ndarray) -> np.ndarray:
+    return ((raw >> 3) | (raw << 13)) / 1000.0
+
+
 ENCODINGS: dict[str, DepthEncoding] = {
     row.name: row
     for row in (
@@ -65,7 +74,7 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
         # SUN RGB-D turns the bits of its millimetres: (v >> 3) | (v << 13), as its toolbox reads them.
-        DepthEncoding("sunrgbd", 1e-3, decode=lambda v: ((v >> 3) | (v << 13)) / 1000.0, lowest_peak=255),
+        DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
         # DenseDepth's training pictures: eight bits over ten metres.
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
         # The labelled frames in eight bits: bin centres up to the set's largest depth.

@@ -159,6 +159,11 @@ class KITTIRaw(KITTIFrames):
         calibrated = self.calibrate([folder], "required")
         self.matrices = {key: velodyne_to_image(where, key[1]) for key, where in calibrated.items()}
 
+    def frame_settings(self) -> dict[str, object]:
+        """Calibration and projection."""
+        matrices = {f"scan {date} {camera}": m.tolist() for (date, camera), m in self.matrices.items()}
+        return {**super().frame_settings(), **matrices, "projection": self.projection}
+
     def read_sparse(self, index: int, size: tuple[int, int]) -> np.ndarray:
         """Project the frame's scan."""
         place = self.places[index]
@@ -220,6 +225,11 @@ class KITTISelection(KITTIFrames):
 
     def _camera_file(self, index: int) -> Path:
         return self.cameras / f"{self.pictures[index].stem}.txt"
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture, depth and, where there is one, the camera's file."""
+        camera = self._camera_file(index)
+        return [*super().frame_files(index), *([camera] if camera.is_file() else [])]
 
     def camera_of(self, index: int) -> np.ndarray | None:
         """Intrinsics of the cropped picture, from its own file."""

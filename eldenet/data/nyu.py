@@ -72,6 +72,14 @@ class _NYUPairs(NYUFrames):
         self.root, self.pairs, self.encoding = root, list(pairs), depth_encoding(encoding)
         self.check_frames(root, pairs)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and depth."""
+        return [self.root / file for file in self.pairs[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """The encoding."""
+        return {"encoding": self.encoding.description}
+
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
         image_file, depth_file = self.pairs[index]

@@ -62,6 +62,10 @@ class NYUHDF5(NYUFrames):
             names = [names[i] for i in hold_out(names, split)]
         super().__init__(names, **options)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The one file."""
+        return [self.root / f"{self.names[index]}.h5"]
+
     def load_frame(self, index: int) -> Frame:
         """Read one file."""
         name = self.names[index]
@@ -119,6 +123,14 @@ class NYUMat(NYUFrames):
                 f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
             )
         super().__init__([f"{number:04d}" for number in self.numbers], **options)
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The .mat."""
+        return [self.path]
+
+    def frame_settings(self) -> dict[str, object]:
+        """Which depth."""
+        return {"depth": self.depth_key}
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""

@@ -103,6 +103,10 @@ class NYUTar(NYUFrames):
         self._open: dict[str, int] = {}
         self._process = -1
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The frame's shard."""
+        return [self.root / self.members[index].shard]
+
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         member = self.members[index]
