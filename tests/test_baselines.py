@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 from pathlib import Path
 
 import cv2
@@ -112,6 +113,25 @@ def test_sizes_with_upconv(
     assert count_params(model) == params
     for size, expected in gmacs.items():
         assert count_macs(model, size) / 1e9 == pytest.approx(expected, rel=5e-4)
+
+
+def test_vgg16_with_torchvisions_pooling() -> None:
+    """The published 21.89 GMACs are those of max-pools that round down; here they round up."""
+    model = eldenet.load("vgg16_upconv")
+    assert count_macs(model, (228, 304)) / 1e9 == pytest.approx(22.474, rel=5e-4)
+    for layer in model.modules():
+        if isinstance(layer, nn.MaxPool2d):
+            layer.ceil_mode = False
+    assert count_macs(model, (228, 304)) / 1e9 == pytest.approx(21.89, rel=5e-4)
+
+
+def test_the_page_lists_every_network() -> None:
+    page = (Path(__file__).parents[1] / "docs/networks.md").read_text()
+    listed = re.findall(r"^\| `(\w+)` \| ([\d,]+) \|", page, re.M)
+    assert sorted(name for name, _ in listed) == eldenet.list_models()
+    for name, params in listed:
+        if name in WHOLE:
+            assert count_params(eldenet.load(name)) == int(params.replace(",", ""))
 
 
 @pytest.mark.parametrize(("backbone", "operator", "params", "gmacs"), FASTDEPTH)
@@ -403,8 +423,8 @@ def test_the_file_is_not_written_down(weights_dir: Path, tmp_path: Path) -> None
 def test_meter_knows_nyu(weights_dir: Path) -> None:
     """AbsRel under 0.07 on every tenth validation frame (0.060 on all 130); the best constant's is above 0.3.
 
-    These scenes are among those that METER was trained on, so this is no test result: it says that every
-    tensor sits where it belongs.
+    These frames belong to NYU's training split, which METER was most likely trained on, so this is no test
+    result: it says that every tensor sits where it belongs.
     """
     from eldenet.config import build_protocol, build_split, compose
 
@@ -433,7 +453,7 @@ def test_meter_knows_nyu(weights_dir: Path) -> None:
 
 
 def test_meter_knows_kitti(weights_dir: Path) -> None:
-    """AbsRel 0.04 to 0.13 on three frames, in metres: without normalisation, in decimetres."""
+    """AbsRel 0.07 on two frames: images without normalisation in, decimetres out."""
     root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti"
     if not (root / "depth").is_dir():
         pytest.skip("ELDENET_DATA has no kitti/depth: no real data to read")
@@ -450,4 +470,4 @@ def test_meter_knows_kitti(weights_dir: Path) -> None:
         known = (truth > 0) & (truth < 80)
         errors.append(((depth - truth).abs() / truth)[known].mean().item())
     assert len(errors) == 2
-    assert max(errors) < 0.15
+    assert max(errors) < 0.1
