@@ -69,8 +69,8 @@ def main() -> None:
         *(line for _, line in sorted(row(name) for name in eldenet.list_models())),
         *missing,
         "",
-        "GMACs of one image (height x width): convolutions and matrix products, those of attention too; 1 MAC "
-        f"= 2 FLOPs. torch {torch.__version__.partition('+')[0]}. Made by "
+        "GMACs of one image (height x width): convolutions and matrix products, those of attention too; 1 "
+        f"MAC = 2 FLOPs. torch {torch.__version__.partition('+')[0]}. Made by "
         "`python experiments/networks/run.py`.",
     ]
     table = "\n".join(lines)
