@@ -32,7 +32,8 @@ LAYERS = {
     "train evaluate benchmark predict export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
-SIBLINGS_THAT_MAY = {("data", "simulation")}  # the rendered data sets
+# the rendered data sets; whole networks share helpers with the parts
+SIBLINGS_THAT_MAY = {("data", "simulation"), ("baselines", "backbones"), ("baselines", "decoders")}
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 

@@ -162,7 +162,7 @@ class FrameStore:
         """Write a frame into its slot: pixels first, header last.
 
         Raises:
-            ValueError: image or depth are of another type than :class:`~eldenet.types.Frame` says, or there are
+            ValueError: image or depth are of another type than :class:`~eldenet.types.Frame` says, or it has
                 labels, which a slot has no room for.
         """
         if frame.labels is not None:
