@@ -1,12 +1,11 @@
 """The inference form of a network: the same numbers from fewer operations."""
 
 import copy
-from itertools import pairwise
 
 from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_conv_bn_weights
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from eldenet.decoders.upconv import PARITIES, UpConv2d, UpConvBlock
+from eldenet.decoders.upconv import PARITIES, UpConv2d
 from eldenet.model import DepthNet
 
 
@@ -27,11 +26,6 @@ def fold(model: DepthNet) -> DepthNet:
         for name, child in list(part.named_children()):
             if isinstance(child, UpConv2d):
                 setattr(part, name, merge_upconv(child.weight, None))
-            elif isinstance(child, UpConvBlock):
-                upconv, _, relu = child
-                conv, shuffle = upconv
-                # beside its convolution a ReLU costs nothing, behind the shuffle a pass over the large map
-                setattr(part, name, nn.Sequential(conv, relu, shuffle))
     folded.network = nn.Sequential(folded.network, _Unblock())
     return folded.requires_grad_(False)
 
@@ -50,22 +44,29 @@ class _Unblock(nn.Module):
 def _fold_sequence(sequence: nn.Sequential) -> None:
     """Fold what follows each other in ``sequence``, in place; folded layers become identities."""
     parts = dict(sequence.named_children())
-    for name, after in pairwise(list(parts)):
+    names = [*parts, ""]
+    for name, after, last in zip(names, names[1:], names[2:], strict=False):
         layer, norm = parts[name], parts[after]
-        if isinstance(norm, nn.BatchNorm2d) and isinstance(layer, nn.Conv2d):
+        if not isinstance(norm, nn.BatchNorm2d):
+            continue
+        if isinstance(layer, nn.Conv2d):
             parts[name], parts[after] = fuse_conv_bn_eval(layer, norm), nn.Identity()
-        elif isinstance(norm, nn.BatchNorm2d) and isinstance(layer, UpConv2d):
-            assert norm.running_mean is not None
-            assert norm.running_var is not None
-            weight, bias = fuse_conv_bn_weights(
-                layer.weight, None, norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+        elif isinstance(layer, UpConv2d):
+            scale = norm.weight / (norm.running_var + norm.eps).sqrt()  # type: ignore[operator,union-attr]
+            bias = norm.bias - norm.running_mean * scale  # type: ignore[operator]
+            relu = parts.get(last)
+            moves = isinstance(relu, nn.ReLU)  # beside its convolution it costs nothing
+            parts[name] = merge_upconv(
+                layer.weight * scale[:, None, None, None], bias, nn.ReLU(inplace=True) if moves else None
             )
-            parts[name], parts[after] = merge_upconv(weight, bias), nn.Identity()
+            parts[after] = nn.Identity()
+            if moves:
+                parts[last] = nn.Identity()
     for name, part in parts.items():
         sequence._modules[name] = part
 
 
-def merge_upconv(weight: Tensor, bias: Tensor | None) -> nn.Sequential:
+def merge_upconv(weight: Tensor, bias: Tensor | None, activation: nn.Module | None = None) -> nn.Sequential:
     """One 3x3 convolution and a pixel shuffle: the operator of :class:`~eldenet.decoders.upconv.UpConv2d`.
 
     The kernels 3x3, 3x2, 2x3 and 2x2 stand in one 3x3 kernel each, filled up with zeros: 36 taps for 25, but
@@ -75,6 +76,7 @@ def merge_upconv(weight: Tensor, bias: Tensor | None) -> nn.Sequential:
     Args:
         weight: ``(out, in, 5, 5)``.
         bias: ``(out,)`` or None.
+        activation: of each value, run before the shuffle.
     """
     out_channels, in_channels = weight.shape[:2]
     kernels = weight.new_zeros(out_channels, 4, in_channels, 3, 3)
@@ -88,7 +90,8 @@ def merge_upconv(weight: Tensor, bias: Tensor | None) -> nn.Sequential:
     conv.weight = nn.Parameter(kernels.flatten(0, 1))
     if bias is not None:
         conv.bias = nn.Parameter(bias.detach().repeat_interleave(4))
-    return nn.Sequential(conv, nn.PixelShuffle(2))
+    layers = [conv, nn.PixelShuffle(2)] if activation is None else [conv, activation, nn.PixelShuffle(2)]
+    return nn.Sequential(*layers)
 
 
 def count_batch_norms(model: nn.Module) -> int:
