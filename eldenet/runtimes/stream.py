@@ -150,8 +150,9 @@ class DepthStream:
         capture = cv2.VideoCapture(int(camera)) if name != camera else cv2.VideoCapture(name)
         if not capture.isOpened():
             capture.release()
-            what = "no such camera, or no right to use it" if name != camera else "no video, or out of reach"
-            raise ValueError(f"source={name} cannot be opened: {what}")
+            if is_live(name):
+                raise ValueError(f"source={name} cannot be opened: no such camera, out of reach, or no right")
+            raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
         self.announced = 0 if is_live(name) else max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))

@@ -1,6 +1,6 @@
 """Table 1: what each network costs. Measures what sweep.yaml lists and writes results.md, .csv, .tex, .png.
 
-python experiments/table1_efficiency/run.py                       # the whole table, on an otherwise idle machine
+python experiments/table1_efficiency/run.py                # all of it, on an idle machine
 python experiments/table1_efficiency/run.py rounds=1 seconds=0.05 memory=false   # a quick look
 """
 
