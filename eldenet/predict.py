@@ -1,5 +1,6 @@
-"""``python -m eldenet.predict``: depth of a picture, a folder of pictures, or a video."""
+"""``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
     from eldenet.predictions import Results
     from eldenet.predictor import DepthPredictor
+    from eldenet.resources import Resources
     from eldenet.runlog import RunLog
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
@@ -28,22 +30,23 @@ def predict(config: "DictConfig") -> "Results":
     """Check everything that can be checked, load the network, predict, write, say what was done."""
     import eldenet
     from eldenet.predictions import name_results
-    from eldenet.predictor import DepthPredictor
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
+    from eldenet.runtimes.stream import is_live
 
-    source = Path(config.source).expanduser()
-    is_video = source.is_file() and source.suffix.lower() in VIDEO_ENDINGS
+    live = is_live(str(config.source))
+    source = Path(str(config.source)).expanduser()
+    is_video = live or (source.is_file() and source.suffix.lower() in VIDEO_ENDINGS)
     results = read_settings(config, is_video=is_video)
-    names = {source: source.stem} if is_video else name_results(source, results.folder)
+    if live:
+        names = {source: re.sub(r"\W+", "_", str(config.source)).strip("_")}
+    else:
+        names = {source: source.stem} if is_video else name_results(source, results.folder)
     files = [file for name in names.values() for file in results.files(name, is_video=is_video)]
     results.refuse_to_overwrite(list(names), files)
     resources = choose_resources(**cfg.plain(config.runtime))
-    model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
-    predictor = DepthPredictor(
-        model, cfg.plain(config.input_size), max_side=config.max_side, device=resources.device
-    )
     log = RunLog(results.folder)
+    predictor = open_predictor(config, resources, log)
     if str(config.checkpoint) in eldenet.list_models():
         log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
     elif predictor.input_size is None:
@@ -52,10 +55,41 @@ def predict(config: "DictConfig") -> "Results":
             f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
         )
     if is_video:
-        predict_video(source, predictor, results, log)
+        stream = str(config.source) if live else source
+        predict_video(stream, names[source], predictor, results, log, frames=config.frames)
     else:
         predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
     return results
+
+
+def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") -> "DepthPredictor":
+    """The network behind ``checkpoint``: an exported file under the fastest runtime, a model under torch.
+
+    Raises:
+        ValueError: a runtime that is unknown, or does not run such a file here.
+    """
+    import eldenet
+    from eldenet import runtimes
+    from eldenet.data.roots import one_of
+    from eldenet.predictor import DepthPredictor
+
+    one_of("engine", str(config.engine), ("auto", *runtimes.RUNTIMES))
+    engine = str(config.engine)
+    size = cfg.plain(config.input_size)
+    if Path(str(config.checkpoint)).suffix in runtimes.READS:
+        # "auto" is the CPU here: an accelerator needs another build of these runtimes
+        device = "cpu" if config.runtime.device == "auto" else resources.device
+        network = runtimes.load(str(config.checkpoint), engine, threads=resources.threads, device=device)
+        log.say(f"{config.checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
+        return DepthPredictor(network, size, max_side=config.max_side)
+    model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
+    if engine in ("auto", "torch"):
+        return DepthPredictor(model, size, max_side=config.max_side, device=resources.device)
+    return DepthPredictor(
+        runtimes.load(model, engine, threads=resources.threads, device=resources.device, size=size),
+        size,
+        max_side=config.max_side,
+    )
 
 
 def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
@@ -113,44 +147,50 @@ def predict_pictures(
     say_what_was_done(log, results, f"{results.images} picture{'s' * (results.images != 1)}", rate)
 
 
-def predict_video(source: Path, predictor: "DepthPredictor", results: "Results", log: "RunLog") -> None:
-    """Predict every frame of a video; colour becomes one .mp4, the others one file a frame."""
-    import cv2
+def predict_video(
+    source: Path | str,
+    name: str,
+    predictor: "DepthPredictor",
+    results: "Results",
+    log: "RunLog",
+    *,
+    frames: int | None = None,
+) -> None:
+    """Predict the frames of a video, or those of a camera that there is time for.
 
+    Colour becomes one .mp4, the others one file a frame. A camera runs until ``frames`` or Ctrl-C.
+    """
     from eldenet.legend import photo_beside_depth, visible_range
     from eldenet.predictions import open_video
+    from eldenet.runtimes.stream import DepthStream
 
-    file = results.folder / f"{source.stem}_depth.mp4"
-    capture = cv2.VideoCapture(str(source))
-    announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-    per_second = float(capture.get(cv2.CAP_PROP_FPS))
-    per_second = per_second if 0 < per_second <= 1000 else 30.0
-    per_frame = [name for name in results.formats if name != "colour"]
+    file = results.folder / f"{name}_depth.mp4"
+    per_frame = [kind for kind in results.formats if kind != "colour"]
     span = results.depth_range
-    try:
-        with log.bar("predicting", announced) as bar, open_video(file, per_second) as add:
-            while True:
-                complete, frame = capture.read()
-                if not complete:
-                    break
-                photo = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-                depth = predictor(photo)
-                results.write(f"{source.stem}/{results.images:06d}", photo, depth, per_frame)
-                if "colour" in results.formats:
-                    span = results.depth_range or _follow(span, visible_range(depth))
-                    add(photo_beside_depth(photo, depth, *span))
-                results.images += 1
-                bar.advance(1)
+    with DepthStream(source, predictor) as stream:
+        total = frames or stream.announced
+        with log.bar("predicting", total) as bar, open_video(file, stream.frames_per_second) as add:
+            try:
+                for _, photo, depth in stream:
+                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame)
+                    if "colour" in results.formats:
+                        span = results.depth_range or _follow(span, visible_range(depth))
+                        add(photo_beside_depth(photo, depth, *span))
+                    results.images += 1
+                    lost = f", {stream.dropped} dropped" if stream.drop else ""
+                    bar.advance(1, f"now {stream.fps:.0f} frames/s{lost}")
+                    if results.images == frames:
+                        break
+            except KeyboardInterrupt:
+                if not stream.drop:
+                    raise
             if not results.images:
                 raise ValueError(f"{source} holds no frame that can be read: it is cut, damaged or no video")
             rate = bar.rate
-    finally:
-        capture.release()
-    say_what_was_done(
-        log, results, f"{results.images} frame{'s' * (results.images != 1)} of {source.name}", rate
-    )
-    if results.images < announced:
-        log.say(f"{source} announces {announced} frames, {results.images} could be read: it may be cut")
+    ended = f" of {Path(source).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
+    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{ended}", rate)
+    if results.images < (stream.announced if frames is None else min(frames, stream.announced)):
+        log.say(f"{source} announces {stream.announced} frames, {results.images} could be read: may be cut")
 
 
 def say_what_was_done(log: "RunLog", results: "Results", what: str, rate: float) -> None:

@@ -2,10 +2,10 @@
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from eldenet.data.base import resize_frame
 from eldenet.model import DepthNet
+from eldenet.runtimes.base import Runtime
 from eldenet.types import Frame
 
 MAX_SIDE = 640
@@ -22,34 +22,44 @@ class DepthPredictor:
     does not change depth. Metres are metres for cameras with about the training camera's field of view.
 
     Args:
-        model: put into eval mode, and moved to ``device``.
+        model: put into eval mode, and moved to ``device``; or a network under another runtime
+            (:func:`eldenet.runtimes.load`).
         input_size: ``(height, width)`` that the network sees [px]; None: the size the model was trained at
             (``model.info["input_size"]``), or else the frame's own, its longer side at most ``max_side``.
         max_side: see ``input_size`` [px].
         device: where to compute.
 
     Raises:
-        ValueError: a size is none.
+        ValueError: a size is none, or not the one that a file was exported for.
     """
 
     def __init__(
         self,
-        model: DepthNet,
+        model: DepthNet | Runtime,
         input_size: tuple[int, int] | None = None,
         *,
         max_side: int = MAX_SIDE,
         device: str | torch.device = "cpu",
     ) -> None:
+        own_size = model.info.get("input_size")
         if input_size is None:
-            input_size = model.info.get("input_size")
+            input_size = own_size
         if input_size is not None and (len(input_size) != 2 or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
         if max_side < 1:
             raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
-        self.model = model.to(device).eval()
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
         self.device = torch.device(device)
+        if isinstance(model, Runtime):
+            if model.fixed_size and self.input_size != model.fixed_size:
+                raise ValueError(
+                    f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
+                    "only: export one for another size"
+                )
+            self.model: DepthNet | Runtime = model
+        else:
+            self.model = model.to(device).eval()
 
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` at which the network sees a frame of ``height`` x ``width`` [px]."""
@@ -58,7 +68,6 @@ class DepthPredictor:
         scale = min(1.0, self.max_side / max(height, width))
         return max(1, round(height * scale)), max(1, round(width * scale))
 
-    @torch.inference_mode()
     def __call__(self, frame: np.ndarray) -> np.ndarray:
         """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m].
 
@@ -67,18 +76,39 @@ class DepthPredictor:
         """
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
-        height, width = frame.shape[:2]
-        nothing = np.empty((0, 0), np.float32)
-        seen = resize_frame(
-            Frame(frame, nothing, None, ""), self.size_for(height, width), resize_depth=False
-        ).image
-        image = torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))).to(self.device)
-        depth = self.model(image.float().div_(255.0)[None])
-        if depth.shape[-2:] != (height, width):
-            depth = F.interpolate(depth, size=(height, width), mode="bilinear", align_corners=False)
-        if not torch.isfinite(depth).all():
+        size = (frame.shape[0], frame.shape[1])
+        depth = self._depth(frame)
+        if not np.isfinite(depth).all():
             raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
-        return depth[0, 0].float().cpu().numpy()
+        return depth if depth.shape == size else enlarged(depth, size)
+
+    def _depth(self, frame: np.ndarray) -> np.ndarray:
+        """Depth at the size that the network gives it."""
+        if isinstance(self.model, Runtime):
+            if self.model.camera_size is not None:
+                return self.model(resized(frame, self.model.camera_size)[None])[0, 0]
+            return self.model(as_image(resized(frame, self.size_for(*frame.shape[:2]))))[0, 0]
+        image = torch.from_numpy(as_image(resized(frame, self.size_for(*frame.shape[:2]))))
+        with torch.inference_mode():
+            return self.model(image.to(self.device))[0, 0].float().cpu().numpy()
+
+
+def resized(frame: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """``frame (H, W, 3)`` uint8 at another size, as training and evaluation resize."""
+    nothing = np.empty((0, 0), np.float32)
+    return resize_frame(Frame(frame, nothing, None, ""), size, resize_depth=False).image
+
+
+def as_image(frame: np.ndarray) -> np.ndarray:
+    """``frame (H, W, 3)`` uint8 -> ``(1, 3, H, W)`` float32 in [0, 1]."""
+    return np.ascontiguousarray(frame.transpose(2, 0, 1))[None].astype(np.float32) / np.float32(255.0)
+
+
+def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Depth ``(h, w)`` at another size: bilinear, by half pixels (``align_corners=False``)."""
+    import cv2
+
+    return cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def to_millimetres(depth: np.ndarray) -> np.ndarray:

@@ -2,7 +2,10 @@
 
 import itertools
 import resource
+import statistics
 import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -87,6 +90,53 @@ def _peak_memory_mb(device: torch.device) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
+def time_interleaved(
+    calls: Mapping[str, Callable[[], object]],
+    *,
+    rounds: int = 5,
+    seconds: float = 0.2,
+    synchronise: Callable[[], object] | None = None,
+    warm_up: int = 3,
+) -> dict[str, list[float]]:
+    """Time several calls in turns, so that a machine that slows down or speeds up hits all of them alike.
+
+    Args:
+        calls: name -> what to time.
+        rounds: turns that each call gets.
+        seconds: of each turn; at least three calls are timed in it.
+        synchronise: waits until the device has finished; called before each start and before each stop.
+        warm_up: calls before each turn that are not timed: another call had the caches.
+
+    Returns:
+        Name -> the time of every timed call [s].
+    """
+    wait = synchronise or (lambda: None)
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            for _ in range(warm_up):
+                call()
+            wait()
+            end, done = time.perf_counter() + seconds, 0
+            while done < 3 or time.perf_counter() < end:
+                start = time.perf_counter()
+                call()
+                wait()
+                times[name].append(time.perf_counter() - start)
+                done += 1
+    return times
+
+
+def median_ms(times: Sequence[float]) -> float:
+    """Median [ms] of times [s]."""
+    return 1e3 * statistics.median(times)
+
+
+def percentile_ms(times: Sequence[float], percent: float) -> float:
+    """Percentile [ms] of times [s]."""
+    return 1e3 * torch.tensor(times, dtype=torch.float64).quantile(percent / 100).item()
+
+
 def measure_cost(
     model: nn.Module, size: tuple[int, int], *, batch: int = 8, seconds: float = 1.0
 ) -> CostReport:
@@ -98,39 +148,34 @@ def measure_cost(
         batch: for the throughput.
         seconds: to spend on each of the two timings; the device is synchronised and warmed up.
     """
-    from torch.utils.benchmark import Timer
-
     device = _device_of(model)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
     model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
-
-    def times(images: Tensor) -> Tensor:
-        images = images.contiguous(memory_format=torch.channels_last)
-        timer = Timer("model(images)", globals={"model": model, "images": images}, num_threads=threads)
-        for _ in range(3):
-            model(images)
-        once = timer.timeit(3).mean
-        rounds = max(10, int(seconds / max(once, 1e-9)))
-        return torch.tensor([timer.timeit(1).mean for _ in range(rounds)])
-
-    threads = torch.get_num_threads()
+    one, many = (
+        _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
+    )
     with eval_mode(model), torch.inference_mode():
-        single, batched = times(_image(model, 1, size)), times(_image(model, batch, size))
+        times = time_interleaved(
+            {"one": lambda: model(one), "many": lambda: model(many)},
+            rounds=5,
+            seconds=seconds / 5,
+            synchronise=torch.cuda.synchronize if device.type == "cuda" else None,
+        )
     macs = count_macs(model, size)
     return CostReport(
         params=count_params(model),
         gmacs=macs / 1e9,
         gflops=2 * macs / 1e9,
-        latency_ms_p50=1e3 * single.quantile(0.5).item(),
-        latency_ms_p95=1e3 * single.quantile(0.95).item(),
-        throughput_img_s=batch / batched.quantile(0.5).item(),
+        latency_ms_p50=median_ms(times["one"]),
+        latency_ms_p95=percentile_ms(times["one"], 95),
+        throughput_img_s=1e3 * batch / median_ms(times["many"]),
         peak_memory_mb=_peak_memory_mb(device),
         height=size[0],
         width=size[1],
         batch=batch,
         runtime="torch",
         precision="fp32",
-        threads=threads,
+        threads=torch.get_num_threads(),
         device=torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
     )

@@ -87,3 +87,31 @@ def test_sharing_as_documented(tmp_path, monkeypatch):
         "\n".join(line for line in save.splitlines() if "push_to_hub" not in line), {"eldenet": None} | names
     )
     assert (tmp_path / "my-model" / "model.safetensors").is_file()
+
+
+def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
+    pytest.importorskip("onnxruntime")
+    import numpy as np
+
+    import eldenet
+    from eldenet import runtimes
+    from eldenet.exporting import describe, write_onnx
+
+    monkeypatch.chdir(tmp_path)
+    model = eldenet.load("eldenet_s")
+    for name in ("my-run-224x224-fp32.onnx", "my-run.onnx"):
+        facts = describe(model, "my-run", (32, 64))
+        write_onnx(model, f"exports/{name}", (32, 64), opset=17, metadata=facts)
+    run, stream = python_blocks("docs/deploy.md")
+    names: dict = {"images": np.zeros((2, 3, 32, 64), np.float32)}
+    exec(run, names)
+    assert names["depth"].shape == (2, 1, 32, 64)
+    camera = [np.zeros((48, 64, 3), np.uint8)] * 3
+    monkeypatch.setattr(
+        runtimes, "DepthStream", lambda source, *args, **options: Stream(camera, *args, **options)
+    )
+    from eldenet.runtimes.stream import DepthStream as Stream
+
+    exec(stream, names)
+    assert names["number"] == 2
+    assert names["depth"].shape == (48, 64)

@@ -23,8 +23,8 @@ LAYERS = {
     1: "layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
-    4: "averaging checkpoint evaluation legend meter pictures pointcloud predictions predictor "
-    "normalisation profiling record runlog runtimes schedules",
+    4: "averaging benchmarking checkpoint evaluation exporting folding legend meter normalisation pictures "
+    "pointcloud predictions predictor profiling quantisation record runlog runtimes schedules",
     5: "trainer",
     6: "perception",
     7: "navigation",

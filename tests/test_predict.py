@@ -369,6 +369,54 @@ def test_depth_files_of_a_video_when_asked_for(model_folder: Path, model: DepthN
     np.testing.assert_array_equal(written, to_millimetres(DepthPredictor(model)(frame)))
 
 
+def exported(model: DepthNet, path: Path) -> Path:
+    from eldenet.exporting import describe, write_onnx
+
+    pytest.importorskip("onnxruntime")
+    return write_onnx(model, path, (32, 64), batch=1, opset=17, metadata=describe(model, "small", (32, 64)))
+
+
+def test_an_exported_file_predicts_a_video(model: DepthNet, tmp_path: Path, capsys) -> None:
+    source, file = video(tmp_path / "walk.mp4"), exported(model, tmp_path / "small.onnx")
+    results = run(file, source, tmp_path / "out", "formats=[depth]", "frames=3", "engine=onnxruntime")
+    assert results.images == 3
+    said = capsys.readouterr().out
+    assert "small.onnx: onnxruntime, fp32, 1 threads" in said
+    assert "3 frames of walk.mp4: depth" in said
+    frame = cv2.cvtColor(read_video(source)[0][2], cv2.COLOR_BGR2RGB)
+    written = cv2.imread(str(tmp_path / "out/walk/000002_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert np.abs(written.astype(int) - to_millimetres(DepthPredictor(model)(frame))).max() <= 1
+    with pytest.raises(ValueError, match="engine='tvm': give one of auto, torch"):
+        run(file, source, tmp_path / "none", "engine=tvm")
+    with pytest.raises(ValueError, match=r"sees \[32, 64\] only"):
+        run(file, source, tmp_path / "none", "input_size=[64,64]")
+
+
+def test_a_model_under_another_runtime(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:
+    source = save(tmp_path / "a.png", photo())
+    run(model_folder, source, tmp_path / "out", "formats=[depth]", "engine=torch_channels_last")
+    written = cv2.imread(str(tmp_path / "out/a_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert np.abs(written.astype(int) - to_millimetres(DepthPredictor(model)(photo()))).max() <= 1
+
+
+def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, capsys) -> None:
+    source = video(tmp_path / "walk.mp4")  # an address of a file: read without waiting for the network
+    results = predict(
+        compose(
+            "predict",
+            [f"checkpoint='{model_folder}'", f"source='file://{source}'", f"output='{tmp_path / 'out'}'"],
+        )
+    )
+    assert 1 <= results.images <= 5
+    said = capsys.readouterr().out
+    assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
+    (file,) = (tmp_path / "out").iterdir()
+    assert file.name.endswith("walk_mp4_depth.mp4")
+    assert len(read_video(file)[0]) == results.images
+    with pytest.raises(ValueError, match=r"source=camera:99 cannot be opened"):
+        run(model_folder, "camera:99", tmp_path / "none")  # type: ignore[arg-type]
+
+
 # --- the command --------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,262 @@
+"""Latency of many networks on many runtimes, measured so that the ratios can be believed."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from eldenet import runtimes
+from eldenet.profiling import median_ms, percentile_ms, time_interleaved
+
+COLUMNS = (
+    *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
+    *("params", "gmacs", "gflops", "latency_ms_p50", "latency_ms_p95", "fps", "throughput_img_s"),
+    *("peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak", "ratio_latency"),
+)
+KEY = COLUMNS[:8]
+PEAK_SIDE = 1024  # of the square matrices whose product gives the peak
+PEAK_DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
+ROWS_FILE = "rows.jsonl"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row to measure: what identifies it."""
+
+    model: str
+    height: int
+    width: int
+    batch: int
+    runtime: str
+    precision: str
+    threads: int
+    device: str
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The columns that name a row."""
+        return tuple(asdict(self).values())
+
+    @property
+    def group(self) -> tuple[Any, ...]:
+        """Cases of one group are measured in turns; ratios are taken within it."""
+        return (self.height, self.width, self.batch, self.runtime, self.threads, self.device)
+
+
+@dataclass(frozen=True)
+class Network:
+    """What a case runs, and what is known of it without running.
+
+    Attributes:
+        source: file or folder for :func:`eldenet.runtimes.load`; None: it could not be made.
+        params: number of parameters.
+        macs: multiply-adds of one image.
+        failed: why there is no source.
+    """
+
+    source: Path | None
+    params: int | None = None
+    macs: int | None = None
+    failed: str | None = None
+
+
+def measure_group(
+    cases: Sequence[Case],
+    networks: Mapping[Case, Network],
+    *,
+    reference: str,
+    rounds: int = 7,
+    seconds: float = 0.2,
+    memory: bool = True,
+) -> list[dict[str, Any]]:
+    """Measure the cases of one group in interleaved rounds, with the machine's matrix product among them.
+
+    Args:
+        cases: all of one :attr:`Case.group`.
+        networks: of every case.
+        reference: model whose fp32 row has ``ratio_latency`` 1.
+        rounds: turns that each case gets.
+        seconds: of each turn.
+        memory: measure each case's memory, in a process of its own.
+
+    Returns:
+        One row per case: the columns, and "failed" (a reason, or None) and "peak_gflops_per_s".
+    """
+    ready, rows = {}, {}
+    for case in cases:
+        network = networks[case]
+        rows[case] = {**dict.fromkeys(COLUMNS), **asdict(case), **static_columns(network)}
+        rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None}
+        if network.source is not None:
+            try:
+                ready[case] = call_of(case, network.source, rows[case])
+            except Exception as error:  # a runtime's failure is the row's result
+                rows[case]["failed"] = reason_of(error)
+    if not ready:
+        return list(rows.values())
+    peaks = {f"peak {precision}": peak_call(cases[0], precision) for precision in _peak_precisions(ready)}
+    calls = {**{str(case.key): call for case, call in ready.items()}, **peaks}
+    times = time_interleaved(calls, rounds=rounds, seconds=seconds)
+    for case in ready:
+        network, peak = networks[case], times.get(f"peak {case.precision}")
+        row = rows[case] | timed_columns(case, times[str(case.key)], network.macs)
+        if peak is not None and row["gflops_per_s"] is not None:
+            row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / median_ms(peak) / 1e6
+            row["share_of_peak"] = row["gflops_per_s"] / row["peak_gflops_per_s"]
+        if memory and network.source is not None:
+            row["peak_memory_mb"] = memory_of(case, network.source)
+        rows[case] = row
+    base = next((rows[case] for case in ready if (case.model, case.precision) == (reference, "fp32")), None)
+    for case in ready if base is not None else ():
+        rows[case]["ratio_latency"] = rows[case]["latency_ms_p50"] / base["latency_ms_p50"]  # type: ignore[index]
+    return list(rows.values())
+
+
+def reason_of(error: Exception) -> str:
+    """One line for the table."""
+    lines = str(error).splitlines() or [""]
+    return lines[0] if isinstance(error, ValueError | ImportError) else f"{type(error).__name__}: {lines[0]}"
+
+
+def static_columns(network: Network) -> dict[str, Any]:
+    """What is known without running."""
+    macs = network.macs
+    return {
+        "params": network.params,
+        "gmacs": None if macs is None else macs / 1e9,
+        "gflops": None if macs is None else 2 * macs / 1e9,
+        "file_mb": None if network.source is None else _megabytes(network.source),
+    }
+
+
+def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[str, Any]:
+    """From the times of one call [s]. ``fps`` counts calls, ``throughput_img_s`` images."""
+    median = median_ms(times)
+    return {
+        "latency_ms_p50": median,
+        "latency_ms_p95": percentile_ms(times, 95),
+        "fps": 1e3 / median,
+        "throughput_img_s": 1e3 * case.batch / median,
+        "gflops_per_s": None if macs is None else 2 * macs * case.batch / median / 1e6,
+    }
+
+
+def call_of(case: Case, source: Path, row: dict[str, Any]) -> Any:
+    """The call to time; run once, so that it works and whatever is compiled is compiled."""
+    network = runtimes.load(source, case.runtime, case.precision, threads=case.threads, device=case.device)
+    images = network.prepared(_images(case))
+    row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"
+
+    def call() -> None:
+        network.run_prepared(images)
+        network.synchronise()
+
+    call()
+    return call
+
+
+def _images(case: Case) -> np.ndarray:
+    shape = (case.batch, 3, case.height, case.width)
+    return np.random.default_rng(0).random(shape, dtype=np.float32)
+
+
+def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
+    return [name for name in PEAK_DTYPES if any(case.precision == name for case in cases)]
+
+
+def peak_call(case: Case, precision: str) -> Any:
+    """A product of two square matrices with the threads and on the device of ``case``."""
+    target = torch.device("cuda" if case.device in ("cuda", "tensorrt") else "cpu")
+    left, right = (torch.rand(PEAK_SIDE, PEAK_SIDE).to(target, PEAK_DTYPES[precision]) for _ in range(2))
+
+    def call() -> None:
+        if target.type == "cpu":
+            torch.set_num_threads(case.threads)
+        torch.matmul(left, right)
+        if target.type == "cuda":
+            torch.cuda.synchronize()
+
+    return call
+
+
+def _megabytes(source: Path) -> float:
+    if source.is_dir():
+        return sum(file.stat().st_size for file in source.rglob("*.safetensors")) / 1e6
+    files = [source, source.with_suffix(".bin")] if source.suffix == ".xml" else [source]
+    return sum(file.stat().st_size for file in files) / 1e6
+
+
+# --- memory -------------------------------------------------------------------------------------------------
+
+
+def memory_of(case: Case, source: Path) -> float | None:
+    """What loading and running a case adds to a fresh process [MB]: at its peak, torch imported before.
+
+    On CUDA: what it takes of the device. None where that cannot be measured (Linux alone counts so).
+    """
+    code = "import sys; from eldenet.benchmarking import print_memory; print_memory(*sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(asdict(case)), str(source)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": str(case.threads)},
+    )
+    return float(done.stdout.split()[-1]) if done.returncode == 0 else None
+
+
+def print_memory(case: str, source: str) -> None:
+    """Measure in this process; :func:`memory_of` starts it."""
+    this = Case(**json.loads(case))
+    cuda = this.device in ("cuda", "tensorrt")
+    images = _images(this)
+    before = torch.cuda.mem_get_info()[0] if cuda else _resident_kib("VmRSS")
+    network = runtimes.load(source, this.runtime, this.precision, threads=this.threads, device=this.device)
+    for _ in range(3):
+        network.run(images)
+    if cuda:
+        print((before - torch.cuda.mem_get_info()[0]) / 1e6)  # noqa: T201
+    else:
+        print((_resident_kib("VmHWM") - before) * 1024 / 1e6)  # noqa: T201
+
+
+def _resident_kib(kind: str) -> int:
+    """Memory of this process now ("VmRSS") or at its peak ("VmHWM"), as Linux counts.
+
+    ``ru_maxrss`` would not do: a process inherits its parent's.
+    """
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(kind))
+
+
+# --- rows on disk -------------------------------------------------------------------------------------------
+
+
+def read_rows(folder: Path) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Rows measured so far by key, the newest of each; a line that a kill cut short is left out."""
+    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
+    if (folder / ROWS_FILE).is_file():
+        for line in (folder / ROWS_FILE).read_text().splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            rows[tuple(row["key"])] = row
+    return rows
+
+
+def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Add rows at the end of the file; what a kill cut short stays a line of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ROWS_FILE
+    cut_short = path.is_file() and not path.read_text().endswith("\n")
+    with path.open("a") as file:
+        file.write("\n" * cut_short)
+        file.writelines(json.dumps(row) + "\n" for row in rows)

@@ -1,0 +1,177 @@
+"""Depth of a camera or a video while it runs: a bounded queue between the one and the other."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import numpy as np
+
+RATE_OVER = 30  # frames that the live rate looks back on
+
+
+class StreamFrame(NamedTuple):
+    """One frame and its depth.
+
+    Attributes:
+        number: of the frame in the source, from 0; dropped ones count.
+        frame: ``(H, W, 3)`` uint8 RGB.
+        depth: ``(H, W)`` float32 [m].
+    """
+
+    number: int
+    frame: np.ndarray
+    depth: np.ndarray
+
+
+class DepthStream:
+    """Reads frames in a thread of its own and predicts the newest: a slow network never delays the camera.
+
+    ::
+
+        with DepthStream("camera:0", predictor) as stream:
+            for number, frame, depth in stream:
+                print(f"{stream.fps:.0f} frames/s, {stream.dropped} dropped")
+
+    Args:
+        source: a video file, "camera:0" (number of a camera), an address ("rtsp://..."), or any iterable of
+            frames ``(H, W, 3)`` uint8 RGB.
+        predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.predictor.DepthPredictor`.
+        queue_size: frames that may wait; with ``drop``, the oldest goes when another comes.
+        drop: None: drop frames of cameras and addresses, keep every frame of files and iterables (the reader
+            then waits).
+
+    Attributes:
+        dropped: frames that were not predicted.
+        frames_per_second: that the source announces, 30 where it does not.
+        announced: frames that the source announces, or 0.
+
+    Raises:
+        ValueError: the source cannot be opened, or the queue holds none.
+    """
+
+    def __init__(
+        self,
+        source: str | Path | Iterable[np.ndarray],
+        predictor: Callable[[np.ndarray], np.ndarray],
+        *,
+        queue_size: int = 2,
+        drop: bool | None = None,
+    ) -> None:
+        if queue_size < 1:
+            raise ValueError(f"queue_size={queue_size}: at least one frame must wait")
+        self.predictor, self.queue_size = predictor, queue_size
+        self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
+        if isinstance(source, str | Path):
+            self.drop = is_live(source) if drop is None else drop
+            frames = self._open(source)
+        else:
+            self.drop = bool(drop)
+            frames = iter(source)
+        self._waiting: deque[tuple[int, np.ndarray]] = deque()
+        self._changed = threading.Condition()
+        self._ended = self._stop = False
+        self._error: BaseException | None = None
+        self._times: deque[float] = deque(maxlen=RATE_OVER)
+        self._reader = threading.Thread(target=self._read, args=(frames,), daemon=True)
+        self._reader.start()
+
+    @property
+    def fps(self) -> float:
+        """Predicted frames per second, over the last 30."""
+        if len(self._times) < 2:
+            return 0.0
+        return (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-9)
+
+    def __iter__(self) -> Iterator[StreamFrame]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._ended or self._stop)
+                if not self._waiting or self._stop:
+                    break
+                number, frame = self._waiting.popleft()
+                self._changed.notify_all()
+            depth = self.predictor(frame)
+            self._times.append(time.monotonic())
+            yield StreamFrame(number, frame, depth)
+        if self._error is not None:
+            raise self._error
+
+    def close(self) -> None:
+        """Stop reading; the source is released."""
+        with self._changed:
+            self._stop = True
+            self._changed.notify_all()
+        self._reader.join(timeout=5)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _read(self, frames: Iterator[np.ndarray]) -> None:
+        try:
+            for number, frame in enumerate(frames):
+                if not self._put(number, frame):
+                    break
+        except BaseException as error:  # it is the consumer's to see
+            self._error = error
+        finally:
+            close = getattr(frames, "close", None)
+            if close is not None:
+                close()
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+
+    def _put(self, number: int, frame: np.ndarray) -> bool:
+        """Queue a frame; False once nobody wants more."""
+        with self._changed:
+            if self.drop:
+                while len(self._waiting) >= self.queue_size:
+                    self._waiting.popleft()
+                    self.dropped += 1
+            else:
+                self._changed.wait_for(lambda: len(self._waiting) < self.queue_size or self._stop)
+            self._waiting.append((number, frame))
+            self._changed.notify_all()
+            return not self._stop
+
+    def _open(self, source: str | Path) -> Iterator[np.ndarray]:
+        import cv2
+
+        name = str(source)
+        camera = name.removeprefix("camera:")
+        if name != camera and not camera.isdigit():
+            raise ValueError(f"source={name}: give a camera's number, such as camera:0")
+        capture = cv2.VideoCapture(int(camera)) if name != camera else cv2.VideoCapture(name)
+        if not capture.isOpened():
+            capture.release()
+            if is_live(name):
+                raise ValueError(f"source={name} cannot be opened: no such camera, out of reach, or no right")
+            raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
+        rate = float(capture.get(cv2.CAP_PROP_FPS))
+        self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
+        self.announced = 0 if is_live(name) else max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        return _frames_of(capture)
+
+
+def _frames_of(capture: object) -> Iterator[np.ndarray]:
+    import cv2
+
+    try:
+        while True:
+            complete, frame = capture.read()  # type: ignore[attr-defined]
+            if not complete:
+                return
+            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+    finally:
+        capture.release()  # type: ignore[attr-defined]
+
+
+def is_live(source: str | Path) -> bool:
+    """Whether frames come whether or not anybody reads them: a camera, or an address."""
+    return str(source).startswith("camera:") or "://" in str(source)
