@@ -117,6 +117,35 @@ def build_model(config: DictConfig) -> Any:
     return instantiate(config)
 
 
+def build_teacher(
+    source: str | None,
+    *,
+    overrides: Sequence[str] = (),
+    input_size: Sequence[int] | None = None,
+    trusted_modules: Sequence[str] = (),
+) -> Any:
+    """A frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term.
+
+    Args:
+        source: anything :func:`eldenet.load` takes: run folder, saved model, Hub id; or a model's name.
+        overrides: for a name, which needs them: where its weights come from (``model.network.weights=...``).
+        input_size: ``(height, width)`` that the teacher sees [px]; None: the student's.
+        trusted_modules: as in :func:`eldenet.load`.
+
+    Raises:
+        ValueError: no teacher was named, or one without trained weights.
+    """
+    import eldenet
+    from eldenet.losses.distillation import Teacher
+
+    if source is None:
+        raise ValueError("this loss distils from a teacher: give teacher=<run folder, saved model or Hub id>")
+    if source in eldenet.list_models() and not overrides:
+        raise ValueError(f"teacher={source} names a network without trained weights: give a run of it")
+    network = eldenet.load(source, overrides=overrides, trusted_modules=trusted_modules)
+    return Teacher(network, source=str(source), input_size=input_size)
+
+
 def build_protocol(config: DictConfig) -> Any:
     """The protocol named on the command line, else the data set's own."""
     chosen = config.get("protocol")

@@ -77,6 +77,7 @@ def main(config: "DictConfig", folder: Path) -> float:
         name=config.model_name,
         progress=progress,
         skipped={"train": train_set.skipped, "val": val_set.skipped},
+        teacher=loss.identity,
     )
     closing_table(log, record)
     return progress.best_value
