@@ -72,6 +72,8 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 return main(config, folder)
             except MissingMandatoryValue as error:
                 print(f"error: give {error.full_key}=... on the command line", file=sys.stderr)  # noqa: T201
+                if sweep:
+                    raise
                 raise SystemExit(1) from None
             except USER_ERRORS as error:
                 logging.getLogger("eldenet").debug("", exc_info=True)
@@ -83,6 +85,30 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
         return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
 
     return decorate
+
+
+def _study_rows(study: str, rows: Any) -> str:
+    """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
+    from eldenet.studies.plan import row_names
+
+    return row_names(study, plain(rows))
+
+
+OmegaConf.register_new_resolver("study_rows", _study_rows, replace=True)
+
+
+def read_yaml(path: Path) -> Any:
+    """A YAML file as plain values.
+
+    Raises:
+        ValueError: it is no YAML.
+    """
+    from yaml import YAMLError
+
+    try:
+        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (YAMLError, OSError) as error:
+        raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
 def is_main_process() -> bool:
