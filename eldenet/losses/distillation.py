@@ -153,5 +153,7 @@ class DistilledTerm(WeightedTerm):
             found = self.projections[str(stride)](self._seen["student"][stride].float())
             if wanted.shape[-2:] != found.shape[-2:]:
                 wanted = F.interpolate(wanted, size=found.shape[-2:], mode="bilinear", align_corners=False)
-            losses.append((found - wanted).square().mean() / wanted.square().mean().clamp(min=1e-12))
+            # image by image, so that a batch counts as its images do, however processes share it
+            square, error = (value.square().mean(dim=(1, 2, 3)) for value in (wanted, found - wanted))
+            losses.append((error / square.clamp(min=1e-12)).mean())
         return torch.stack(losses).mean()

@@ -27,6 +27,7 @@ class StudyRow:
         given: name -> setting that must be given on the command line (``given.kitti=/data/kitti``) for the
             row to run, such as ``{kitti: data.root}``.
         learning_rate: of the optimiser; None: by the study's rule.
+        rate_overrides: what its trials change beside the study's ``rate_overrides``.
     """
 
     name: str
@@ -36,6 +37,7 @@ class StudyRow:
     seen: str = "the training frames alone"
     given: Mapping[str, str] | None = None
     learning_rate: float | None = None
+    rate_overrides: tuple[str, ...] = ()
 
     @property
     def missing_word(self) -> str:

@@ -1,4 +1,4 @@
-"""Runs of a study: what is finished is skipped, what was killed goes on, what fails does not stop the rest."""
+"""Runs of a study: finished ones are skipped, killed ones go on, a failed one does not stop the rest."""
 
 import json
 import shutil
@@ -105,7 +105,8 @@ def learning_rate(study: Study, row: StudyRow, shared: list[str], runs: Path, sa
     if row.learning_rate is not None or not study.learning_rates:
         return row.learning_rate
     file = study.folder / STORED / row.name / RATE_FILE
-    rule = {"candidates": list(study.learning_rates), "overrides": [*shared, *study.rate_overrides]}
+    trial = [*shared, *study.rate_overrides, *row.rate_overrides]
+    rule = {"candidates": list(study.learning_rates), "overrides": trial}
     if file.is_file():
         kept = json.loads(file.read_text())
         if kept["rule"] != rule:
@@ -116,9 +117,7 @@ def learning_rate(study: Study, row: StudyRow, shared: list[str], runs: Path, sa
     for rate in study.learning_rates:
         folder = runs / row.name / f"lr{rate:g}"
         say(f"{study.name}/{row.name}: trial of learning rate {rate:g}")
-        config = compose_run(
-            [*shared, *study.rate_overrides, f"optimizer.lr={rate}"], folder, runs, name=row.name, seed=0
-        )
+        config = compose_run([*trial, f"optimizer.lr={rate}"], folder, runs, name=row.name, seed=0)
         try:
             train(config, folder)
         except FloatingPointError:
