@@ -1,5 +1,6 @@
 """``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,14 @@ def main(config: "DictConfig", folder: Path) -> None:
     """Run the chosen rows one after the other; say at the end what became of each.
 
     Raises:
-        ValueError: after all of them, if some failed.
+        ValueError: after all of them, if some failed; or at once, in a job of several processes.
     """
     from eldenet.runlog import RunLog
     from eldenet.studies.plan import read_study
     from eldenet.studies.running import run_row
 
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")
     study = read_study(config.study)
     names = config.row if config.row is not None else cfg.plain(config.rows)
     log = RunLog(folder, quiet=not cfg.is_main_process())

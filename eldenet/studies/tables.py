@@ -222,8 +222,9 @@ def _latencies(study: Study) -> dict[str, str]:
 
 def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[str, dict[str, list[float]]]]:
     """Titles, rows and curves: how fast and how steadily every run converged."""
-    titles = ["run", "epochs", "epoch of 90 % of the fall: training loss", "validation loss", "MSE"]
-    titles += ["fluctuation: training loss", "validation loss", "MSE"]
+    curved = ("training loss", "validation loss", "MSE")
+    titles = ["run", "epochs", *(f"speed, {name} [epoch]" for name in curved)]
+    titles += [f"fluctuation, {name}" for name in curved]
     rows, pictures = [], {}
     for row in study.rows:
         runs, _ = stored_runs(study, row)
@@ -245,11 +246,10 @@ def write_study_report(folder: str | Path) -> list[Block]:
     """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
     study = read_study(folder)
     blocks = build_blocks(study)
-    markdown, latex, lines = [f"# {study.name}", ""], [], []
+    markdown, latex = [f"# {study.name}", ""], []
     for block in blocks:
         markdown += [f"## {block.name}", "", to_markdown(block.titles, block.rows, block.notes)]
         latex.append(to_latex(block.titles, block.rows, [block.name, *block.notes]))
-        lines += [["block", *block.titles], *([block.name, *row] for row in block.rows)]
     if "convergence" in study.plots:
         titles, rows, pictures = convergence_table(study)
         notes = [
@@ -259,7 +259,7 @@ def write_study_report(folder: str | Path) -> list[Block]:
         ]
         markdown += ["## convergence", "", to_markdown(titles, rows, notes)]
         latex.append(to_latex(titles, rows, ["convergence", *notes]))
-        lines += [["block", *titles], *(["convergence", *row] for row in rows)]
+        write_rows(study.folder / "convergence.csv", titles, rows)
         if pictures:
             curves_plot(study.folder / "convergence.png", pictures)
             markdown += ["![curves](convergence.png)", ""]
@@ -273,5 +273,10 @@ def write_study_report(folder: str | Path) -> list[Block]:
     markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
     (study.folder / "results.md").write_text("\n".join(markdown))
     (study.folder / "results.tex").write_text("\n".join(latex))
-    write_rows(study.folder / "results.csv", lines[0] if lines else [], lines[1:])
+    titles = list(dict.fromkeys(title for block in blocks for title in block.titles))
+    cells = [
+        (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
+    ]
+    table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
+    write_rows(study.folder / "results.csv", ["block", *titles], table)
     return blocks
