@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from eldenet.averaging import WeightAverage
+from eldenet.averaging import WeightAverage, average_gradients
 from eldenet.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.data.base import DepthDataset
 from eldenet.data.loading import EpochSampler, training_loader
@@ -145,9 +145,7 @@ class Trainer:
         total, terms = self.loss(prediction, batch["depth"], batch["mask"], batch["image"])
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
-            if self.processes > 1:  # the loss's own parameters (distillation) are not in the wrapped model
-                for parameter in self.loss.parameters():
-                    parameter.grad = self.accelerator.reduce(parameter.grad, "mean")
+            average_gradients(self.loss, self.accelerator)  # its own parameters: the model's are in DDP
             if self.gradient_clip is not None:
                 self.accelerator.clip_grad_norm_(self.model.parameters(), self.gradient_clip)
             self.optimizer.step()
