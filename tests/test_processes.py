@@ -45,7 +45,7 @@ def with_statistics(name: str, seed: int) -> torch.nn.Module:
     return model
 
 
-def train(folder: Path, processes: int, *, frozen: bool) -> None:
+def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
     """Two epochs with ``TOGETHER`` images per update, dealt out to the processes; features are distilled."""
     torch.set_num_threads(1)
     teacher, model = Teacher(with_statistics("eldenet", seed=0)), with_statistics("eldenet_s", seed=1)
@@ -66,7 +66,7 @@ def train(folder: Path, processes: int, *, frozen: bool) -> None:
         Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2),
     )
     trainer.accelerator.wait_for_everyone()
-    trainer.accelerator.end_training()
+    return trainer
 
 
 def torchrun(*command: str, timeout: int = 240, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -157,4 +157,5 @@ def test_settings_that_tell_two_runs_apart():
 
 if __name__ == "__main__":  # one of torchrun's processes
     for statistics in (True, False):
-        train(Path(sys.argv[1]) / f"two-{statistics}", 2, frozen=statistics)
+        done = train(Path(sys.argv[1]) / f"two-{statistics}", 2, frozen=statistics)
+    done.accelerator.end_training()

@@ -200,7 +200,7 @@ def test_rays_workers_run_the_rows(tiny, run_command):
     assert finished.returncode == 0, finished.stderr[-3000:]
     for name in ("eldenet_s", "eldenet"):
         assert (tiny / "stored" / name / "seed0" / "run.json").is_file()
-    workers = set(re.findall(r"launch[^)]*? pid=(\d+)", finished.stdout + finished.stderr))
+    workers = set(re.findall(r"_run_job pid=(\d+)", finished.stdout + finished.stderr))
     assert len(workers) == 2, finished.stdout[-2000:]
 
 

@@ -237,7 +237,10 @@ def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[st
                 f"{statistics.convergence_epoch(curve['epoch'], curve[key]):g}" if curve.get(key) else "-"
                 for key in keys
             ]
-            steps = [f"{statistics.fluctuation(curve[key]):.4f}" if curve.get(key) else "-" for key in keys]
+            steps = [
+                f"{statistics.fluctuation(curve[key]):.4f}" if len(curve.get(key, ())) > 2 else "-"
+                for key in keys
+            ]
             rows.append([name, str(len(curve["epoch"])), *speed, *steps])
     return titles, rows, pictures
 
