@@ -1,4 +1,4 @@
-"""Exponential moving average of a network's weights."""
+"""Means: of a network's weights over the steps, of gradients over the processes."""
 
 from copy import deepcopy
 from typing import Any
@@ -30,3 +30,10 @@ class WeightAverage:
             mean.lerp_(value, 1 - decay)
         for kept, current in zip(self.model.buffers(), model.buffers(), strict=True):
             kept.copy_(current)
+
+
+def average_gradients(module: nn.Module, accelerator: Any) -> None:
+    """Give every process the mean of their gradients, for a module that DDP does not wrap."""
+    if accelerator.num_processes > 1:
+        for parameter in module.parameters():
+            parameter.grad = accelerator.reduce(parameter.grad, "mean")

@@ -40,6 +40,7 @@ class TrainingState:
         ema: its averaged copy, or None.
         optimizer: as prepared for the device.
         scheduler: of the learning rate.
+        loss: its own parameters, if it has any (a distillation's projections; never a teacher).
         scaler: of fp16 gradients, or None.
         progress: how far it is.
         identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser ...).
@@ -49,6 +50,7 @@ class TrainingState:
     ema: nn.Module | None
     optimizer: Any
     scheduler: Any
+    loss: nn.Module
     scaler: Any
     progress: Progress
     identity: Mapping[str, Any]
@@ -70,6 +72,7 @@ class TrainingState:
             "ema": None if self.ema is None else self.ema.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict(),
+            "loss": self.loss.state_dict(),
             "scaler": None if self.scaler is None else self.scaler.state_dict(),
             "progress": asdict(self.progress),
             "identity": json.dumps(self.identity, sort_keys=True, default=str),
@@ -99,6 +102,7 @@ class TrainingState:
             self.ema.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.scheduler.load_state_dict(state["scheduler"])
+        self.loss.load_state_dict(state.get("loss", {}))  # checkpoints of before have none, as plain losses
         if self.scaler is not None and state["scaler"] is not None:
             self.scaler.load_state_dict(state["scaler"])
         torch.set_rng_state(state["torch_rng"])

@@ -72,6 +72,8 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 return main(config, folder)
             except MissingMandatoryValue as error:
                 print(f"error: give {error.full_key}=... on the command line", file=sys.stderr)  # noqa: T201
+                if sweep:
+                    raise
                 raise SystemExit(1) from None
             except USER_ERRORS as error:
                 logging.getLogger("eldenet").debug("", exc_info=True)
@@ -83,6 +85,30 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
         return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
 
     return decorate
+
+
+def _study_rows(study: str, rows: Any) -> str:
+    """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
+    from eldenet.studies.plan import row_names
+
+    return row_names(study, plain(rows))
+
+
+OmegaConf.register_new_resolver("study_rows", _study_rows, replace=True)
+
+
+def read_yaml(path: Path) -> Any:
+    """A YAML file as plain values.
+
+    Raises:
+        ValueError: it is no YAML.
+    """
+    from yaml import YAMLError
+
+    try:
+        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (YAMLError, OSError) as error:
+        raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
 def is_main_process() -> bool:
@@ -115,6 +141,35 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 def build_model(config: DictConfig, **arguments: Any) -> Any:
     """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
     return instantiate(config, **arguments)
+
+
+def build_teacher(
+    source: str | None,
+    *,
+    overrides: Sequence[str] = (),
+    input_size: Sequence[int] | None = None,
+    trusted_modules: Sequence[str] = (),
+) -> Any:
+    """A frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term.
+
+    Args:
+        source: anything :func:`eldenet.load` takes: run folder, saved model, Hub id; or a model's name.
+        overrides: for a name, which needs them: where its weights come from (``model.network.weights=...``).
+        input_size: ``(height, width)`` that the teacher sees [px]; None: the student's.
+        trusted_modules: as in :func:`eldenet.load`.
+
+    Raises:
+        ValueError: no teacher was named, or one without trained weights.
+    """
+    import eldenet
+    from eldenet.losses.distillation import Teacher
+
+    if source is None:
+        raise ValueError("this loss distils from a teacher: give teacher=<run folder, saved model or Hub id>")
+    if source in eldenet.list_models() and not overrides:
+        raise ValueError(f"teacher={source} names a network without trained weights: give a run of it")
+    network = eldenet.load(source, overrides=overrides, trusted_modules=trusted_modules)
+    return Teacher(network, source=str(source), input_size=input_size)
 
 
 def build_protocol(config: DictConfig) -> Any:

@@ -83,6 +83,34 @@ def read_run(path: str | Path) -> dict[str, Any]:
     return content
 
 
+# they say where a run lay and what it was computed with, and change no result that is looked for
+NOT_COMPARED = frozenset(
+    ("run_dir", "ckpt_path", "root", "raw_root", "cache", "threads", "workers", "device")
+)
+
+
+def differences(ours: Any, theirs: Any, name: str = "") -> list[str]:
+    """Settings that tell two resolved configs apart, as ``name=ours (there theirs)``.
+
+    An option of a class that one side does not know yet (or any more) tells nothing: that run was made with
+    what the code then did. Anything else that only one side has is a difference.
+    """
+    if not (isinstance(ours, Mapping) and isinstance(theirs, Mapping)):
+        ours, theirs = _listed(ours), _listed(theirs)
+        return [] if ours == theirs else [f"{name}={ours} (there {theirs})"]
+    grows = not name or name == "data" or ("_target_" in ours and "_target_" in theirs)
+    found = []
+    for key in [*ours, *(key for key in theirs if key not in ours)]:
+        if key in NOT_COMPARED or (grows and not (key in ours and key in theirs)):
+            continue
+        found += differences(ours.get(key), theirs.get(key), f"{name}.{key}" if name else str(key))
+    return found
+
+
+def _listed(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
 def environment() -> dict[str, Any]:
     """What the run ran on: time, versions, hardware, and the state of the code."""
     import torch

@@ -286,6 +286,14 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.record import write_rows
     from eldenet.runlog import RunLog
 
+    if config.study is not None:
+        from eldenet.studies.tables import write_study_report
+
+        log = RunLog(Path(config.study))
+        for block in write_study_report(config.study):
+            log.table(block.name, block.titles, block.rows)
+        log.say(f"written to {Path(config.study) / 'results'}.md, .csv and .tex")
+        return
     runs = find_runs(cfg.plain(config.runs))
     titles, rows = table_of(runs, cfg.plain(config.columns), costs=config.costs)
     notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if config.costs else [])

@@ -2,6 +2,8 @@
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,6 +118,22 @@ def make_accelerator(resources: Resources) -> Any:
     AcceleratorState._reset_state(reset_partial_state=True)  # an earlier run of this process chose its own
     precision = {"fp32": "no"}.get(resources.precision, resources.precision)
     return Accelerator(mixed_precision=precision, cpu=resources.device == "cpu")
+
+
+@contextmanager
+def main_process_first(resources: Resources) -> Iterator[None]:
+    """Of a job's processes the main one runs the block first, then one per machine, then the others.
+
+    So what the block prepares on disk (rendered frames, an index, a download) is prepared once.
+    """
+    with ExitStack() as stack:
+        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            from accelerate import PartialState
+
+            state = PartialState(cpu=resources.device == "cpu")
+            stack.enter_context(state.main_process_first())
+            stack.enter_context(state.local_main_process_first())
+        yield
 
 
 def seed_everything(seed: int) -> None:

@@ -32,6 +32,7 @@ def score_and_record(
     batch_size: int = 16,
     progress: Progress | None = None,
     skipped: Mapping[str, Mapping[str, str]] | None = None,
+    teacher: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Evaluate on ``split`` and measure the cost; write ``run.json``, ``per_image.csv``, ``predictions.png``.
 
@@ -47,6 +48,7 @@ def score_and_record(
         batch_size: of the evaluation.
         progress: of the training, if there was one.
         skipped: split -> name -> reason of the frames that the training left out.
+        teacher: loss term -> source and hash of the network that it distilled from.
 
     Returns:
         What was written to ``run.json``.
@@ -83,6 +85,8 @@ def score_and_record(
         "data": config.data.name,
         "split": split,
         "split_hash": dataset.split_hash,
+        "train_split_hash": train_set.split_hash,
+        "teacher": dict(teacher or {}),
         "skipped": {"train": train_set.skipped, **(skipped or {}), split: dataset.skipped},
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,

@@ -15,20 +15,34 @@ if TYPE_CHECKING:
 @cfg.entry_point("train")
 def main(config: "DictConfig", folder: Path) -> float:
     """Train, evaluate the best epoch on the test split, measure its cost, write and show the result."""
+    return train(config, folder)
+
+
+def train(config: "DictConfig", folder: Path) -> float:
+    """The whole run of ``config`` in ``folder``; with ``ckpt_path=auto`` a finished one is left as it is.
+
+    Returns:
+        The best value of ``trainer.monitor``.
+    """
     from omegaconf import OmegaConf
 
     from eldenet.normalisation import normalisation, write_normalisation
     from eldenet.report import closing_table
-    from eldenet.resources import choose_resources
+    from eldenet.resources import choose_resources, main_process_first
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
 
+    record = finished_run(config, folder)
+    if record is not None:
+        RunLog(folder, quiet=not cfg.is_main_process()).say(f"{folder}: finished already")
+        return float(record["training"]["best_value"])
     checkpoint = _checkpoint(config, folder)
     refuse_to_mix(folder, checkpoint)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
-    train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
-    val_set = cfg.build_split(config, "val", protocol)
+    with main_process_first(resources):  # it renders or prepares what the others then find
+        train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
+        val_set = cfg.build_split(config, "val", protocol)
     trainer = cfg.instantiate(
         config.trainer,
         optimizer=cfg.instantiate(config.optimizer),
@@ -83,6 +97,7 @@ def main(config: "DictConfig", folder: Path) -> float:
         name=config.model_name,
         progress=progress,
         skipped={"train": train_set.skipped, "val": val_set.skipped},
+        teacher=loss.identity,
     )
     closing_table(log, record)
     return progress.best_value
@@ -114,6 +129,32 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
             log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
     return model
+
+
+def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
+    """The ``run.json`` of this very run if it is there already, and ``ckpt_path=auto`` asks for it.
+
+    Raises:
+        ValueError: the finished run in ``folder`` had other settings or other data.
+    """
+    from eldenet.record import RUN_FILE, differences, read_run
+
+    if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
+        return None
+    record = read_run(folder)
+    different = differences(cfg.plain(config), record.get("config", {}))
+    if not different:
+        protocol = cfg.build_protocol(config)
+        for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
+            found = cfg.build_split(config, split, protocol).split_hash
+            if record.get(name, found) != found:
+                different.append(f"the frames of data.{split} ({found}, there {record[name]})")
+    if different:
+        raise ValueError(
+            f"{folder} holds a finished run of other settings: {'; '.join(different[:5])}. Take these back, "
+            "give another folder, or remove that one"
+        )
+    return record
 
 
 def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from eldenet.averaging import WeightAverage
+from eldenet.averaging import WeightAverage, average_gradients
 from eldenet.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.data.base import DepthDataset
 from eldenet.data.loading import EpochSampler, training_loader
@@ -143,9 +143,10 @@ class Trainer:
         """
         with self.accelerator.autocast():
             prediction = self.model(batch["image"])
-        total, terms = self.loss(prediction, batch["depth"], batch["mask"])
+        total, terms = self.loss(prediction, batch["depth"], batch["mask"], batch["image"])
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
+            average_gradients(self.loss, self.accelerator)  # its own parameters: the model's are in DDP
             if self.gradient_clip is not None:
                 self.accelerator.clip_grad_norm_(self.model.parameters(), self.gradient_clip)
             self.optimizer.step()
@@ -177,6 +178,7 @@ class Trainer:
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
+        loss.attach(model)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
@@ -188,7 +190,7 @@ class Trainer:
             train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
         )
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
-        optimizer = self.make_optimizer(model.parameters())
+        optimizer = self.make_optimizer([*model.parameters(), *self.loss.parameters()])
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         # accelerate's autocast would stay on the model, in validation too; train_step has its own
         self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
@@ -200,6 +202,7 @@ class Trainer:
             ema=None if self.average is None else self.average.model,
             optimizer=self.optimizer,
             scheduler=self.scheduler,
+            loss=self.loss,
             scaler=self.accelerator.scaler,
             progress=self.progress,
             identity={
@@ -212,6 +215,7 @@ class Trainer:
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
                 "ema_decay": self.ema_decay,
+                "teacher": loss.identity,
             },
         )
         if ckpt_path is not None:

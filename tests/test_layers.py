@@ -29,7 +29,7 @@ LAYERS = {
     6: "perception",
     7: "navigation",
     8: "config zoo scoring report "  # these, and the entry points, see everything
-    "train evaluate benchmark predict export check_data train_detector navigate",
+    "studies study train evaluate benchmark predict export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
 # the rendered data sets; whole networks share helpers with the parts

@@ -55,6 +55,7 @@ class PPLCNet(Backbone):
         scale: width; one of 0.25, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5.
         stem_feature: give the stem's output as the stride 2 feature in place of that of blocks2, which has
             the same stride and more channels. Nothing else changes: blocks2 still feeds blocks3.
+        squeeze_excite: False leaves squeeze-excitation out of the last two blocks, for ablations.
         pretrained: ``True`` for timm's ImageNet weights of this scale (0.5, 0.75 and 1.0 have them), their
             name (``"lcnet_050.ra2_in1k"``), or a local file: see
             :func:`~eldenet.backbones.pplcnet_weights.load_pplcnet_weights`.
@@ -65,7 +66,12 @@ class PPLCNet(Backbone):
     """
 
     def __init__(
-        self, scale: float = 0.5, *, stem_feature: bool = False, pretrained: bool | str = False
+        self,
+        scale: float = 0.5,
+        *,
+        stem_feature: bool = False,
+        squeeze_excite: bool = True,
+        pretrained: bool | str = False,
     ) -> None:
         super().__init__()
         if scale not in SCALES:
@@ -78,7 +84,10 @@ class PPLCNet(Backbone):
         self.blocks3 = _stage(STAGES["blocks3"], scale)
         self.blocks4 = _stage(STAGES["blocks4"], scale)
         self.blocks5 = _stage(STAGES["blocks5"], scale)
-        self.blocks6 = _stage(STAGES["blocks6"], scale)
+        last = STAGES["blocks6"]
+        if not squeeze_excite:
+            last = tuple(block._replace(squeeze_excite=False) for block in last)
+        self.blocks6 = _stage(last, scale)
 
         channels = [scale_channels(stage[-1].out_channels, scale) for stage in STAGES.values()]
         if stem_feature:

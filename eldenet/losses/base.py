@@ -1,6 +1,7 @@
 """What a loss is, and the weighted sum that training minimises."""
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -62,8 +63,18 @@ class WeightedTerm(nn.Module):
             raise ValueError(f"{type(loss).__name__} compares in {loss.spaces} only, not in space={space!r}")
         self.loss, self.weight, self.space = loss, weight, space
 
-    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool -> scalar, not weighted."""
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """What must be the same for a training to go on, beside the settings; nothing as a rule."""
+        return {}
+
+    def attach(self, student: nn.Module) -> None:
+        """Called once with the network that is trained, before its first step."""
+
+    def forward(
+        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+    ) -> Tensor:
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar, not weighted; few terms look at ``image``."""
         if self.space != "metres":
             prediction, target = (SPACES[self.space](m) for m in neutralise(prediction, target, mask))
         return self.loss(prediction, target, mask)
@@ -80,10 +91,23 @@ class WeightedSum(nn.Module):
         super().__init__()
         if not terms:
             raise ValueError("a loss needs at least one term")
-        self.terms = nn.ModuleDict(dict(terms))
+        self.terms: Mapping[str, WeightedTerm] = nn.ModuleDict(dict(terms))  # type: ignore[assignment]
 
-    def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """``(B, 1, H, W)`` [m] each, mask bool -> total and the unweighted terms by name."""
+    @property
+    def identity(self) -> dict[str, Mapping[str, Any]]:
+        """Of the terms that have one, by their names (a teacher's)."""
+        found = {name: term.identity for name, term in self.terms.items()}
+        return {name: identity for name, identity in found.items() if identity}
+
+    def attach(self, student: nn.Module) -> None:
+        """Show every term the network that is trained."""
+        for term in self.terms.values():
+            term.attach(student)
+
+    def forward(
+        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name."""
         if prediction.shape != target.shape or target.shape != mask.shape:
             raise ValueError(
                 f"prediction {tuple(prediction.shape)}, target {tuple(target.shape)} and mask "
@@ -91,6 +115,6 @@ class WeightedSum(nn.Module):
             )
         if mask.dtype != torch.bool:
             raise ValueError(f"mask is {mask.dtype}: a bool tensor is needed, True where depth is known")
-        values = {name: term(prediction, target, mask) for name, term in self.terms.items()}
+        values = {name: term(prediction, target, mask, image) for name, term in self.terms.items()}
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

@@ -1,0 +1,152 @@
+"""What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from eldenet import config as cfg
+from eldenet.metrics import METRICS
+
+PLAN = "sweep.yaml"
+STORED = "stored"  # results of finished runs, small enough for git
+WORDS = {"weights": "weights", "teacher": "teacher"}  # of what a row needs: "weights not given"; else data
+
+
+@dataclass(frozen=True)
+class StudyRow:
+    """One row of the tables.
+
+    Attributes:
+        name: of the row, of its runs and their folders.
+        overrides: of ``eldenet.train``, after the study's own; ``{runs}`` stands for the study's run folder,
+            ``{seed}`` for the run's seed.
+        seeds: one run each.
+        block: the start class (or data set) that the row is compared within.
+        seen: what its weights have seen before and during training.
+        given: name -> setting that must be given on the command line (``given.kitti=/data/kitti``) for the
+            row to run, such as ``{kitti: data.root}``.
+        learning_rate: of the optimiser; None: by the study's rule.
+        rate_overrides: what its trials change beside the study's ``rate_overrides``.
+    """
+
+    name: str
+    overrides: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = (0,)
+    block: str = "scratch"
+    seen: str = "the training frames alone"
+    given: Mapping[str, str] | None = None
+    learning_rate: float | None = None
+    rate_overrides: tuple[str, ...] = ()
+
+    @property
+    def missing_word(self) -> str:
+        """What the table says while something the row needs was not given."""
+        settings = (self.given or {}).values()
+        return f"{next((WORDS[name] for name in settings if name in WORDS), 'data')} not given"
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study's plan.
+
+    Attributes:
+        folder: where ``sweep.yaml`` lies and the results go.
+        rows: in the order of the tables.
+        overrides: of ``eldenet.train``, shared by all rows.
+        learning_rates: values of ``optimizer.lr`` that every row tries; none: the optimiser's own is taken.
+        rate_overrides: what a trial of a learning rate changes: fewer epochs, and a part of the training
+            split that is held out of it as its ``data.test``.
+        reference: rows that the others of their block are compared with, image by image.
+        compare: the metric of that comparison.
+        columns: metrics of the tables.
+        plots: "pareto" (accuracy against latency), "convergence" (curves over the epochs).
+        latency: CSV in the study's folder with the columns ``row`` and ``latency_ms_p50``; None: the cost
+            that each run measured.
+    """
+
+    folder: Path
+    rows: tuple[StudyRow, ...]
+    overrides: tuple[str, ...] = ()
+    learning_rates: tuple[float, ...] = ()
+    rate_overrides: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
+    compare: str = "delta1"
+    columns: tuple[str, ...] = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
+    plots: tuple[str, ...] = ("pareto",)
+    latency: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The folder's."""
+        return self.folder.name
+
+    def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
+        """The rows of these names, all without; in the plan's order.
+
+        Raises:
+            ValueError: there is no such row.
+        """
+        wanted = [names] if isinstance(names, str) else names
+        known = [row.name for row in self.rows]
+        unknown = [name for name in wanted or () if name not in known]
+        if unknown:
+            raise ValueError(f"rows={unknown}: {self.folder / PLAN} has the rows {', '.join(known)}")
+        return [row for row in self.rows if wanted is None or row.name in wanted]
+
+    def stored(self, row: StudyRow, seed: int) -> Path:
+        """Where the results of one finished run are kept."""
+        return self.folder / STORED / row.name / f"seed{seed}"
+
+
+def read_study(folder: str | Path) -> Study:
+    """Read ``sweep.yaml``.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it has an entry that it should not have, or lacks rows.
+    """
+    folder = Path(folder)
+    path = folder / PLAN
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no {PLAN} in {folder}: give a study's folder, such as study=experiments/ablations"
+        )
+    content = cfg.read_yaml(path)
+    if not isinstance(content, dict) or not content.get("rows"):
+        raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
+    of_row = {field.name for field in fields(StudyRow)} - {"name"}
+    of_study = {field.name for field in fields(Study)} - {"folder", "rows"}
+    shared = {name: content.pop(name) for name in ("seeds", "block", "seen") if name in content}
+    described = content.pop("rows")
+    _refuse_unknown(path, content, of_study | {"rows", "seeds", "block", "seen"})
+    rows = []
+    for name, entry in described.items():
+        entry = shared | (entry or {})
+        _refuse_unknown(path, entry, of_row, f"row {name}: ")
+        rows.append(StudyRow(str(name), **{key: _frozen(value) for key, value in entry.items()}))
+    study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
+    unknown = [name for name in study.reference if name not in described]
+    if unknown:
+        raise ValueError(f"{path}: reference {unknown} are no rows of it")
+    metrics = [name for name in (*study.columns, study.compare) if name not in METRICS]
+    if metrics:
+        raise ValueError(f"{path}: {metrics} are no metrics, choose among {', '.join(METRICS)}")
+    return study
+
+
+def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], where: str = "") -> None:
+    unknown = sorted(set(entry) - allowed)
+    if unknown:
+        raise ValueError(
+            f"{path}: {where}unknown entries {unknown}, allowed are {', '.join(sorted(allowed))}"
+        )
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def row_names(study: str, rows: Sequence[str] | None = None) -> str:
+    """``a,b,c``: what Hydra's sweeper makes one job each of (see configs/study.yaml)."""
+    return ",".join(row.name for row in read_study(study).chosen(rows))

@@ -1,0 +1,66 @@
+"""Pictures of a study: accuracy against latency, and curves over the epochs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+
+def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Places of the points ``(latency, accuracy)`` that no other is faster and better than, fastest first."""
+    front: list[int] = []
+    best = float("-inf")
+    for index in sorted(range(len(points)), key=lambda place: (points[place][0], -points[place][1])):
+        if points[index][1] > best:
+            front.append(index)
+            best = points[index][1]
+    return front
+
+
+def pareto_plot(
+    path: Path, blocks: Mapping[str, Sequence[tuple[str, float, float]]], *, metric: str, latency: str
+) -> None:
+    """One colour per block, its front as a line; rows are ``(name, latency [ms], metric)``."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 4.5))
+    for block, rows in blocks.items():
+        points = [(row[1], row[2]) for row in rows]
+        line = axes.plot(*zip(*[points[i] for i in pareto_front(points)], strict=True), "-", linewidth=1)[0]
+        axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
+        for name, x, y in rows:
+            axes.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
+    axes.set_xscale("log")
+    axes.set_xlabel(latency)
+    axes.set_ylabel(metric)
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3, which="both")
+    figure.tight_layout()
+    figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
+    pyplot.close(figure)
+
+
+def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Loss, SSIM and MSE over the epochs: one line per run, ``runs`` is name -> curves."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    panels = {"train_loss": "training loss", "val_loss": "validation loss"}
+    panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
+    figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
+    for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
+        for name, curve in runs.items():
+            if key in curve:
+                axis.plot(curve["epoch"], curve[key], label=name, linewidth=1.2)
+        axis.set_title(title, fontsize=9)
+        axis.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=7)
+    for axis in axes[1]:
+        axis.set_xlabel("epoch")
+    figure.tight_layout()
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    pyplot.close(figure)

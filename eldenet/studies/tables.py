@@ -1,0 +1,285 @@
+"""The tables of a study from its stored runs: one block per start class, nothing mixed, nothing invented."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from eldenet.metrics import LOWER_IS_BETTER
+from eldenet.record import read_run, write_rows
+from eldenet.report import (
+    COSTS,
+    Row,
+    cost_line,
+    group_rows,
+    heading,
+    number,
+    protocol_line,
+    refuse_mixtures,
+    to_latex,
+    to_markdown,
+)
+from eldenet.studies import statistics
+from eldenet.studies.plan import Study, StudyRow, read_study
+from eldenet.studies.plots import curves_plot, pareto_plot
+
+PUBLISHED = ("abs_rel", "rmse", "delta1")
+EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
+
+
+@dataclass
+class Block:
+    """One table: rows of one start class, compared with each other and with no other block."""
+
+    name: str
+    titles: list[str]
+    rows: list[list[str]]
+    notes: list[str]
+    points: list[tuple[str, float, float]]  # row, latency [ms], metric
+
+
+def read_expected(folder: Path) -> list[dict[str, str]]:
+    """Lines of ``expected.csv``: published figures with their sources, and what is known to be missing.
+
+    Raises:
+        ValueError: another header, or a figure without a source.
+    """
+    path = folder / "expected.csv"
+    if not path.is_file():
+        return []
+    with path.open(newline="") as lines:
+        reader = csv.DictReader(lines)
+        if tuple(reader.fieldnames or ()) != EXPECTED_HEADER:
+            raise ValueError(
+                f"{path} has the columns {reader.fieldnames}, needed are {list(EXPECTED_HEADER)}"
+            )
+        entries = list(reader)
+    for entry in entries:
+        if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
+            raise ValueError(f"{path}: {entry['row']} has a figure without its protocol and source")
+    return entries
+
+
+@dataclass(frozen=True)
+class Member:
+    """A row of a block with what is known of it.
+
+    Attributes:
+        row: of the plan.
+        grouped: its finished runs; None: there are none.
+        files: their ``per_image.csv``.
+        expected: its line of ``expected.csv``, if it has one.
+    """
+
+    row: StudyRow
+    grouped: Row | None
+    files: list[Path]
+    expected: Mapping[str, str] | None
+
+    @property
+    def runs(self) -> Sequence[Mapping[str, Any]]:
+        """Of the row, one per finished seed."""
+        return self.grouped.runs if self.grouped else []
+
+    @property
+    def status(self) -> str:
+        """How many seeds there are, or why there is none."""
+        if self.runs:
+            return str(len(self.runs))
+        if self.row.given:
+            return self.row.missing_word
+        return self.expected["status"] if self.expected and self.expected["status"] else "not run"
+
+    def text(self, group: str, name: str) -> str:
+        """Mean and spread of a metric or cost, "-" without runs."""
+        return self.grouped.text(group, name) if self.grouped else "-"
+
+    def published(self, name: str) -> str:
+        """A column of ``expected.csv``."""
+        return (self.expected or {}).get(name) or "-"
+
+
+def stored_runs(study: Study, row: StudyRow) -> tuple[list[dict[str, Any]], list[Path]]:
+    """The finished runs of a row, and their ``per_image.csv``."""
+    folders = [study.stored(row, seed) for seed in row.seeds]
+    folders = [folder for folder in folders if (folder / "run.json").is_file()]
+    return [read_run(folder) for folder in folders], [folder / "per_image.csv" for folder in folders]
+
+
+def build_blocks(study: Study) -> list[Block]:
+    """All tables of a study, in the order of its plan.
+
+    Raises:
+        ValueError: runs of one block do not compare (other protocol, frames, or settings within a row).
+    """
+    expected = read_expected(study.folder)
+    names = list(dict.fromkeys([row.block for row in study.rows] + [line["block"] for line in expected]))
+    return [_block(study, name, [line for line in expected if line["block"] == name]) for name in names]
+
+
+def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Block:
+    lines = {line["row"]: line for line in expected}
+    members = [_member(study, row, lines.get(row.name)) for row in study.rows if row.block == name]
+    known = {member.row.name for member in members}
+    for line in expected:  # rivals that have no run of ours
+        if line["row"] not in known:
+            members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line))
+    every = [run for member in members for run in member.runs]
+    notes, costs = _notes(every)
+    latencies = _latencies(study)
+    columns: list[tuple[str, Callable[[Member], str]]] = [
+        ("row", lambda member: member.row.name),
+        ("seeds", lambda member: member.status),
+        ("weights have seen", lambda member: member.row.seen),
+    ]
+    for metric in study.columns:
+        title = heading(metric, every[0]) if every else metric
+        columns.append((title, partial(Member.text, group="metrics", name=metric)))
+    reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
+    if reference is not None:
+        columns.append(
+            (f"{study.compare} - {reference.row.name}'s [95 %]", partial(_difference, study, reference))
+        )
+        notes.append(
+            f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
+            f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before)"
+        )
+    for cost in COSTS if costs else ():
+        columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
+    if latencies:
+        columns.append(("benchmark latency [ms] ↓", lambda member: latencies.get(member.row.name, "-")))
+    if any(line[column] for line in expected for column in PUBLISHED):
+        for column in (*PUBLISHED, "protocol", "source"):
+            columns.append((f"published {column}", partial(Member.published, name=column)))
+    rows = [[cell(member) for _, cell in columns] for member in members]
+    if every:
+        rows.append(_constant(study, every[0], len(columns)))
+    points = [point for member in members if (point := _point(study, member, latencies, costs))]
+    return Block(name, [title for title, _ in columns], rows, notes, points)
+
+
+def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
+    runs, files = stored_runs(study, row)
+    return Member(row, group_rows(runs)[0] if runs else None, files, expected)
+
+
+def _notes(runs: Sequence[Mapping[str, Any]]) -> tuple[list[str], bool]:
+    """What makes the figures believable, and whether the costs compare."""
+    if not runs:
+        return ["no run is stored yet"], False
+    refuse_mixtures(runs, costs=False)
+    notes = [protocol_line(runs[0])]
+    try:
+        refuse_mixtures(runs, costs=True)
+    except ValueError as error:
+        return [*notes, f"costs are left out: {error}"], False
+    return [*notes, cost_line(runs[0])], True
+
+
+def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
+    values = [number(metric, run["constant_predictor"].get(metric)) for metric in study.columns]
+    return ["constant predictor", "-", "depth of the training frames", *values] + ["-"] * (
+        columns - 3 - len(values)
+    )
+
+
+def _difference(study: Study, reference: Member, member: Member) -> str:
+    """Mean and interval; "better" or "worse" where the interval leaves 0 out."""
+    if not member.runs or member is reference:
+        return "-"
+    ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
+    mean, low, high = statistics.paired_interval(ours, theirs)
+    verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
+    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{'' if low <= 0 <= high else verdict}"
+
+
+def _point(
+    study: Study, member: Member, latencies: Mapping[str, str], costs: bool
+) -> tuple[str, float, float] | None:
+    """Where a row lies in the plot: its benchmarked latency, else the one its first run measured."""
+    if member.grouped is None:
+        return None
+    if latencies:
+        latency = float(latencies[member.row.name]) if member.row.name in latencies else None
+    else:
+        latency = member.runs[0]["cost"]["latency_ms_p50"] if costs else None
+    values = member.grouped.values("metrics", study.compare)
+    return (member.row.name, latency, sum(values) / len(values)) if latency and values else None
+
+
+def _latencies(study: Study) -> dict[str, str]:
+    """Latency of each row [ms] from the study's benchmark file."""
+    if study.latency is None:
+        return {}
+    path = study.folder / study.latency
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist, but sweep.yaml there names it as its latency")
+    with path.open(newline="") as lines:
+        return {line["row"]: line["latency_ms_p50"] for line in csv.DictReader(lines)}
+
+
+def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[str, dict[str, list[float]]]]:
+    """Titles, rows and curves: how fast and how steadily every run converged."""
+    curved = ("training loss", "validation loss", "MSE")
+    titles = ["run", "epochs", *(f"speed, {name} [epoch]" for name in curved)]
+    titles += [f"fluctuation, {name}" for name in curved]
+    rows, pictures = [], {}
+    for row in study.rows:
+        runs, _ = stored_runs(study, row)
+        for run in runs:
+            name = f"{row.name}/seed{run['seed']}"
+            curve = statistics.curves(run)
+            pictures[name] = curve
+            keys = ("train_loss", "val_loss", "val_mse")
+            speed = [
+                f"{statistics.convergence_epoch(curve['epoch'], curve[key]):g}" if curve.get(key) else "-"
+                for key in keys
+            ]
+            steps = [
+                f"{statistics.fluctuation(curve[key]):.4f}" if len(curve.get(key, ())) > 2 else "-"
+                for key in keys
+            ]
+            rows.append([name, str(len(curve["epoch"])), *speed, *steps])
+    return titles, rows, pictures
+
+
+def write_study_report(folder: str | Path) -> list[Block]:
+    """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
+    study = read_study(folder)
+    blocks = build_blocks(study)
+    markdown, latex = [f"# {study.name}", ""], []
+    for block in blocks:
+        markdown += [f"## {block.name}", "", to_markdown(block.titles, block.rows, block.notes)]
+        latex.append(to_latex(block.titles, block.rows, [block.name, *block.notes]))
+    if "convergence" in study.plots:
+        titles, rows, pictures = convergence_table(study)
+        notes = [
+            "speed: the first epoch at which a curve has done 90 % of its way from first to best value",
+            "fluctuation: mean absolute step between epochs in the second half, relative to the mean there",
+            "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
+        ]
+        markdown += ["## convergence", "", to_markdown(titles, rows, notes)]
+        latex.append(to_latex(titles, rows, ["convergence", *notes]))
+        write_rows(study.folder / "convergence.csv", titles, rows)
+        if pictures:
+            curves_plot(study.folder / "convergence.png", pictures)
+            markdown += ["![curves](convergence.png)", ""]
+    points = {block.name: block.points for block in blocks if block.points}
+    if "pareto" in study.plots and points:
+        source = study.latency or "run.json's cost"
+        pareto_plot(
+            study.folder / "pareto.png", points, metric=study.compare, latency=f"latency [ms] ({source})"
+        )
+        markdown += ["![accuracy against latency](pareto.png)", ""]
+    markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
+    (study.folder / "results.md").write_text("\n".join(markdown))
+    (study.folder / "results.tex").write_text("\n".join(latex))
+    titles = list(dict.fromkeys(title for block in blocks for title in block.titles))
+    cells = [
+        (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
+    ]
+    table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
+    write_rows(study.folder / "results.csv", ["block", *titles], table)
+    return blocks

@@ -1,0 +1,42 @@
+"""``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldenet import config as cfg
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+
+@cfg.entry_point("study")
+def main(config: "DictConfig", folder: Path) -> None:
+    """Run the chosen rows one after the other; say at the end what became of each.
+
+    Raises:
+        ValueError: after all of them, if some failed; or at once, in a job of several processes.
+    """
+    from eldenet.runlog import RunLog
+    from eldenet.studies.plan import read_study
+    from eldenet.studies.running import run_row
+
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")
+    study = read_study(config.study)
+    names = config.row if config.row is not None else cfg.plain(config.rows)
+    log = RunLog(folder, quiet=not cfg.is_main_process())
+    outcomes = []
+    for row in study.chosen(names):
+        outcomes += run_row(study, row, Path(config.runs), given=cfg.plain(config.given), say=log.say)
+    log.table(
+        f"study {study.name}", ("run", "status"), [(outcome.run, outcome.status) for outcome in outcomes]
+    )
+    failed = [f"{outcome.run} ({outcome.reason})" for outcome in outcomes if outcome.status == "failed"]
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(outcomes)} runs failed: {'; '.join(failed)}")
+    log.say(f"tables: python -m eldenet.report study={config.study}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""Studies: planned, run, killed, rerun and reported; and the statistics behind their tables."""
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from eldenet import config as cfg
+from eldenet.studies import statistics
+from eldenet.studies.plan import read_study
+from eldenet.studies.plots import pareto_front
+from eldenet.studies.running import compose_run, run_row
+from eldenet.studies.tables import read_expected, write_study_report
+from eldenet.train import train
+from eldenet.zoo import list_models
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
+
+TINY = """
+overrides:
+  - data=rooms
+  - "data.cache='{cache}'"
+  - "data.size=[32,40]"
+  - "data.input_size=[32,40]"
+  - "data.frames={{train: 16, val: 4, test: 6}}"
+  - trainer.epochs=1
+  - trainer.batch_size=4
+  - runtime.threads=1
+  - runtime.workers=0
+learning_rates: [1.0e-4, 1.0e-3]
+rate_overrides:
+  - data.test.split=train
+  - data.test.frames=16
+  - "+data.subset={{train: [0, 12], test: [12, 16]}}"
+  - +data.subset_seed=0
+reference: [eldenet_s]
+columns: [rmse, delta1]
+plots: [pareto, convergence]
+rows:
+  eldenet_s: {{overrides: [model=eldenet_s], seeds: [0, 1]}}
+  wrong: {{overrides: [model=eldenet_s, trainer.monitor=accuracy], learning_rate: 1.0e-3}}
+  eldenet: {{overrides: [model=eldenet], learning_rate: 1.0e-3}}
+  elsewhere: {{overrides: [data=kitti], given: {{kitti: data.root}}}}
+  pretrained: {{block: rooms, given: {{rooms: weights}}}}
+"""
+EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
+eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
+unknown,scratch,no code identified,,,,,
+"""
+
+
+@pytest.fixture
+def tiny(tmp_path: Path, cache: str) -> Path:
+    folder = tmp_path / "tiny"
+    folder.mkdir()
+    (folder / "sweep.yaml").write_text(TINY.format(cache=cache))
+    (folder / "expected.csv").write_text(EXPECTED)
+    return folder
+
+
+def short(plan: str) -> str:
+    """One seed, no trials."""
+    return plan.replace("[0, 1]", "[0]").replace("learning_rates: [1.0e-4, 1.0e-3]\n", "")
+
+
+def cells(folder: Path) -> dict[str, dict[str, str]]:
+    """Rows of results.csv by their names, as title -> cell."""
+    with (folder / "results.csv").open(newline="") as lines:
+        return {f"{line['block']}/{line['row']}": line for line in csv.DictReader(lines)}
+
+
+def run_all(folder: Path, runs: Path) -> tuple[dict[str, str], list[str]]:
+    study, said = read_study(folder), []
+    outcomes = [outcome for row in study.rows for outcome in run_row(study, row, runs, say=said.append)]
+    return {outcome.run: outcome.status for outcome in outcomes}, said
+
+
+def test_a_study_from_nothing_to_its_tables(tiny, tmp_path):
+    first, said = run_all(tiny, tmp_path / "runs")
+    assert first == {
+        "eldenet_s/seed0": "done",
+        "eldenet_s/seed1": "done",
+        "wrong/seed0": "failed",
+        "eldenet/seed0": "done",
+        "elsewhere/seed0": "data not given",
+        "pretrained/seed0": "weights not given",
+    }
+    assert any("monitor='accuracy'" in line for line in said)
+    assert "accuracy" in (tmp_path / "runs" / "tiny" / "wrong" / "seed0" / "failed.txt").read_text()
+    # the learning rate: by the held-out part of the training split, and recorded
+    chosen = json.loads((tiny / "stored" / "eldenet_s" / "learning_rate.json").read_text())
+    scores = chosen["delta1"]
+    assert chosen["learning_rate"] == float(max(scores, key=scores.get))
+    assert chosen["held_out_images"] == 4
+    run = json.loads((tiny / "stored" / "eldenet_s" / "seed1" / "run.json").read_text())
+    assert run["config"]["optimizer"]["lr"] == chosen["learning_rate"]
+    assert (run["seed"], run["metrics"]["images"]) == (1, 6)
+    assert run["split_hash"] != chosen["held_out_split_hash"]
+    # again: nothing is trained twice, from the run folders or from what was stored
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("*.safetensors")}
+    again, _ = run_all(tiny, tmp_path / "runs")
+    assert again == {
+        name: "finished before" if status == "done" else status for name, status in first.items()
+    }
+    elsewhere, _ = run_all(tiny, tmp_path / "other_runs")
+    assert elsewhere == again
+    assert not list((tmp_path / "other_runs").rglob("*.safetensors"))
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    report_is_right(tiny)
+    # other settings under the same name are no finished run
+    (tiny / "sweep.yaml").write_text((tiny / "sweep.yaml").read_text().replace("epochs=1", "epochs=2"))
+    changed, said = run_all(tiny, tmp_path / "runs")
+    assert changed["eldenet/seed0"] == "failed"
+    assert any("trainer.epochs=2 (there 1)" in line for line in said)
+
+
+def report_is_right(folder: Path) -> None:
+    write_study_report(folder)
+    rows = cells(folder)
+    runs = [json.loads((folder / f"stored/eldenet_s/seed{seed}/run.json").read_text()) for seed in (0, 1)]
+    values = [run["metrics"]["rmse"] for run in runs]
+    ours = rows["scratch/eldenet_s"]
+    assert ours["RMSE [m] ↓"] == f"{np.mean(values):.3f} ± {np.std(values, ddof=1):.3f}"
+    assert ours["seeds"] == "2"
+    assert rows["scratch/wrong"]["seeds"] == "not run"
+    assert rows["scratch/elsewhere"]["seeds"] == "data not given"
+    assert rows["rooms/pretrained"]["seeds"] == "weights not given"
+    assert rows["scratch/unknown"]["seeds"] == "no code identified"
+    assert rows["scratch/eldenet"]["published delta1"] == "0.9"
+    assert rows["scratch/eldenet"]["published source"] == "a paper"
+    assert rows["scratch/eldenet"]["delta1 - eldenet_s's [95 %]"].count(",") == 1
+    assert ours["delta1 - eldenet_s's [95 %]"] == "-"
+    text = (folder / "results.md").read_text()
+    assert "protocol rooms" in text
+    assert "## convergence" in text
+    for name in ("results.tex", "pareto.png", "convergence.png"):
+        assert (folder / name).stat().st_size > 200
+    assert (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,1,1,1,1,")
+
+
+def test_a_killed_row_goes_on(tiny, tmp_path):
+    """What lies in a run folder without run.json is a checkpoint to go on from."""
+    study = read_study(tiny)
+    (row,) = study.chosen("eldenet")
+    assert run_row(study, row, tmp_path / "runs", say=lambda text: None)[0].status == "done"
+    folder = tmp_path / "runs" / "tiny" / "eldenet" / "seed0"
+    weights = (folder / "model" / "model.safetensors").stat().st_mtime_ns
+    (folder / "run.json").unlink()
+    shutil.rmtree(tiny / "stored")
+    assert run_row(study, row, tmp_path / "runs", say=lambda text: None)[0].status == "done"
+    assert (folder / "model" / "model.safetensors").stat().st_mtime_ns == weights  # not trained anew
+    assert (tiny / "stored" / "eldenet" / "seed0" / "per_image.csv").is_file()
+    # a finished training asked to go on is left as it is; with other settings it is refused
+    shared = [*study.overrides, *row.overrides, f"optimizer.lr={row.learning_rate}"]
+    again = compose_run(shared, folder, tmp_path, name="eldenet", seed=0)
+    before = (folder / "run.json").read_bytes()
+    assert train(again, folder) == json.loads(before)["training"]["best_value"]
+    assert (folder / "run.json").read_bytes() == before
+    for other, word in (("optimizer.lr=0.5", "optimizer.lr"), ("data.frames.train=12", "data.frames.train")):
+        changed = compose_run([*shared, other], folder, tmp_path, name="eldenet", seed=0)
+        with pytest.raises(ValueError, match=rf"holds a finished run of other settings: {word}"):
+            train(changed, folder)
+
+
+def test_the_commands_run_and_report_a_study(tiny, run_command):
+    plan = tiny / "sweep.yaml"
+    text = (
+        plan.read_text()
+        .replace("seeds: [0, 1]", "seeds: [0]")
+        .replace("learning_rates: [1.0e-4, 1.0e-3]\n", "")
+    )
+    plan.write_text(text)
+    finished = run_command("study", "-m", f"study={tiny}", "rows=[wrong,eldenet_s]", cwd=tiny.parent)
+    assert finished.returncode == 1
+    assert "wrong/seed0" in finished.stderr
+    assert (tiny / "stored" / "eldenet_s" / "seed0" / "run.json").is_file()  # the failed row lost nothing
+    finished = run_command("report", f"study={tiny}", cwd=tiny.parent)
+    assert finished.returncode == 0, finished.stderr
+    assert "eldenet_s" in (tiny / "results.md").read_text()
+
+
+@pytest.mark.slow
+def test_rays_workers_run_the_rows(tiny, run_command):
+    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="pip install 'eldenet[cluster]'")
+    plan = tiny / "sweep.yaml"
+    plan.write_text(
+        plan.read_text().replace("learning_rates: [1.0e-4, 1.0e-3]\n", "").replace("[0, 1]", "[0]")
+    )
+    finished = run_command(
+        *("study", "-m", f"study={tiny}", "rows=[eldenet_s,eldenet]", "hydra/launcher=ray"),
+        "+hydra.launcher.ray.init.num_cpus=2",
+        cwd=tiny.parent,
+    )
+    assert finished.returncode == 0, finished.stderr[-3000:]
+    for name in ("eldenet_s", "eldenet"):
+        assert (tiny / "stored" / name / "seed0" / "run.json").is_file()
+    workers = set(re.findall(r"_run_job pid=(\d+)", finished.stdout + finished.stderr))
+    assert len(workers) == 2, finished.stdout[-2000:]
+
+
+def test_plans_are_checked(tiny, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
+        read_study(tmp_path)
+    with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
+        read_study(tiny).chosen(["none"])
+    whole = (tiny / "sweep.yaml").read_text()
+    for old, new, word in (
+        ("seeds: [0, 1]}", "sead: 1}", "sead"),
+        ("columns: [rmse, delta1]", "columns: [rsme]", "rsme"),
+        ("reference: [eldenet_s]", "reference: [eldenet_m]", "eldenet_m"),
+    ):
+        (tiny / "sweep.yaml").write_text(whole.replace(old, new))
+        with pytest.raises(ValueError, match=word):
+            read_study(tiny)
+    (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
+    with pytest.raises(ValueError, match="without its protocol and source"):
+        read_expected(tiny)
+
+
+@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
+def test_every_row_of_every_study_composes(folder):
+    study = read_study(folder)
+    read_expected(folder)
+    assert (folder / "README.md").is_file()
+    known, missing = list_models(), set()
+    for row in study.rows:
+        overrides = [*study.overrides, *row.overrides]
+        network = next((text[6:] for text in overrides[::-1] if text.startswith("model=")), "eldenet")
+        if network not in known:
+            missing.add(network)
+            continue
+        tried = bool(study.learning_rates) and row.learning_rate is None
+        trial = [*study.rate_overrides, *row.rate_overrides] if tried else []
+        config = compose_run([*overrides, *trial], Path("f"), Path("r"), name=row.name, seed=0)
+        assert (config.model_name, config.ckpt_path, config.seed) == (row.name, "auto", 0)
+        assert cfg.plain(config.model)["_target_"].startswith("eldenet.")
+        if tried:  # scored on training frames that it does not train on, nor does the table
+            assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
+            assert config.data.subset.train[1] <= config.data.subset.test[0]
+    if missing:
+        pytest.skip(f"no such networks yet: {sorted(missing)}")
+
+
+# ------------------------------------------------------------------ figures
+
+
+def test_the_interval_is_that_of_scipys_bootstrap():
+    generator = np.random.default_rng(3)
+    theirs = {str(i): value for i, value in enumerate(generator.uniform(0.3, 0.9, 130))}
+    ours = {name: value + 0.03 + 0.1 * generator.normal() for name, value in theirs.items()}
+    mean, low, high = statistics.paired_interval(ours, theirs)
+    difference = np.array([ours[name] - theirs[name] for name in ours])
+    expected = scipy.stats.bootstrap(
+        (difference,), np.mean, n_resamples=20_000, method="percentile", random_state=1
+    ).confidence_interval
+    assert mean == pytest.approx(difference.mean(), abs=1e-12)
+    assert (low, high) == pytest.approx((expected.low, expected.high), abs=1.5e-3)
+    assert statistics.paired_interval(ours, theirs) == (mean, low, high)  # the same every time
+    with pytest.raises(ValueError, match="different images"):
+        statistics.paired_interval(ours, {"x": 1.0})
+
+
+def test_the_front_holds_what_nothing_beats():
+    points = [(5.0, 0.5), (1.0, 0.3), (2.0, 0.6), (4.0, 0.6), (2.0, 0.4), (9.0, 0.7)]
+    assert pareto_front(points) == [1, 2, 5]
+
+
+def test_speed_and_fluctuation_of_known_curves():
+    epochs = list(range(1, 11))
+    falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
+    assert statistics.convergence_epoch(epochs, falling) == 10.0  # 0.9 is first reached at 0
+    assert statistics.convergence_epoch(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
+    assert statistics.fluctuation([1.0] * 10) == 0.0
+    assert statistics.fluctuation([9, 9, 1, 2, 1, 2]) == pytest.approx(1 / (5 / 3))
+    run = {"config": {"loss": {"terms": {"ssim": {"weight": 1.0}, "l1": {"weight": 0.5}}}}}
+    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
+    run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
+    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
