@@ -130,15 +130,16 @@ def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
 def prepare(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path) -> "Network":
     """Make the file that a case runs, unless it is there."""
     from eldenet.benchmarking import Network, reason_of
+    from eldenet.folding import fold
     from eldenet.profiling import count_macs, count_params
 
     size = (case.height, case.width)
-    params, macs = count_params(model), count_macs(model, size)
+    params, macs, run_macs = count_params(model), count_macs(model, size), count_macs(fold(model), size)
     try:
         source = _make(case, model, config, folder)
     except Exception as error:  # an export that fails is the row's result
-        return Network(None, params, macs, reason_of(error))
-    return Network(source, params, macs)
+        return Network(None, params, macs, run_macs, reason_of(error))
+    return Network(source, params, macs, run_macs)
 
 
 def _make(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path) -> Path:
@@ -235,7 +236,8 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         notes.append(f"made by `{row['command']}`")
     notes.append(
         "fps: calls per second; peak_memory_mb: added to a process by loading and running; share_of_peak: of "
-        "a matrix product's FLOP/s in the same precision and rounds"
+        "a matrix product's FLOP/s in the same precision and rounds; gmacs and gflops are of the network as "
+        "it is defined, gflops_per_s of its inference form (eldenet.folding)"
     )
     failed = [
         f"not measured: {row['model']}, {row['runtime']}, {row['precision']}: {row['failed']}"

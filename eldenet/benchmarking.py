@@ -57,13 +57,15 @@ class Network:
     Attributes:
         source: file or folder for :func:`eldenet.runtimes.load`; None: it could not be made.
         params: number of parameters.
-        macs: multiply-adds of one image.
+        macs: multiply-adds of one image, of the network as it is defined.
+        run_macs: of its inference form, which is what runs: the FLOP/s reached are counted in these.
         failed: why there is no source.
     """
 
     source: Path | None
     params: int | None = None
     macs: int | None = None
+    run_macs: int | None = None
     failed: str | None = None
 
 
@@ -106,7 +108,7 @@ def measure_group(
     times = time_interleaved(calls, rounds=rounds, seconds=seconds)
     for case in ready:
         network, peak = networks[case], times.get(f"peak {case.precision}")
-        row = rows[case] | timed_columns(case, times[str(case.key)], network.macs)
+        row = rows[case] | timed_columns(case, times[str(case.key)], network.run_macs)
         if peak is not None and row["gflops_per_s"] is not None:
             row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / median_ms(peak) / 1e6
             row["share_of_peak"] = row["gflops_per_s"] / row["peak_gflops_per_s"]
