@@ -58,7 +58,7 @@ class Detections2D:
                 f"xyxy {self.xyxy.shape}, score {self.score.shape}, label {self.label.shape}: give (N, 4), "
                 "(N,), (N,)"
             )
-        if count and not (0 <= self.label.min() and self.label.max() < len(self.names)):
+        if count and not (self.label.min() >= 0 and self.label.max() < len(self.names)):
             raise ValueError(f"labels up to {self.label.max()}, but {len(self.names)} class names")
         if not np.isfinite(self.xyxy).all():
             raise ValueError("boxes with coordinates that are not finite")

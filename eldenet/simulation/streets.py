@@ -37,7 +37,13 @@ _SIZES: dict[str, tuple[Range, Range, Range]] = {
 }
 _MAKERS: dict[str, Callable[..., None]] = {
     name: getattr(vehicles, maker)
-    for name, maker in (("car", "car"), ("van", "van"), ("truck", "truck"), ("box", "carton"), ("pillar", "pillar"))
+    for name, maker in (
+        ("car", "car"),
+        ("van", "van"),
+        ("truck", "truck"),
+        ("box", "carton"),
+        ("pillar", "pillar"),
+    )
 }
 
 
@@ -115,7 +121,9 @@ def render_street(
     image = develop(linear, Draw(seed), (*seed, 1))
     owner = np.append(model.geom_bodyid - 1, -1)[hits.geom]
     instance = np.where((owner >= 0) & (owner < len(scene.names)), owner, -1).reshape(size)
-    seen = [_look(model, data, eye, position, rotation, instance, number) for number in range(len(scene.names))]
+    seen = [
+        _look(model, data, eye, position, rotation, instance, number) for number in range(len(scene.names))
+    ]
     kept = [number for number, look in enumerate(seen) if look.pixels >= min_pixels]
     label = np.array([NAMES.index(scene.names[number]) for number in kept], np.int64)
     renumber = np.append(np.full(len(scene.names), -1), -1)
@@ -260,18 +268,31 @@ class _Builder:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
                 if d.chance(0.8):
                     self.shell.box(
-                        x + wide / 2, edge + side * (deep / 2 + d.uniform(0, 2)), 0, wide, deep, tall, d.pick(self.m.walls)
+                        x + wide / 2,
+                        edge + side * (deep / 2 + d.uniform(0, 2)),
+                        0,
+                        wide,
+                        deep,
+                        tall,
+                        d.pick(self.m.walls),
                     )
                 x += wide + d.uniform(0, 5)
             self._row(side, half, parked=True)
             for _ in range(d.integer(1, 4)):
-                self._put("person", d.uniform(5, 40), side * (half + d.uniform(1.3, 2.5 + pavement)), d.uniform(0, 360))
+                self._put(
+                    "person",
+                    d.uniform(5, 40),
+                    side * (half + d.uniform(1.3, 2.5 + pavement)),
+                    d.uniform(0, 360),
+                )
             if d.chance(0.5):
                 self._put("pillar", d.uniform(6, 40), side * (half + d.uniform(1.3, 2.2)), 0.0)
         self._row(1, 1.6, parked=False)
         self._row(-1, 3.2, parked=False)
         for _ in range(d.integer(0, 2)):  # crossing or turning
-            self._put(d.pick(("car", "van", "person")), d.uniform(10, 45), d.uniform(-3, 3), d.uniform(0, 360))
+            self._put(
+                d.pick(("car", "van", "person")), d.uniform(10, 45), d.uniform(-3, 3), d.uniform(0, 360)
+            )
 
     def _row(self, side: int, away: float, *, parked: bool) -> None:
         """Vehicles one behind the other along the road."""
@@ -314,7 +335,10 @@ class _Builder:
         reach = max(0.0, length / 2 - radius)
         circles = [(x + s * reach * front[0], y + s * reach * front[1], radius) for s in (-1.0, 0.0, 1.0)]
         for cx, cy, r in circles:
-            if any((cx - a) ** 2 + (cy - b) ** 2 < (r + c + 0.1) ** 2 for a, b, c in self.taken) or cx < r + 1:
+            if (
+                any((cx - a) ** 2 + (cy - b) ** 2 < (r + c + 0.1) ** 2 for a, b, c in self.taken)
+                or cx < r + 1
+            ):
                 return
         self.taken += circles
         body = Body((x, y, 0), yaw)

@@ -49,7 +49,16 @@ def car(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) 
     _chassis(d, p, b, length, width, waist, paint)
     front = length * d.uniform(0.16, 0.24)  # where the windscreen meets the bonnet
     rear = -length * d.pick((0.32, 0.40, 0.46))
-    _cabin(p, b, (rear, front), (0.06 * length, 0.18 * length), width * 0.92, width * 0.72, (waist, height), paint)
+    _cabin(
+        p,
+        b,
+        (rear, front),
+        (0.06 * length, 0.18 * length),
+        width * 0.92,
+        width * 0.72,
+        (waist, height),
+        paint,
+    )
 
 
 def van(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
@@ -84,9 +93,7 @@ def pillar(d: Draw, p: Paint, b: Body, length: float, width: float, height: floa
         b.box(0, 0, 0, width, length, height, d.pick(p.card))
 
 
-def _chassis(
-    d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int
-) -> None:
+def _chassis(d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int) -> None:
     """Wheels, and a body below the windows whose four corners are cut."""
     _wheels(p, b, length, width, d.uniform(0.29, 0.35))
     low, cut = d.uniform(0.18, 0.28), d.uniform(0.84, 0.92)
