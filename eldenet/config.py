@@ -142,7 +142,7 @@ def build_split(
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
     """
-    from eldenet.data.base import Chain
+    from eldenet.data.base import SPARSE, Chain
     from eldenet.data.transforms import ResizeCrop
 
     if not OmegaConf.is_dict(config.data.get(split)):
@@ -151,8 +151,18 @@ def build_split(
     changes: dict[str, Any] = {}
     if score and config.data[split].get("load_size") is not None:
         changes = {"load_size": None, "cache": False}
-    if protocol.resize is not None or protocol.frame_crop is not None:
-        steps.append(ResizeCrop(resize=protocol.resize, crop=protocol.frame_crop))
+    if protocol.changes_frames:
+        steps.append(
+            ResizeCrop(
+                box=protocol.frame_box,
+                resize=protocol.resize,
+                crop=protocol.frame_crop,
+                anchor=protocol.frame_anchor,
+                size=protocol.frame_size,
+                sparse=protocol.ground_truth in SPARSE,
+                keep_depth=protocol.paste and split != "train",
+            )
+        )
         if config.data[split].get("load_size") is not None:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
@@ -172,6 +182,9 @@ def build_split(
     )
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
+    places = config.data.get("subset", {}).get(split)
+    if places is not None:
+        dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
         logging.getLogger("eldenet").warning(
             "%s: %d of %d frames left out, such as %s",

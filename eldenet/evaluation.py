@@ -112,7 +112,8 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
             prediction = predict_depth(model, batch["image"].to(device)).cpu()
             counts = protocol.scored(batch["depth"], batch["mask"])
             prediction = protocol.prepare(prediction, batch["depth"], counts)
-            pictures.append(depth_row(batch["image"][0], batch["depth"][0], batch["mask"][0], prediction[0]))
+            image = protocol.placed(batch["image"], batch["depth"].shape[-2:])
+            pictures.append(depth_row(image[0], batch["depth"][0], batch["mask"][0], prediction[0]))
     return stack_rows(pictures, PANELS)
 
 

@@ -44,6 +44,40 @@ def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> 
     return np.where(known, depth, 0.0).astype(np.float32)
 
 
+def crop_corner(size: tuple[int, int], crop: tuple[int, int], anchor: str) -> tuple[int, int]:
+    """Top and left [px] of a crop ``(height, width)`` of a frame of ``size``.
+
+    Convention: "center" rounds half to even, as torchvision's centre crop; "bottom" is BTS's KB crop: the
+    lowest rows, ``(width - crop width) // 2`` from the left.
+    """
+    if anchor == "bottom":
+        return size[0] - crop[0], (size[1] - crop[1]) // 2
+    return round((size[0] - crop[0]) / 2), round((size[1] - crop[1]) / 2)
+
+
+def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Move every known point of ``depth (H, W)`` [m] to its pixel of a map of ``size`` [px].
+
+    Nothing is interpolated or repeated. Of several points that meet in a pixel the nearest stays: it hides
+    the others. 0 is unknown.
+    """
+    rows, cols = np.nonzero(depth)
+    # a pixel's centre at u + 0.5 goes to (u + 0.5) * s, so to pixel floor((u + 0.5) * s)
+    to_rows = (2 * rows + 1) * size[0] // (2 * depth.shape[0])
+    to_cols = (2 * cols + 1) * size[1] // (2 * depth.shape[1])
+    return nearest_points(to_rows, to_cols, depth[rows, cols], size)
+
+
+def nearest_points(
+    rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, size: tuple[int, int]
+) -> np.ndarray:
+    """Depth map ``size`` [m] of points ``(N,)`` at whole pixels: a pixel's nearest wins, 0 is unknown."""
+    points = np.full(size, np.inf, depth.dtype)
+    np.minimum.at(points, (rows, cols), depth)
+    points[np.isinf(points)] = 0
+    return points
+
+
 def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth itself."""
     rows, cols = np.indices(depth.shape, dtype=np.float64)

@@ -7,8 +7,11 @@ import cv2
 import numpy as np
 from torch import Tensor
 
+from eldenet.geometry import resize_sparse
+
 UNKNOWN = (0, 0, 0)
 PANEL_WIDTH = 256  # [px], about
+WIDEST_PANEL = 480  # [px]: wider maps are made smaller, so that a row of four fits a screen
 GAP = 2  # [px]
 PANELS = ("image", "depth", "prediction", "relative error (0 to 0.5)")
 
@@ -42,9 +45,15 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
     """One picture ``(H, 4 W, 3)`` uint8: image, ground truth, prediction, relative error, side by side.
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
+    Maps wider than ``WIDEST_PANEL`` are made smaller; known points stay points.
     """
     truth, known, guess = (tensor.squeeze(0).cpu().numpy() for tensor in (depth, mask, prediction))
     height, width = truth.shape
+    if width > WIDEST_PANEL:
+        height, width = round(height * WIDEST_PANEL / width), WIDEST_PANEL
+        truth = resize_sparse(np.where(known, truth, 0), (height, width))
+        known = truth > 0
+        guess = np.asarray(cv2.resize(guess, (width, height), interpolation=cv2.INTER_NEAREST_EXACT))
     photo = (image.permute(1, 2, 0).cpu().numpy() * 255).round().astype(np.uint8)
     photo = np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     near, far = np.percentile(truth[known], (2, 98)) if known.any() else (0.0, 1.0)
@@ -61,8 +70,9 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
 
 
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Rows of one width below each other, under a line of ``titles`` spread evenly over the width."""
-    width = rows[0].shape[1]
+    """Rows below each other, narrow ones filled up, under ``titles`` spread evenly over the width."""
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     gap = np.full((GAP, width, 3), 255, np.uint8)
     pieces = [piece for row in rows for piece in (row, gap)][:-1]
     if titles:

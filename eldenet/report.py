@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.metrics import LOWER_IS_BETTER, METRICS, UNITS
+from eldenet.metrics import LOWER_IS_BETTER, METRICS, UNITS, EvalProtocol
 from eldenet.record import RUN_FILE, read_run
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def protocol_line(run: Mapping[str, Any]) -> str:
     parts = [
         f"protocol {rules['name']}: {rules['ground_truth']} ground truth",
         f"{rules['min_depth']:g} to {rules['max_depth']:g} m",
-        f"crop {tuple(rules['crop'])}" if rules["crop"] else "no crop",
+        _scored_part(rules),
         f"mean per {rules['average']}",
         f"{rules['scale']} scale",
     ]
@@ -106,6 +106,19 @@ def protocol_line(run: Mapping[str, Any]) -> str:
     return ", ".join(parts) + (
         f"; {run['data']}/{run['split']} {run['split_hash']}, {run['metrics']['images']} images"
     )
+
+
+def _scored_part(rules: Mapping[str, Any]) -> str:
+    """What of the frame is scored."""
+    if rules["crop"]:
+        words = f"crop {tuple(rules['crop'])}"
+    elif rules["crop_fractions"]:
+        words = f"crop {tuple(round(share, 4) for share in rules['crop_fractions'])} of height and width"
+    else:
+        words = "no crop"
+    if rules["paste"]:
+        words += f", predicted from {rules['frame_anchor']} {tuple(rules['frame_crop'])}"
+    return words
 
 
 def cost_line(run: Mapping[str, Any]) -> str:
@@ -151,7 +164,9 @@ def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
     runs = [read_run(file) for file in dict.fromkeys(file.resolve() for file in files)]
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
-    return runs
+    # a rule that did not exist yet was not applied: runs of before and after compare
+    rules = EvalProtocol("").as_dict()
+    return [run | {"protocol": rules | run["protocol"]} for run in runs]
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -172,3 +172,105 @@ def cityscapes_mtan(root: Path, size: tuple[int, int] = (128, 256), count: int =
                 root / f"{part}/depth/{number}.npy", np.where(metres > 0, steps / 65535, 0).astype(np.float32)
             )
     return root
+
+
+# --- KITTI ------------------------------------------------------------------------------------------------
+
+DRIVES = ("2011_09_26_drive_0001_sync", "2011_09_26_drive_0002_sync", "2011_09_28_drive_0003_sync")
+VAL_DRIVE = "2011_09_26_drive_0005_sync"
+KITTI_SIZES = {"2011_09_26": (375, 1242), "2011_09_28": (370, 1224)}
+FOCAL = {"2011_09_26": 721.5377, "2011_09_28": 707.0493}
+
+
+class KITTIContent(NamedTuple):
+    """One frame of a drive: colour, and depth as the file holds it (1/256 m, 0 = unknown)."""
+
+    rgb: np.ndarray
+    steps: np.ndarray
+
+
+def kitti_frame(drive: str) -> KITTIContent:
+    height, width = KITTI_SIZES[drive[:10]]
+    generator = np.random.default_rng(int(drive[-9:-5]))
+    steps = np.where(
+        generator.random((height, width)) < 0.05, generator.integers(1300, 19000, (height, width)), 0
+    )
+    rgb = np.zeros((height, width, 3), np.uint8)
+    rgb[..., 0], rgb[..., 1] = np.arange(height)[:, None] % 256, np.arange(width)[None] % 256
+    return KITTIContent(rgb, steps.astype(np.uint16))
+
+
+def kitti_calibration(raw: Path, date: str, *, partial: bool = False) -> None:
+    """The files of one date; the partial one holds the projections alone."""
+    fx = FOCAL[date]
+    lines = ["calib_time: 09-Jan-2012 13:57:47"]
+    for camera, offset in ((2, 44.85728), (3, -339.5242)):
+        rows = f"{fx} 0 609.5593 {offset} 0 {fx} 172.854 0.2163791 0 0 1 0.002745884"
+        lines.append(f"P_rect_{camera:02d}: {rows}")
+    if not partial:
+        lines.append("R_rect_00: 1 0 0 0 1 0 0 0 1")
+        (raw / date).mkdir(parents=True, exist_ok=True)
+        (raw / date / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.0763 -0.2717\n")
+    (raw / date).mkdir(parents=True, exist_ok=True)
+    (raw / date / "calib_cam_to_cam.txt").write_text("\n".join(lines) + "\n")
+
+
+def kitti_pictures(raw: Path, drive: str, numbers: tuple[int, ...], ending: str = ".png") -> None:
+    for number in numbers:
+        path = raw / drive[:10] / drive / f"image_02/data/{number:010d}{ending}"
+        picture(path, kitti_frame(drive).rgb)
+
+
+def kitti_depth(root: Path, *, kind: str = "groundtruth", numbers: tuple[int, ...] = (5,)) -> Path:
+    """The devkit with train and val, KITTI raw beside it; pictures begin five frames before the maps."""
+    for drive in (*DRIVES, VAL_DRIVE):
+        part = "val" if drive == VAL_DRIVE else "train"
+        for number in numbers:
+            name = f"{part}/{drive}/proj_depth/{kind}/image_02/{number:010d}.png"
+            picture(root / "depth" / name, kitti_frame(drive).steps)
+        kitti_pictures(root / "raw", drive, (0, *numbers))
+        kitti_calibration(root / "raw", drive[:10])
+    return root / "depth"
+
+
+def kitti_scan(drive: str) -> np.ndarray:
+    """Points all around the car, float32 x, y, z, reflectance."""
+    generator = np.random.default_rng(int(drive[-9:-5]))
+    points = generator.uniform((-40, -20, -2, 0), (70, 20, 1, 1), (20000, 4))
+    return points.astype(np.float32)
+
+
+def kitti_raw(root: Path, drives: tuple[str, ...] = DRIVES) -> Path:
+    for drive in drives:
+        kitti_pictures(root, drive, (0, 69))
+        kitti_calibration(root, drive[:10])
+        scan = root / drive[:10] / drive / "velodyne_points/data/0000000069.bin"
+        scan.parent.mkdir(parents=True, exist_ok=True)
+        kitti_scan(drive).tofile(scan)
+    return root
+
+
+def kitti_selection(root: Path, numbers: tuple[int, ...] = (5, 8), *, intrinsics: bool = True) -> Path:
+    folder, drive = root / "val_selection_cropped", VAL_DRIVE
+    rgb, steps = (part[23:, 13:1229] for part in kitti_frame(drive))
+    for number in numbers:
+        name = f"{number:010d}_image_02"
+        picture(folder / f"image/{drive}_image_{name}.png", rgb)
+        for kind in ("groundtruth_depth", "velodyne_raw"):
+            picture(folder / f"{kind}/{drive}_{kind}_{name}.png", steps)
+        if intrinsics:
+            file = folder / f"intrinsics/{drive}_image_{name}.txt"
+            file.parent.mkdir(exist_ok=True)
+            file.write_text("721.5377 0 596.5593 0 721.5377 149.854 0 0 1")
+    return root
+
+
+def eigen_list(path: Path, drives: tuple[str, ...], number: int = 5, none: tuple[str, ...] = ()) -> Path:
+    """Lines as BTS writes them; drives in ``none`` have no improved ground truth."""
+    lines = []
+    for drive in drives:
+        depth = f"{drive}/proj_depth/groundtruth/image_02/{number:010d}.png"
+        where = f"{drive[:10]}/{drive}/image_02/data/{number:010d}.png"
+        lines.append(f"{where} {'None' if drive in none else depth} 721.5377\n")
+    path.write_text("".join(lines))
+    return path

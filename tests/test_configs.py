@@ -74,10 +74,14 @@ def nodes(node: Any) -> Iterator[dict[str, Any]]:
             yield from nodes(value)
 
 
+# What a data set leaves to the user without a default.
+GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw", "improved")}
+
+
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    config = compose("train", [f"{group}={choice}"])
+    config = compose("train", [f"{group}={choice}", *GIVEN.get(choice, [])])
     if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config
@@ -173,6 +177,23 @@ TREES: dict[str, Callable[[Path], list[str]]] = {
     "cityscapes": lambda root: [f"data.root={layouts.cityscapes(root, layouts.content((1024, 2048)))}"],
     "cityscapes_mtan": lambda root: [f"data.root={layouts.cityscapes_mtan(root)}", "data.val_frames=1"],
     "folder": lambda root: [f"data.root={layouts.folder(root)}"],
+    "kitti": lambda root: [f"data.root={layouts.kitti_depth(root)}"],
+    "kitti_eigen_improved": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1])}",
+        "data.frames=1",
+    ],
+    "kitti_eigen_raw": lambda root: [
+        f"data.root={layouts.kitti_raw(root / 'raw')}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1], 69)}",
+        "data.frames=1",
+    ],
+    "kitti_raw": lambda root: [f"data.root={layouts.kitti_raw(root)}"],
+    "kitti_selection": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.selection_root={layouts.kitti_selection(root / 'selection')}",
+        "data.frames=2",
+    ],
     "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
     "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],
@@ -213,6 +234,58 @@ def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
         counts = protocol.scored(sample["depth"][None], sample["mask"][None])
         assert counts.any()
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
+
+
+@pytest.mark.parametrize("name", sorted(TREES))
+def test_subset_draws_whole_frames(name: str, tmp_path: Path) -> None:
+    overrides = [f"data={name}", *TREES[name](tmp_path)]
+    split = "val" if name == "kitti_selection" else "train"
+    config = compose("train", overrides)
+    whole = build_split(config, split, build_protocol(config))
+    for seed in range(3):
+        drawing = compose("train", [*overrides, f"data.subset.{split}=1", f"data.subset_seed={seed}"])
+        drawn = build_split(drawing, split, build_protocol(drawing))
+        assert len(drawn) == 1
+        assert drawn[0]["name"] == drawn.names[0]
+        expected = whole[whole.names.index(drawn.names[0])]
+        assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
+    if len(whole) > 1:
+        rest = compose("train", [*overrides, f"data.subset.{split}=[1,{len(whole)}]", "data.subset_seed=2"])
+        others = build_split(rest, split, build_protocol(rest))
+        assert sorted([*others.names, *drawn.names]) == sorted(whole.names)
+    greedy = compose("train", [*overrides, f"data.subset.{split}={len(whole) + 1}"])
+    with pytest.raises(ValueError, match=f"found {len(whole)} frames in this split"):
+        build_split(greedy, split, build_protocol(greedy))
+
+
+@pytest.mark.parametrize(
+    ("experiment", "tree", "overrides"),
+    [
+        (
+            "nyu_paper",
+            lambda root: layouts.densedepth(root, FULL),
+            ["data.subset={train: [0, 1], val: [1, 2], test: [1, 2]}"],
+        ),
+        ("kitti_paper", layouts.kitti_depth, ["data.subset={train: 1, val: 1, test: 1}"]),
+        (
+            "cityscapes_paper",
+            lambda root: layouts.cityscapes(root, layouts.content((1024, 2048))),
+            [],
+        ),
+    ],
+)
+def test_the_papers_set_ups(
+    experiment: str, tree: Callable[[Path], Path], overrides: list[str], tmp_path: Path
+) -> None:
+    if experiment == "kitti_paper":
+        layouts.kitti_depth(tmp_path, kind="velodyne_raw")
+    config = compose("train", [f"+experiment={experiment}", f"data.root={tree(tmp_path)}", *overrides])
+    protocol = build_protocol(config)
+    assert protocol.name == experiment
+    splits = {split: build_split(config, split, protocol) for split in ("train", "val", "test")}
+    assert not set(splits["train"].names) & (set(splits["val"].names) | set(splits["test"].names))
+    for data in splits.values():
+        assert data[0]["image"].shape[1:] == data[0]["depth"].shape[1:] == protocol.size
 
 
 # One file of a training frame in each tree.

@@ -231,13 +231,20 @@ BOXES = {
     "nyu_densedepth": (20, 460, 24, 616),
     "nyu_paper": (0, 228, 0, 304),
     "nyu_sparse_to_dense": (0, 228, 0, 304),
+    "kitti_depth": (0, 352, 0, 1216),
+    "kitti_sparse": (0, 352, 0, 1216),
+    "kitti_paper": (0, 228, 0, 912),
+    "kitti_s2d_912x228": (0, 228, 0, 912),
+    "kitti_eigen_garg_raw": (153, 371, 44, 1197),  # of 375 x 1242
+    "kitti_eigen_garg_improved": (153, 371, 44, 1197),
+    "kitti_eigen_eigen": (124, 342, 44, 1197),
 }
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_crop_of_every_protocol(name: str) -> None:
     protocol = from_yaml(name)
-    size = protocol.size or (30, 40)
+    size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
     depth = torch.ones(1, 1, *size)
     counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
     top, bottom, left, right = box(counts)
@@ -245,6 +252,47 @@ def test_crop_of_every_protocol(name: str) -> None:
     assert counts.sum() == (bottom - top) * (right - left)
     assert protocol.name == name
     assert EvalProtocol(**protocol.as_dict()) == protocol
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [  # by hand, 0.40810811 x 375 = 153.04, 0.99189189 x 375 = 371.96, 0.03594771 x 1242 = 44.6 ...
+        ("kitti_eigen_garg_raw", (375, 1242), (153, 371, 44, 1197)),
+        ("kitti_eigen_garg_raw", (352, 1216), (143, 349, 43, 1172)),
+        ("kitti_eigen_garg_raw", (370, 1224), (151, 366, 43, 1180)),  # 366.99999 and 43.999997 are cut off
+        ("kitti_eigen_eigen", (375, 1242), (124, 342, 44, 1197)),
+        ("kitti_eigen_eigen", (352, 1216), (117, 321, 43, 1172)),
+    ],
+)
+def test_fractions_are_of_the_truths_own_size(
+    name: str, size: tuple[int, int], expected: tuple[int, ...]
+) -> None:
+    protocol = from_yaml(name)
+    depth = torch.ones(2, 1, *size)
+    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))
+    assert box(counts[1, 0]) == protocol.crop_box(*size) == expected
+    assert (protocol.min_depth, protocol.max_depth, protocol.average) == (1e-3, 80.0, "image")
+
+
+def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
+    protocol = EvalProtocol("p", frame_crop=(4, 6), frame_anchor="bottom", paste=True)
+    depth = torch.full((1, 1, 9, 11), 5.0)
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    counts = protocol.scored(depth, mask)
+    assert (
+        box(counts[0, 0]) == protocol.pasted_box(9, 11) == (5, 9, 2, 8)
+    )  # 11 - 6 is odd: one more on the right
+    prediction = torch.arange(1.0, 25).view(1, 1, 4, 6).clamp(max=9)
+    ready = protocol.prepare(prediction, depth, counts)
+    torch.testing.assert_close(ready[..., 5:9, 2:8], prediction)
+    assert (ready[..., :5, :] == protocol.min_depth).all()
+    small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
+    assert small.shape == depth.shape
+    assert (small[~counts] == 0).all()
+    centred = EvalProtocol("p", frame_crop=(4, 6), paste=True)
+    assert centred.pasted_box(9, 11) == (2, 6, 2, 8)
+    with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
+        protocol.scored(depth[..., :3, :], mask[..., :3, :])
 
 
 def test_protocols_are_the_literatures() -> None:
@@ -388,6 +436,13 @@ def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) 
         ({"crop": (0, 5, 0, 25), "size": (20, 20)}, "within size"),
         ({"crop": (5, 5, 0, 5), "size": (20, 20)}, "within size"),
         ({"crop": (0, 5, 0), "size": (20, 20)}, "within size"),
+        ({"crop_fractions": (0.5, 0.4, 0.0, 1.0)}, "crop_fractions=.* between 0 and 1"),
+        ({"crop_fractions": (0.1, 0.4, 0.0)}, "crop_fractions=.* between 0 and 1"),
+        ({"crop_fractions": (0, 1, 0, 1), "crop": (0, 5, 0, 5), "size": (9, 9)}, "takes the place of crop"),
+        ({"frame_box": (0, 5, 9, 5)}, "frame_box=.* must be"),
+        ({"frame_anchor": "top"}, "frame_anchor='top', choose one of"),
+        ({"paste": True}, "paste=True .* give frame_crop"),
+        ({"paste": True, "frame_crop": (4, 4), "frame_size": (2, 2)}, "no frame_box, resize or frame_size"),
     ],
 )
 def test_rules_that_make_no_sense(options: dict[str, Any], message: str) -> None:

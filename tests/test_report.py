@@ -6,7 +6,7 @@ import json
 import pytest
 
 from eldenet.metrics import EvalProtocol
-from eldenet.report import find_runs, group_rows, table_of, to_latex, to_markdown
+from eldenet.report import find_runs, group_rows, protocol_line, table_of, to_latex, to_markdown
 from eldenet.runlog import RunLog
 
 RUN = {
@@ -156,3 +156,22 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
     (tmp_path / "a" / "run.json").write_text("{}")
     with pytest.raises(ValueError, match="has no metrics"):
         find_runs([str(tmp_path)])
+
+
+def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
+    old = run_with(seed=1)
+    for rule in ("crop_fractions", "frame_box", "frame_anchor", "frame_size", "paste"):
+        del old["protocol"][rule]
+    for name, run in (("new", run_with(seed=0)), ("old", old)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(run))
+    assert table_of(find_runs([str(tmp_path)]), COLUMNS)[1][0][1] == "2"
+
+
+def test_the_protocol_line_names_the_crop():
+    fractions = EvalProtocol(
+        "k", frame_crop=(352, 1216), frame_anchor="bottom", paste=True, crop_fractions=(0.4, 1.0, 0.0, 1.0)
+    )
+    line = protocol_line(run_with(protocol=fractions.as_dict()))
+    assert "crop (0.4, 1.0, 0.0, 1.0) of height and width, predicted from bottom (352, 1216)" in line
+    assert "no crop" in protocol_line(RUN)

@@ -1,7 +1,7 @@
 """What every data set shares: frames in, samples out, seeded per sample, split named by a hash."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -10,11 +10,13 @@ import torch
 from torch.utils.data import Dataset
 
 from eldenet.data.roots import check_files, missing_files, one_of
-from eldenet.geometry import resize_intrinsics
+from eldenet.geometry import resize_intrinsics, resize_sparse
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int]
+SPARSE = ("sparse", "improved")
+"""Kinds of ground truth that are single points: a resize moves them, and never mixes or multiplies them."""
 
 
 class SampleOptions(TypedDict, total=False):
@@ -56,6 +58,9 @@ class DepthDataset(Dataset[DepthSample]):
     Attributes:
         names: the frames, in order.
         skipped: name -> reason of the frames that were left out.
+
+    Raises:
+        ValueError: there are no frames.
     """
 
     ground_truth = "raw"
@@ -122,10 +127,31 @@ class DepthDataset(Dataset[DepthSample]):
         self.skipped |= {self.names[index]: reason for index, reason in reasons.items()}
         if len(reasons) == len(self):
             raise ValueError(f"all {len(self)} frames were left out, such as: {next(iter(reasons.values()))}")
-        kept = [index for index in range(len(self)) if index not in reasons]
+        self._keep([index for index in range(len(self)) if index not in reasons])
+
+    def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
+        """Keep a draw of the frames, in their order: the same ones on every machine.
+
+        Args:
+            places: how many, or ``(first, end)``: these places of the frames shuffled by ``seed``. Ranges
+                that do not overlap share no frame.
+            seed: of the draw.
+
+        Raises:
+            ValueError: there are fewer.
+        """
+        first, end = (0, places) if isinstance(places, int) else places
+        if not 0 <= first < end <= len(self):
+            raise ValueError(
+                f"subset={places}: {type(self).__name__} found {len(self)} frames in this split, give 1 to "
+                f"{len(self)}, a range [first, end] within 0 to {len(self)}, or null"
+            )
+        self._keep(sorted(np.random.default_rng(seed).permutation(len(self))[first:end].tolist()))
+
+    def _keep(self, indices: Sequence[int]) -> None:
         for name in self.frame_lists:
             entries = getattr(self, name)
-            setattr(self, name, [entries[index] for index in kept])
+            setattr(self, name, [entries[index] for index in indices])
         if self._cache is not None:
             self._cache = {}
 
@@ -144,6 +170,10 @@ class DepthDataset(Dataset[DepthSample]):
         """First 16 hex digits of the SHA-256 over the frame names in order: names the split in reports."""
         return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
 
+    def size_group(self, index: int) -> Hashable:
+        """Frames of one group have one size and can share a batch in evaluation; by default all."""
+        return None
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -153,7 +183,7 @@ class DepthDataset(Dataset[DepthSample]):
         if self.transform is not None:
             frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
         if self.input_size is not None:
-            frame = resize_frame(frame, self.input_size, resize_depth=self.resize_depth)
+            frame = self._resized(frame, self.input_size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
     def _ready_frame(self, index: int) -> Frame:
@@ -161,14 +191,23 @@ class DepthDataset(Dataset[DepthSample]):
             return self._cache[index]
         frame = self.load_frame(index)
         if self.load_size is not None:
-            frame = resize_frame(frame, self.load_size, resize_depth=self.resize_depth)
+            frame = self._resized(frame, self.load_size)
         if self._cache is not None:
             self._cache[index] = frame
         return frame
 
+    def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
+        sparse = self.ground_truth in SPARSE
+        return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 
-def resize_frame(frame: Frame, size: tuple[int, int], *, resize_depth: bool = True) -> Frame:
-    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix)."""
+
+def resize_frame(
+    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False
+) -> Frame:
+    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix).
+
+    Sparse depth keeps its points instead (:func:`~eldenet.geometry.resize_sparse`): nearest would lose most.
+    """
     import cv2
 
     image, depth, intrinsics, name = frame
@@ -178,7 +217,10 @@ def resize_frame(frame: Frame, size: tuple[int, int], *, resize_depth: bool = Tr
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
     if resize_depth and depth.shape != size:
-        depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        if sparse:
+            depth = resize_sparse(depth, size)
+        else:
+            depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return Frame(image, depth, intrinsics, name)
 
 

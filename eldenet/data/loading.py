@@ -1,6 +1,7 @@
 """Loaders whose order depends on nothing but (seed, epoch): resumable at any batch, shared by processes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import groupby, islice
 
 import torch
 from torch.utils.data import DataLoader, Sampler, default_collate
@@ -76,18 +77,28 @@ def training_loader(
 def evaluation_loader(
     dataset: DepthDataset, batch_size: int, *, workers: int = 0, rank: int = 0, processes: int = 1
 ) -> DataLoader:
-    """Loader that gives this process its share of the frames: every frame once, none padded."""
-    mine = list(range(rank, len(dataset), processes))
+    """Loader that gives this process its share of the frames: every frame once, in order, none padded.
+
+    A batch ends where the frames' size changes, as far as the data set knows it (``size_group``).
+    """
+    mine = range(rank, len(dataset), processes)
+    groups = groupby(mine, key=dataset.size_group)
     return DataLoader(
         dataset,
-        batch_size=batch_size,
-        sampler=mine,
+        batch_sampler=[run for _, group in groups for run in batched(group, batch_size)],
         generator=torch.Generator(),
         num_workers=workers,
         collate_fn=collate,
         worker_init_fn=_quiet_worker if workers else None,
         multiprocessing_context="forkserver" if workers else None,
     )
+
+
+def batched(indices: Iterable[int], size: int) -> Iterator[list[int]]:
+    """Runs of ``size`` indices, the last one shorter."""
+    rest = iter(indices)
+    while run := list(islice(rest, size)):
+        yield run
 
 
 def _quiet_worker(_: int) -> None:

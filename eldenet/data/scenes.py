@@ -5,7 +5,7 @@ Neighbours in a recording show nearly the same: a frame-by-frame split would val
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import PurePosixPath
 
 VAL_SHARE = 0.05
@@ -21,29 +21,30 @@ def scene_of(name: str) -> str:
     return re.sub(r"(?<=\d)[a-z]$", "", folder)
 
 
-def hold_out(names: Sequence[str], split: str) -> list[int]:
+def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = scene_of) -> list[int]:
     """Indices of the frames of ``split`` ("train" or "val"); no scene is in both.
 
     A scene is for validation if the first 64 bits of its name's SHA-256 are below 5 % of their range. So it
     depends on nothing else, and the layouts of one data set hold out the same scenes. Where that would
     leave one side empty (a few scenes only), the scene nearest to the threshold changes sides.
+    ``scene`` gives a name's scene where the folder's name does not.
 
     Raises:
         ValueError: there is but one scene.
     """
-    scenes = [scene_of(name) for name in names]
-    place = {scene: _place(scene) for scene in scenes}
+    scenes = [scene(name) for name in names]
+    place = {one: _place(one) for one in scenes}
     if len(place) == 1:
         raise ValueError(
             f"all {len(names)} frames are of the scene {scenes[0]!r}, so none can be held out: use the split "
             "that takes every frame"
         )
-    chosen = {scene for scene in place if place[scene] < VAL_SHARE}
+    chosen = {one for one in place if place[one] < VAL_SHARE}
     if place and not chosen:
         chosen = {min(place, key=place.__getitem__)}
     elif place and len(chosen) == len(place):
         chosen.remove(max(place, key=place.__getitem__))
-    return [index for index, scene in enumerate(scenes) if (scene in chosen) == (split == "val")]
+    return [index for index, one in enumerate(scenes) if (one in chosen) == (split == "val")]
 
 
 def _place(scene: str) -> float:

@@ -49,7 +49,8 @@ def depth_statistics(dataset: DepthDataset, frames: int = 256) -> DepthStatistic
     """
     if frames < 1:
         raise ValueError(f"frames={frames}: give at least 1")
-    histogram = np.zeros(2000, np.int64)  # of 1 cm: exact enough, and no pixel is kept
+    bins = int(np.ceil(dataset.max_depth * 100)) + 1  # of 1 cm: exact enough, and no pixel is kept
+    histogram = np.zeros(bins, np.int64)
     medians, ranges, gradients, known = [], [], [], []
     for index in np.unique(np.linspace(0, len(dataset) - 1, min(frames, len(dataset))).astype(int)):
         depth = dataset.load_frame(int(index)).depth
@@ -58,9 +59,7 @@ def depth_statistics(dataset: DepthDataset, frames: int = 256) -> DepthStatistic
         if not valid.any():
             continue
         values = depth[valid]
-        histogram += (
-            np.bincount(np.clip(values * 100, 0, 1999).astype(int), minlength=2000) * 1000000 // values.size
-        )
+        histogram += np.bincount((values * 100).astype(int), minlength=bins) * 1000000 // values.size
         low, middle, high = np.percentile(values, (5, 50, 95))
         medians.append(float(middle))
         ranges.append(float(high / low))
@@ -71,7 +70,7 @@ def depth_statistics(dataset: DepthDataset, frames: int = 256) -> DepthStatistic
         )
     share = np.cumsum(histogram) / histogram.sum()
     p5, median, p95 = ((np.searchsorted(share, q) + 0.5) / 100 for q in (0.05, 0.5, 0.95))
-    mean = float((histogram * (np.arange(2000) + 0.5)).sum() / histogram.sum() / 100)
+    mean = float((histogram * (np.arange(bins) + 0.5)).sum() / histogram.sum() / 100)
     return DepthStatistics(
         frames=len(known),
         p5=float(p5),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.geometry import crop_intrinsics, resize_intrinsics
+from eldenet.geometry import crop_corner, crop_intrinsics, resize_intrinsics, resize_sparse
 from eldenet.types import Frame
 
 BORDER_COLOUR = (124, 116, 104)  # ImageNet's mean: a border that says nothing once the network normalises it
@@ -150,29 +150,45 @@ class Augmentation:
 
 
 class ResizeCrop:
-    """Resize, then cut out the middle: the geometry of an evaluation protocol, on image and depth alike.
+    """Cut out a box, resize, crop, resize: the geometry of an evaluation protocol, on image and depth alike.
 
     Example: sparse-to-dense scores 640x480 frames at ``resize=0.5, crop=(228, 304)``, all nearest;
     FastDepth at ``resize=250 / 480``, the same crop, and ``size=(224, 224)``.
 
-    Convention: the crop starts at ``round((size - crop) / 2)``, half to even, as torchvision's centre crop.
+    Convention: see :func:`~eldenet.geometry.crop_corner` for where a crop starts.
 
     Args:
+        box: ``(top, bottom, left, right)`` of what stays of the frame [px], ends excluded, or None for all.
         resize: factor, or ``(height, width)`` [px], or None for none. A factor rounds the size down, as
             sparse-to-dense does.
-        crop: ``(height, width)`` of the middle that stays [px], or None for all.
+        crop: ``(height, width)`` of what stays [px], or None for all.
+        anchor: of the crop: "center", or "bottom" for the lowest rows, centred left and right.
         interpolation: of the image: "nearest", "bilinear" or "area". Depth is always "nearest".
         size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
+        sparse: depth is single points: a resize keeps every one, the nearest where several meet.
+        keep_depth: leave depth whole: the prediction will be put back into its place.
     """
 
     def __init__(
         self,
         *,
+        box: Sequence[int] | None = None,
         resize: float | Sequence[int] | None = None,
         crop: Sequence[int] | None = None,
+        anchor: str = "center",
         interpolation: str = "bilinear",
         size: Sequence[int] | None = None,
+        sparse: bool = False,
+        keep_depth: bool = False,
     ) -> None:
+        if anchor not in ("center", "bottom"):
+            raise ValueError(f"anchor={anchor!r}: give 'center' or 'bottom'")
+        if keep_depth and (box is not None or resize is not None or size is not None):
+            raise ValueError(
+                "keep_depth=True goes with a crop alone: a resized image has no place in the depth"
+            )
+        if box is not None and len(box) != 4:
+            raise ValueError(f"box={list(box)}: give [top, bottom, left, right] in pixels")
         if interpolation not in ("nearest", "bilinear", "area"):
             raise ValueError(f"interpolation={interpolation!r}: give 'nearest', 'bilinear' or 'area'")
         if isinstance(resize, int | float) and not resize > 0:
@@ -180,7 +196,13 @@ class ResizeCrop:
         self.resize = resize if resize is None or isinstance(resize, int | float) else _pair(resize)
         self.crop = None if crop is None else _pair(crop)
         self.size = None if size is None else _pair(size)
-        self.interpolation = interpolation
+        self.box = None if box is None else tuple(int(edge) for edge in box)
+        self.anchor, self.interpolation, self.sparse, self.keep_depth = (
+            anchor,
+            interpolation,
+            sparse,
+            keep_depth,
+        )
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
         """Resize and crop one frame; nothing here is random.
@@ -189,6 +211,8 @@ class ResizeCrop:
             ValueError: where image and depth differ in size, or the crop does not fit.
         """
         _same_size(frame)
+        if self.box is not None:
+            frame = self._window(frame, *self.box)
         height, width = frame.depth.shape
         if isinstance(self.resize, tuple):
             frame = self._resized(frame, self.resize)
@@ -212,19 +236,32 @@ class ResizeCrop:
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (depth.shape[0], depth.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=how)
-        depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        if self.sparse:
+            depth = resize_sparse(depth, size)
+        else:
+            depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
         return Frame(image, depth, intrinsics, name)
 
     def _cropped(self, frame: Frame, crop: tuple[int, int]) -> Frame:
-        image, depth, intrinsics, name = frame
-        (height, width), (rows, cols) = depth.shape, crop
+        (height, width), (rows, cols) = frame.depth.shape, crop
         if rows > height or cols > width:
-            raise ValueError(f"crop={list(crop)} does not fit into {name}, which is {height}x{width} here")
-        top, left = round((height - rows) / 2), round((width - cols) / 2)
+            raise ValueError(
+                f"crop={list(crop)} does not fit into {frame.name}, which is {height}x{width} here"
+            )
+        top, left = crop_corner((height, width), crop, self.anchor)
+        return self._window(frame, top, top + rows, left, left + cols)
+
+    def _window(self, frame: Frame, top: int, bottom: int, left: int, right: int) -> Frame:
+        image, depth, intrinsics, name = frame
+        height, width = depth.shape
+        if not (0 <= top < bottom <= height and 0 <= left < right <= width):
+            raise ValueError(
+                f"box={[top, bottom, left, right]} does not fit into {name}, which is {height}x{width} here"
+            )
         if intrinsics is not None:
             intrinsics = crop_intrinsics(intrinsics, top, left)
-        window = (slice(top, top + rows), slice(left, left + cols))
-        return Frame(image[window], depth[window], intrinsics, name)
+        window = (slice(top, bottom), slice(left, right))
+        return Frame(image[window], depth if self.keep_depth else depth[window], intrinsics, name)
 
 
 def _albumentations() -> Any:

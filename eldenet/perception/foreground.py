@@ -12,6 +12,7 @@ from eldenet.perception.priors import ClassPrior
 POINTS = 160  # per object
 _GATHERED = 400  # pixels per box that are looked at
 _BORDER = 2.0  # [px]: a box that comes closer to the picture's border is cut by it
+_QUANTILES = (0.5, 0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
 _LEFT_OVER = 0.12  # of a box, when nearer boxes are taken away; with less, they are not
 
 
@@ -80,6 +81,7 @@ def gather(
     height, width = depth.shape
     nearer = nearer_boxes(detections.xyxy) if occlusion_mask else np.zeros((len(detections),) * 2, bool)
     homography = camera.homography
+    expected = expected_depth(detections, camera, priors, trusted_edges(detections, (height, width))[0])
     direction = np.zeros((len(detections), POINTS, 3))
     chosen_depth, weight = np.ones((len(detections), POINTS)), np.zeros((len(detections), POINTS))
     for index, box in enumerate(detections.xyxy):
@@ -108,7 +110,9 @@ def gather(
         rows, columns = rows * stride + top, columns * stride + left
         far = depth[rows, columns].astype(np.float64)
         rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ homography.T
-        inside = _select(rows, columns, far, rays, box, camera, ground, priors[index], select, depth_sigma)
+        inside = _select(
+            rows, columns, far, rays, box, camera, ground, priors[index], select, depth_sigma, expected[index]
+        )
         found = np.nonzero(inside)[0]
         if len(found) > POINTS:
             found = found[np.linspace(0, len(found) - 1, POINTS).astype(int)]
@@ -120,7 +124,8 @@ def gather(
 
 def _select(
     rows: np.ndarray, columns: np.ndarray, far: np.ndarray, rays: np.ndarray, box: np.ndarray,
-    camera: PinholeCamera, ground: GroundPlane | None, prior: ClassPrior | None, select: str, depth_sigma: float,
+    camera: PinholeCamera, ground: GroundPlane | None, prior: ClassPrior | None, select: str,
+    depth_sigma: float, expected: tuple[float, float],
 ) -> np.ndarray:  # fmt: skip
     """Bool per pixel: is it the object's?"""
     standing = np.ones(len(far), bool)
@@ -135,13 +140,53 @@ def _select(
         core = standing & (np.abs(x - 0.5) < 0.25) & (np.abs(y - 0.5) < 0.3)
         middle = core if core.sum() >= 5 else standing
     center = float(np.median(far[middle]))
-    if prior is not None:
-        reach = float(np.hypot(prior.size[0], prior.size[1])) * (1 + prior.spread[0])
-    else:
+    if prior is None:
         reach = 1.5 * float(box[2] - box[0]) * center / camera.intrinsics[0, 0] + 0.2
-    noise = 0.5 * depth_sigma * center
-    near = (far > center - 0.75 * reach - noise) & (far < center + reach + noise)
-    return np.asarray(standing & near)
+        return np.asarray(standing & _around(far, np.array([center]), reach, depth_sigma)[0])
+    reach = float(np.hypot(prior.size[0], prior.size[1])) * (1 + prior.spread[0])
+    if select == "core":
+        center = _likely_depth(far[middle], expected, reach, depth_sigma)
+    return np.asarray(standing & _around(far, np.array([center]), reach, depth_sigma)[0])
+
+
+def _around(far: np.ndarray, centers: np.ndarray, reach: float, depth_sigma: float) -> np.ndarray:
+    """``(C, P)`` bool: depths that an object at each of the centres may show."""
+    away = far[None] - centers[:, None]
+    noise = 0.5 * depth_sigma * centers[:, None]
+    return np.asarray((away > -0.75 * reach - noise) & (away < reach + noise))
+
+
+def _likely_depth(far: np.ndarray, expected: tuple[float, float], reach: float, depth_sigma: float) -> float:
+    """The depth that holds many of the pixels and fits the class's height in the picture.
+
+    The median alone falls on whatever hides most of the object.
+    """
+    centers = np.quantile(far, _QUANTILES)
+    share = _around(far, centers, reach, depth_sigma).mean(1)
+    surprise = np.log(centers / expected[0]) / np.hypot(expected[1], 2 * depth_sigma)
+    return float(centers[np.argmax(np.log(share + 1e-9) - 0.5 * surprise**2)])
+
+
+def expected_depth(
+    detections: Detections2D, camera: PinholeCamera, priors: list[ClassPrior | None], trusted: np.ndarray
+) -> list[tuple[float, float]]:
+    """Depth [m] of each object by its class's height in the picture, and the relative error of that.
+
+    Where the upper or the lower edge is cut, the width bounds it, and the error is large.
+    """
+    found = []
+    for box, prior, edges in zip(detections.xyxy, priors, trusted, strict=True):
+        if prior is None:
+            found.append((1.0, 1e3))
+            continue
+        tall, wide = max(box[3] - box[1], 1.0), max(box[2] - box[0], 1.0)
+        by_height = camera.intrinsics[1, 1] * prior.size[2] / tall
+        if edges[1] and edges[3]:
+            found.append((by_height, float(np.hypot(0.1, prior.spread[2]))))
+        else:
+            by_width = camera.intrinsics[0, 0] * (prior.size[0] + prior.size[1]) / 2 / wide
+            found.append((min(by_height, by_width), 0.6))
+    return found
 
 
 def border_cuts(xyxy: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from eldenet.boxes import Detections2D
 from eldenet.geometry import PinholeCamera
 from eldenet.perception import fit, lshape
-from eldenet.perception.foreground import Foreground
+from eldenet.perception.foreground import Foreground, expected_depth
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior, silhouette
 
@@ -188,14 +188,10 @@ def _problem(known: Known) -> fit.Problem:
 
 
 def _distance_by_height(known: Known) -> np.ndarray:
-    """Depth ``(N,)`` [m] from the class's height in the picture; from its width where the height is cut."""
-    xyxy = known.detections.xyxy
-    size = np.nan_to_num(known.size, nan=1.0)
-    focal = known.camera.intrinsics
-    tall, wide = (np.maximum(xyxy[:, k + 2] - xyxy[:, k], 1.0) for k in (1, 0))
-    by_height, by_width = focal[1, 1] * size[:, 2] / tall, focal[0, 0] * size[:, :2].mean(1) / wide
-    whole = known.trusted[:, 1] & known.trusted[:, 3]
-    return np.asarray(np.where(whole, by_height, np.minimum(by_height, by_width)))
+    """Depth ``(N,)`` [m] by the class's height; an unknown class counts as a metre high."""
+    priors = [prior or _ANYTHING for prior in known.priors]
+    found = expected_depth(known.detections, known.camera, priors, known.trusted)
+    return np.array([depth for depth, _ in found])
 
 
 def _starts(known: Known) -> np.ndarray:

@@ -1,0 +1,246 @@
+"""KITTI as people have it on disk: the depth devkit, KITTI raw with its LiDAR scans, the cropped selection.
+
+Geiger et al., IJRR 2013 (raw); Uhrig et al., "Sparsity Invariant CNNs", 3DV 2017 (the devkit's ground truth).
+Depth is sparse points: nothing here interpolates it. Frames differ in size by date, so a protocol's crop is a
+fraction of the frame's own size.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from eldenet.data.base import SampleOptions
+from eldenet.data.kitti_calibration import velodyne_to_image
+from eldenet.data.kitti_frames import KITTIFrames
+from eldenet.data.kitti_layouts import (
+    DEPTH_KINDS,
+    DEPTH_TREE,
+    RAW_TREE,
+    SELECTION_TREE,
+    Listing,
+    Place,
+    depth_maps,
+    drive_of,
+    frame_list,
+    picture_of,
+    scans,
+    selection,
+)
+from eldenet.data.kitti_velodyne import PROJECTIONS, project_scan, read_scan
+from eldenet.data.roots import find_root, one_of
+from eldenet.data.scenes import hold_out
+
+SPLITS = ("train", "val", "trainval", "test", "all")
+_GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}
+
+
+class KITTIDepth(KITTIFrames):
+    """The depth devkit's maps, with the pictures of KITTI raw or of Ma and Karaman's ``data_rgb``.
+
+    The zip files' roots vary: with and without ``train`` and ``val``, merged, below ``data_depth_annotated``;
+    all are found. Eigen's test split with improved ground truth is ``split="test"`` with BTS's or
+    monodepth2's list of it; of BTS's 697 lines 45 say ``None``, which are left out and counted: 652 stay.
+
+    Args:
+        root: the folder that holds the maps; None for ``$ELDENET_DATA/kitti/depth``.
+        raw_root: the folder of the pictures (``<date>/<drive>/image_02/data``) and calibration files; None
+            looks into ``root``, and beside it.
+        depth: "groundtruth" (eleven scans, cleaned: "improved") or "velodyne_raw" (one scan: "sparse").
+        split: "train" and "val" share no drive (:func:`~eldenet.data.scenes.hold_out`) and are parts of the
+            devkit's ``train``, as is "trainval", their sum; "test" is the devkit's ``val``; "all" is both.
+        cameras: 2 (left), 3 (right) or both.
+        list_file: list of frames, wherever they lie; "train" and "val" are then parts of it.
+        exclude_list: list whose drives are left out: Eigen's test drives lie within the devkit's ``train``.
+        frames: how many frames there must be, such as Eigen's 652; None for any number.
+        calibration: "required", or "optional" for frames without intrinsics where the files are missing.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown setting, a line of a list that is none, another number of frames.
+    """
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        raw_root: str | Path | None = None,
+        depth: str = "groundtruth",
+        split: str = "train",
+        cameras: Sequence[int] = (2,),
+        list_file: str | Path | None = None,
+        exclude_list: str | Path | None = None,
+        frames: int | None = None,
+        calibration: str = "required",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, SPLITS)
+        one_of("depth", depth, DEPTH_KINDS)
+        folder = find_root(root, "kitti/depth", [], DEPTH_TREE)
+        beside = _picture_roots(folder, raw_root)
+        parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
+        maps = depth_maps(folder, depth, parts if list_file is None else ("train", "val", ""), _both(cameras))
+        if list_file is None and not maps:
+            raise FileNotFoundError(
+                f"{folder} holds no {depth} maps for split={split!r}: is data.root right? Expected tree:\n"
+                f"{DEPTH_TREE.strip()}"
+            )
+        places, without = list(maps), []
+        if list_file is not None:
+            lines = frame_list(list_file)
+            lacks = depth == "groundtruth"
+            places = [line.place for line in lines if line.has_truth or not lacks]
+            without = [line.place for line in lines if lacks and not line.has_truth]
+        places = _split(places, split, exclude_list)
+        names = Listing()
+        self.ground_truth = _GROUND_TRUTH[depth]
+        super().__init__(
+            {place: picture_of(place, beside, names) for place in places},
+            maps,
+            places,
+            without_depth=without,
+            frames=frames,
+            **options,
+        )
+        self.calibrate(beside, calibration)
+
+
+class KITTIRaw(KITTIFrames):
+    """KITTI raw: pictures with one LiDAR scan each, projected into the picture as it is read.
+
+    Eigen's 697 test frames are ``split="test"`` with the user's list of them and ``projection="eigen"``.
+
+    Args:
+        root: the folder of the dates; None for ``$ELDENET_DATA/kitti/raw``.
+        projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_velodyne.project_scan`.
+        split: "train" and "val" share no drive (:func:`~eldenet.data.scenes.hold_out`); "trainval", "test"
+            and "all" take every frame.
+        cameras: 2 (left), 3 (right) or both.
+        list_file: list of frames (BTS's, monodepth2's); None takes every scan.
+        exclude_list: list whose drives are left out, such as that of the test frames.
+        frames: how many frames there must be, such as Eigen's 697; None for any number.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown setting, a line of a list that is none, another number of frames.
+    """
+
+    ground_truth = "sparse"
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        projection: str = "camera",
+        split: str = "train",
+        cameras: Sequence[int] = (2,),
+        list_file: str | Path | None = None,
+        exclude_list: str | Path | None = None,
+        frames: int | None = None,
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("split", split, SPLITS)
+        one_of("projection", projection, PROJECTIONS)
+        folder = find_root(root, "kitti/raw", [], RAW_TREE)
+        sources = scans(folder, _both(cameras) if list_file is None else (2, 3))
+        if not sources:
+            raise FileNotFoundError(
+                f"{folder} holds no velodyne_points: is data.root right? Expected tree:\n{RAW_TREE.strip()}"
+            )
+        places = list(sources) if list_file is None else [line.place for line in frame_list(list_file)]
+        places, names = _split(places, split, exclude_list), Listing()
+        pictures = {place: picture_of(place, [folder], names) for place in places}
+        super().__init__(pictures, sources, places, frames=frames, **options)
+        self.projection = projection
+        calibrated = self.calibrate([folder], "required")
+        self.matrices = {key: velodyne_to_image(where, key[1]) for key, where in calibrated.items()}
+
+    def read_sparse(self, index: int, size: tuple[int, int]) -> np.ndarray:
+        """Project the frame's scan."""
+        place = self.places[index]
+        matrix = self.matrices[place.date, place.camera]
+        points = read_scan(self.sources[index])
+        return project_scan(points, matrix, size, self.projection).astype(np.float32)
+
+
+class KITTISelection(KITTIFrames):
+    """``val_selection_cropped``: 1,000 frames of the devkit's ``val``, cut to 1216 x 352 by KITTI itself.
+
+    Args:
+        root: the folder that holds ``val_selection_cropped``, or that folder; None for
+            ``$ELDENET_DATA/kitti/depth_selection``.
+        depth: "groundtruth" ("improved") or "velodyne_raw" ("sparse").
+        frames: how many frames there must be, 1000 in the official set; None for any number.
+        calibration: "required", or "optional" for frames without intrinsics where ``intrinsics/`` is missing.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: naming what is missing.
+        ValueError: for an unknown setting, a file name that says no frame, another number of frames.
+    """
+
+    def __init__(
+        self,
+        root: str | Path | None = None,
+        *,
+        depth: str = "groundtruth",
+        frames: int | None = 1000,
+        calibration: str = "required",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        one_of("depth", depth, DEPTH_KINDS)
+        one_of("calibration", calibration, ("required", "optional"))
+        folder = find_root(root, "kitti/depth_selection", [], SELECTION_TREE)
+        if (folder / "val_selection_cropped").is_dir():
+            folder = folder / "val_selection_cropped"
+        pictures, maps = selection(folder, depth)
+        if not (pictures or maps):
+            raise FileNotFoundError(f"{folder} holds no frames. Expected tree:\n{SELECTION_TREE.strip()}")
+        self.ground_truth = _GROUND_TRUTH[depth]
+        places = sorted({*pictures, *maps})
+        super().__init__(pictures, maps, places, frames=frames, **options)
+        self.cameras = folder / "intrinsics"
+        lost = [str(file) for file in map(self._camera_file, range(len(self))) if not file.is_file()]
+        if lost and calibration == "required":
+            raise FileNotFoundError(
+                f"{len(lost)} intrinsics are missing: {', '.join(lost[:3])} ...: complete the data set, or "
+                "do without, data.calibration=optional"
+            )
+
+    def _camera_file(self, index: int) -> Path:
+        return self.cameras / f"{self.pictures[index].stem}.txt"
+
+    def camera_of(self, index: int) -> np.ndarray | None:
+        """Intrinsics of the cropped picture, from its own file."""
+        file = self._camera_file(index)
+        if not file.is_file():
+            return None
+        try:
+            return np.array([float(number) for number in file.read_text().split()]).reshape(3, 3)
+        except ValueError as error:
+            raise ValueError(f"{file} does not hold nine numbers ({error}): fetch it again") from error
+
+
+def _both(cameras: Sequence[int]) -> Sequence[int]:
+    if not cameras or not set(cameras) <= {2, 3}:
+        raise ValueError(f"cameras={list(cameras)}: give [2] (left colour), [3] (right colour) or [2, 3]")
+    return sorted(set(cameras))
+
+
+def _picture_roots(folder: Path, raw_root: str | Path | None) -> list[Path]:
+    if raw_root is not None:
+        return [find_root(raw_root, None, [], RAW_TREE)]
+    return [folder, folder.parent / "raw", folder.parent]
+
+
+def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None) -> list[Place]:
+    if exclude_list is not None:
+        tested = {line.place.drive for line in frame_list(exclude_list)}
+        places = [place for place in places if place.drive not in tested]
+    if split in ("train", "val"):
+        names = [place.name for place in places]
+        return [places[i] for i in hold_out(names, split, drive_of)]
+    return list(places)
