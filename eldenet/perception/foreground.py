@@ -163,7 +163,9 @@ def _likely_depth(far: np.ndarray, expected: tuple[float, float], reach: float, 
     """
     centers = np.quantile(far, _QUANTILES)
     share = _around(far, centers, reach, depth_sigma).mean(1)
-    surprise = np.log(centers / expected[0]) / np.hypot(expected[1], 2 * depth_sigma)
+    surprise = np.log(centers / expected[0])
+    # what is hidden unnoticed makes the object look smaller, so farther: nearer than expected is less of a surprise
+    surprise = surprise / np.hypot(np.where(surprise < 0, 0.3, 0.0), np.hypot(expected[1], 2 * depth_sigma))
     return float(centers[np.argmax(np.log(share + 1e-9) - 0.5 * surprise**2)])
 
 

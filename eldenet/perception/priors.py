@@ -26,7 +26,7 @@ class ClassPrior:
 
 _CAR = ClassPrior((3.90, 1.61, 1.52), (0.11, 0.07, 0.08), "vehicle")
 _VAN = ClassPrior((4.93, 1.86, 2.16), (0.12, 0.08, 0.14), "vehicle")
-_TRUCK = ClassPrior((8.0, 2.45, 3.1), (0.3, 0.1, 0.15), "vehicle")
+_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle")  # COCO's are vans and pick-ups too
 _PERSON = ClassPrior((0.67, 0.61, 1.71), (0.3, 0.25, 0.08), "upright")
 _CYCLIST = ClassPrior((1.77, 0.60, 1.71), (0.1, 0.2, 0.06), "upright")
 
