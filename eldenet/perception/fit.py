@@ -194,7 +194,7 @@ def _edges(problem: Problem, camera: PinholeCamera, state: np.ndarray) -> tuple[
     residual = (value - problem.xyxy) / problem.edge_sigma
     # an edge that is cut or hidden is a bound: the object reaches at least so far
     active = problem.trusted | ((problem.xyxy - value) * out > 0)
-    active &= visible.any(1)[:, None]
+    active &= np.any(visible, axis=1, keepdims=True)
     residual = np.where(active, residual, 0.0)
     point, far = seen[rows, at], depth[rows, at]
     focal = np.array([matrix[0, 0], matrix[1, 1]])[axis]

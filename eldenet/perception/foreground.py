@@ -84,42 +84,59 @@ def gather(
     expected = expected_depth(detections, camera, priors, trusted_edges(detections, (height, width))[0])
     direction = np.zeros((len(detections), POINTS, 3))
     chosen_depth, weight = np.ones((len(detections), POINTS)), np.zeros((len(detections), POINTS))
-    for index, box in enumerate(detections.xyxy):
-        left, top = (int(max(0, np.floor(edge + 0.5))) for edge in box[:2])
-        right, bottom = (
-            int(min(end, np.floor(edge + 0.5) + 1))
-            for edge, end in zip(box[2:], (width, height), strict=True)
-        )
-        if right <= left or bottom <= top:
-            continue
-        crop = depth[top:bottom, left:right]
-        known = np.isfinite(crop) & (crop > 0)
-        if detections.mask is not None:
-            known &= detections.mask[index, top:bottom, left:right]
-        elif nearer[index].any():
-            kept = known.copy()
-            for other in detections.xyxy[nearer[index]]:
-                x1, y1, x2, y2 = np.floor(other - [left, top, left, top] + 0.5).astype(int)
-                kept[max(0, y1) : max(0, y2 + 1), max(0, x1) : max(0, x2 + 1)] = False
-            if kept.sum() >= _LEFT_OVER * known.sum():
-                known = kept
-        stride = max(1, int(np.sqrt(known.sum() / _GATHERED)))
-        rows, columns = np.nonzero(known[::stride, ::stride])
+    back = np.full(len(detections), np.inf)  # depth behind which an object is surely left
+    for index in np.argsort(-detections.xyxy[:, 3]):  # nearer objects first
+        rows, columns = _pixels_of(depth, detections, int(index), nearer[index], back)
         if not len(rows):
             continue
-        rows, columns = rows * stride + top, columns * stride + left
         far = depth[rows, columns].astype(np.float64)
         rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ homography.T
+        box = detections.xyxy[index]
         inside = _select(
             rows, columns, far, rays, box, camera, ground, priors[index], select, depth_sigma, expected[index]
         )
         found = np.nonzero(inside)[0]
+        if len(found):
+            back[index] = np.quantile(far[found], 0.95) * (1 + 0.5 * depth_sigma) + 0.1
         if len(found) > POINTS:
             found = found[np.linspace(0, len(found) - 1, POINTS).astype(int)]
         direction[index, : len(found)] = rays[found]
         chosen_depth[index, : len(found)] = far[found]
         weight[index, : len(found)] = 1.0
     return Foreground(direction, chosen_depth, weight)
+
+
+def _pixels_of(
+    depth: np.ndarray, detections: Detections2D, index: int, nearer: np.ndarray, back: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a box's pixels of known depth, without those of nearer objects; about 400 at most."""
+    height, width = depth.shape
+    box = detections.xyxy[index]
+    left, top = (int(max(0, np.floor(edge + 0.5))) for edge in box[:2])
+    right, bottom = (
+        int(min(end, np.floor(edge + 0.5) + 1)) for edge, end in zip(box[2:], (width, height), strict=True)
+    )
+    if right <= left or bottom <= top:
+        return np.zeros(0, int), np.zeros(0, int)
+    crop = depth[top:bottom, left:right]
+    known = np.isfinite(crop) & (crop > 0)
+    if detections.mask is not None:
+        known &= detections.mask[index, top:bottom, left:right]
+    elif nearer.any():
+        beside, behind = known.copy(), known.copy()
+        for other in np.nonzero(nearer)[0]:
+            x1, y1, x2, y2 = np.floor(detections.xyxy[other] - [left, top, left, top] + 0.5).astype(int)
+            part = slice(max(0, y1), max(0, y2 + 1)), slice(max(0, x1), max(0, x2 + 1))
+            beside[part] = False
+            behind[part] &= crop[part] > back[other]
+        # beside the nearer boxes if enough is left there, else what shows behind their objects
+        if beside.sum() >= _LEFT_OVER * known.sum():
+            known = beside
+        elif behind.any():
+            known = behind
+    stride = max(1, int(np.sqrt(known.sum() / _GATHERED)))
+    rows, columns = np.nonzero(known[::stride, ::stride])
+    return rows * stride + top, columns * stride + left
 
 
 def _select(

@@ -46,7 +46,7 @@ class _Frame(NamedTuple):
     truth: np.ndarray  # 0 counts, 1 ignored
     detected: np.ndarray  # 0 counts, 1 ignored
     score: np.ndarray
-    dont_care: np.ndarray  # (detections,) bool: in a DontCare area
+    dont_care: np.ndarray  # (detections,) share of each that a DontCare area covers
 
 
 def average_precision(

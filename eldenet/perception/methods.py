@@ -1,6 +1,6 @@
 """What each method makes of the pixels of N objects: :func:`paper_boxes`, :func:`lshape_boxes`, :func:`fitted_boxes`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class RawBoxes:
 def _bounds(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest coordinates ``(N, 3)``; zeros for an object without points."""
     gone = (weight <= 0)[..., None]
-    some = (weight > 0).any(1)[:, None]
+    some = np.any(weight > 0, axis=1, keepdims=True)
     low, high = np.where(gone, np.inf, points).min(1), np.where(gone, -np.inf, points).max(1)
     return np.where(some, low, 0.0), np.where(some, high, 0.0)
 
@@ -123,8 +123,6 @@ def lshape_boxes(known: Known) -> RawBoxes:
 
 def _padded(known: Known, empty: np.ndarray) -> Known:
     """One point for objects that have none, so that extents exist; their boxes are replaced afterwards."""
-    from dataclasses import replace
-
     weight = known.found.weight.copy()
     weight[empty, 0] = 1.0
     return replace(known, found=replace(known.found, weight=weight))

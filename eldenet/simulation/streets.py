@@ -11,8 +11,8 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.simulation import household, vehicles
-from eldenet.simulation.camera import RayCamera, camera_rotation
-from eldenet.simulation.culling import only_visible
+from eldenet.simulation.camera import RayCamera, camera_rotation, cast_rays
+from eldenet.simulation.culling import SEEN_GROUPS, only_visible
 from eldenet.simulation.materials import Materials, jitter
 from eldenet.simulation.mjcf import Body, Draw
 from eldenet.simulation.patterns import variants
@@ -162,10 +162,6 @@ def _look(
     coarse = np.diag([0.25, 0.25, 1.0])  # every fourth pixel of a picture twice as wide and high
     probe = RayCamera((height // 2, width // 2), coarse @ shift @ eye.intrinsics, eye.far)
     with only_visible(model, model.geom_bodyid == number + 1):
-        # the hidden groups are left out by probing with the same group mask as cast does
-        from eldenet.simulation.camera import cast_rays
-        from eldenet.simulation.culling import SEEN_GROUPS
-
         _, geom, _ = cast_rays(
             model, data, position, probe.rays(rotation), eye.far, normals=False, groups=SEEN_GROUPS
         )
@@ -258,13 +254,13 @@ class _Builder:
         mark = self.m.palette.add([(0.7, 0.7, 0.68)], variants("plain")[0], 1.0)
         self.shell.plane((0, 0, 0), (0, 0, 1), asphalt)
         half = d.uniform(4.0, 6.5)
-        for x in range(4, 80, 8):
-            self.shell.box(x, -d.uniform(1.6, 1.8), 0, 3, 0.14, 0.004, mark)
+        for start in range(4, 80, 8):
+            self.shell.box(start, -d.uniform(1.6, 1.8), 0, 3, 0.14, 0.004, mark)
         for side in (-1, 1):
             pavement = d.uniform(2, 4)
             edge = side * (half + 2.2 + pavement)
             x = -5.0
-            while x < 110:
+            while x < 110.0:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
                 if d.chance(0.8):
                     self.shell.box(
