@@ -1,5 +1,6 @@
 """``python -m eldenet.evaluate``: any checkpoint, any data set, any protocol."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,8 @@ from eldenet import config as cfg
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+    from eldenet.runlog import RunLog
 
 
 @cfg.entry_point("evaluate")
@@ -27,6 +30,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
+    _choose_input_size(config, model.info.get("input_size"), log)
     record = score_and_record(
         config,
         model,
@@ -39,6 +43,21 @@ def main(config: "DictConfig", folder: Path) -> None:
         batch_size=config.batch_size,
     )
     closing_table(log, record)
+
+
+def _choose_input_size(config: "DictConfig", trained_at: Sequence[int] | None, log: "RunLog") -> None:
+    """Set ``data.input_size`` to what ``input_size`` asks for, and say so where that changes it."""
+    wanted = cfg.plain(config.input_size)
+    if wanted == "model":
+        wanted = trained_at
+    if wanted is None or wanted == "data":
+        return
+    if isinstance(wanted, str) or len(wanted) != 2:
+        raise ValueError(f"input_size={wanted!r}: give [height, width], model or data")
+    if list(wanted) != cfg.plain(config.data.input_size):
+        own = config.data.input_size
+        log.say(f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={own} is not used")
+        config.data.input_size = list(wanted)
 
 
 if __name__ == "__main__":

@@ -134,6 +134,21 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
     assert run["metrics"]["images"] == 16
     assert run["metrics"]["pixels"] > 16 * 16 * 20
     assert run["seed"] == 0
+    trained_at = json.loads((trained / "run.json").read_text())["config"]["data"]["input_size"]
+    assert [run["cost"]["height"], run["cost"]["width"]] == trained_at
+    assert "data.input_size=[16, 20] is not used" in finished.stdout
+
+
+@pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
+def test_evaluate_at_another_size(trained, run_command, choice, size):
+    finished = run_command(
+        *("evaluate", f"checkpoint={trained}", *TINY[:3], "data.input_size=[16,20]", f"input_size={choice}"),
+        f"run_dir=at_{size[0]}",
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    cost = json.loads((trained.parent / f"at_{size[0]}" / "run.json").read_text())["cost"]
+    assert [cost["height"], cost["width"]] == size
 
 
 def test_a_sweep_goes_on_after_a_job_that_failed(run_command, tmp_path):
