@@ -27,6 +27,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 def predict(config: "DictConfig") -> "Results":
     """Check everything that can be checked, load the network, predict, write, say what was done."""
     import eldenet
+    from eldenet.predict_boxes import box_results
     from eldenet.predictions import name_results
     from eldenet.predictor import DepthPredictor
     from eldenet.resources import choose_resources
@@ -51,10 +52,12 @@ def predict(config: "DictConfig") -> "Results":
             f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
             f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
         )
-    if is_video:
-        predict_video(source, predictor, results, log)
-    else:
-        predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
+    video = source if is_video else None
+    with box_results(config, results, list(names.values()), video, log) as results.also:
+        if is_video:
+            predict_video(source, predictor, results, log)
+        else:
+            predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
     return results
 
 
@@ -72,13 +75,17 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
         raise ValueError(f"depth_range={span}: give [near, far] in metres, 0 <= near < far")
     formats = cfg.plain(config.formats)
     if formats is None:
-        formats = ["colour"] if is_video else ["depth", "colour"] + ["ply"] * (camera is not None)
+        formats = (
+            ["colour"]
+            if is_video
+            else ["depth", "colour"] + ["ply"] * (camera is not None and not config.boxes)
+        )
     formats = [formats] if isinstance(formats, str) else formats
     for name in formats:
         one_of("formats", str(name), tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
-    if ("ply" in formats) != (camera is not None):
+    if ("ply" in formats) != (camera is not None) and not (config.boxes and camera is not None):
         raise ValueError(
             "a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]"
             if camera is None

@@ -29,7 +29,7 @@ LAYERS = {
     6: "perception",
     7: "navigation",
     8: "config zoo scoring report "  # these, and the entry points, see everything
-    "train evaluate benchmark predict export check_data train_detector navigate",
+    "train evaluate benchmark predict predict_boxes export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
 SIBLINGS_THAT_MAY = {("data", "simulation")}  # the rendered data sets

@@ -1,5 +1,6 @@
 """What each method makes of the pixels of N objects: :func:`paper_boxes`, :func:`lshape_boxes`, :func:`fitted_boxes`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +28,7 @@ class Known:
     found: Foreground
     detections: Detections2D
     camera: PinholeCamera
-    priors: list[ClassPrior | None]
+    priors: Sequence[ClassPrior | None]
     plane: GroundPlane | None
     trusted: np.ndarray
     depth_sigma: float
