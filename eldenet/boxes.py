@@ -1,7 +1,7 @@
 """Boxes: what a 2D detector says (:class:`Detections2D`), and upright boxes in metres (:class:`Boxes3D`).
 
-Convention: KITTI's (Geiger et al., CVPR 2012). x right, y down, z forward; a box stands upright, ``yaw`` turns
-it about y and is 0 where its length runs along x: length axis ``(cos, 0, -sin)``, width axis
+Convention: KITTI's (Geiger et al., CVPR 2012). x right, y down, z forward; a box stands upright, ``yaw``
+turns it about y and is 0 where its length runs along x: length axis ``(cos, 0, -sin)``, width axis
 ``(sin, 0, cos)``. KITTI's "location" is :attr:`Boxes3D.bottom_center`.
 """
 

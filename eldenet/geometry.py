@@ -91,7 +91,8 @@ class PinholeCamera:
     """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1`` (paper, equation 1).
 
     ``H`` is the infinite homography (Hartley and Zisserman, section 13.4), ``h`` the depth of pixel (row i,
-    column j). The level frame has x right, y down along gravity, z forward; by default it is the camera's own.
+    column j). The level frame has x right, y down along gravity, z forward; by default it is the camera's
+    own.
 
     Attributes:
         intrinsics: ``(3, 3)`` K [px].

@@ -1,4 +1,4 @@
-"""What ``boxes=true`` adds to ``eldenet.predict``: a picture with 3D boxes and a KITTI result file per picture."""
+"""What ``boxes=true`` adds to ``eldenet.predict``: pictures with 3D boxes, and KITTI result files."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager

@@ -11,8 +11,8 @@ _NEAR = 0.1  # [m]: edges are cut there
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _COLOUR_OF = {
     "car": (255, 120, 60), "van": (255, 190, 60), "truck": (190, 120, 255), "person": (80, 200, 255),
-    "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110), "bus": (255, 110, 190),
-    "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
+    "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
+    "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
 }  # fmt: skip
 _GROUND, _GRID, _SIGHT, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
 
@@ -131,7 +131,7 @@ def draw_bev(
 
 
 def picture_beside_bev(picture: np.ndarray, panel: np.ndarray) -> np.ndarray:
-    """One picture with even sides: the drawn photo, enlarged to the panel's height if it is smaller, and the panel."""
+    """One picture with even sides: the drawn photo and the panel, of one height."""
     tall = max(picture.shape[0], panel.shape[0])
     parts = []
     for part in (picture, panel):

@@ -1,7 +1,7 @@
 """One small least-squares fit per object: points, 2D box, ground and class size agree on a box.
 
-Unknowns: x, z of the centre, y of the lower face, yaw, logarithms of length, width, height, and of the factor on
-the object's depth. All objects and all starts are solved together by Levenberg-Marquardt with hand-written
+Unknowns: x, z of the centre, y of the lower face, yaw, logarithms of length, width, height, and of the factor
+on the object's depth. All objects and all starts are solved together by Levenberg-Marquardt with hand-written
 derivatives; every array has the problems as its first axis ``B``.
 """
 

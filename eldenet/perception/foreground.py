@@ -73,8 +73,8 @@ def gather(
         camera: of the picture.
         ground: its points are left out; None: none are.
         priors: of every object; None for an unknown class.
-        select: "core": what is not ground, around the median depth of the box's middle; "median": all around the
-            box's median.
+        select: "core": what is not ground, around the median depth of the box's middle; "median": all around
+            the box's median.
         occlusion_mask: leave out what lies in nearer boxes.
         depth_sigma: relative error of the depth of an object.
     """
@@ -109,7 +109,7 @@ def gather(
 def _pixels_of(
     depth: np.ndarray, detections: Detections2D, index: int, nearer: np.ndarray, back: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a box's pixels of known depth, without those of nearer objects; about 400 at most."""
+    """Rows and columns of a box's pixels of known depth, without nearer objects'; about 400 at most."""
     height, width = depth.shape
     box = detections.xyxy[index]
     left, top = (int(max(0, np.floor(edge + 0.5))) for edge in box[:2])
@@ -181,7 +181,8 @@ def _likely_depth(far: np.ndarray, expected: tuple[float, float], reach: float, 
     centers = np.quantile(far, _QUANTILES)
     share = _around(far, centers, reach, depth_sigma).mean(1)
     surprise = np.log(centers / expected[0])
-    # what is hidden unnoticed makes the object look smaller, so farther: nearer than expected is less of a surprise
+    # what is hidden unnoticed makes the object look smaller, so farther: nearer than expected is less
+    # of a surprise
     surprise = surprise / np.hypot(np.where(surprise < 0, 0.3, 0.0), np.hypot(expected[1], 2 * depth_sigma))
     return float(centers[np.argmax(np.log(share + 1e-9) - 0.5 * surprise**2)])
 
@@ -217,8 +218,8 @@ def border_cuts(xyxy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def trusted_edges(detections: Detections2D, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Edges ``(N, 4)`` bool (left, top, right, bottom) that are the object's own, and ``(N,)`` hidden share.
 
-    An edge at the picture's border is a cut. Around what is seen ("tight"), an edge where a nearer box begins is
-    where that one hides the object.
+    An edge at the picture's border is a cut. Around what is seen ("tight"), an edge where a nearer box begins
+    is where that one hides the object.
 
     Args:
         detections: the objects.

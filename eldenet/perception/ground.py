@@ -61,7 +61,8 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
     normals = normals / np.maximum(length, 1e-12)[:, None]
     normals *= np.where(normals[:, 1:2] < 0, -1.0, 1.0)
     offsets = (normals * triple[:, 0]).sum(1)
-    # Depth errors grow with depth, and so does the tolerance; what they do to heights is the ray's share of y.
+    # Depth errors grow with depth, and so does the tolerance; what they do to heights is the ray's share
+    # of y.
     tolerance = 0.03 + 0.012 * points[:, 2]
     misses = np.abs(normals @ points.T - offsets[:, None])
     near = misses < tolerance
@@ -90,11 +91,11 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
 
 @dataclass(frozen=True)
 class GroundHomography:
-    """Picture <-> ground: ``[x, z, 1] ~ M [j, i, 1]``, the depth of a ground pixel being implied by the plane.
+    """Picture <-> ground: ``[x, z, 1] ~ M [j, i, 1]``, the plane implying the depth.
 
-    For a pixel p of the plane n . X = d, depth is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``, which put
-    into equation 1 gives this 3x3 matrix. It holds for ground points alone: at 20 m one degree of pitch moves
-    a point by a fifth of its distance.
+    For a pixel p of the plane n . X = d, depth is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``, which
+    put into equation 1 gives this 3x3 matrix. It holds for ground points alone: at 20 m one degree of pitch
+    moves a point by a fifth of its distance.
 
     Attributes:
         camera: of the picture.

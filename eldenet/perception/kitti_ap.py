@@ -1,13 +1,13 @@
 """Average precision as KITTI's object benchmark defines it: 2D, from above (BEV), in space (3D).
 
 Geiger et al., CVPR 2012; Simonelli et al., ICCV 2019 (40 recall points). Convention: R40 is the mean over the
-points 1/40 ... 1 (official since October 2019), R11 over 0, 0.1 ... 1. The point at recall 0 is the precision at
-the highest threshold.
+points 1/40 ... 1 (official since October 2019), R11 over 0, 0.1 ... 1. The point at recall 0 is the precision
+at the highest threshold.
 
 Rules: an object counts at a difficulty if its 2D box is higher than the least height, and it is neither more
-occluded nor more truncated than allowed; others are ignored, as are objects of a neighbouring class (Van for Car,
-Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are ignored. In
-2D, detections that lie in DontCare areas are no false positives.
+occluded nor more truncated than allowed; others are ignored, as are objects of a neighbouring class (Van for
+Car, Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are
+ignored. In 2D, detections that lie in DontCare areas are no false positives.
 """
 
 from collections.abc import Mapping, Sequence

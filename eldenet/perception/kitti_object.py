@@ -1,7 +1,8 @@
 """KITTI's object benchmark on disk: pictures, calibration, labels, LiDAR; and its label format as output.
 
-Geiger et al., "Are we ready for autonomous driving?", CVPR 2012. Label lines: type, truncated, occluded, alpha,
-2D box, height width length [m], location (middle of the lower face in rectified camera 0) [m], rotation_y, score.
+Geiger et al., "Are we ready for autonomous driving?", CVPR 2012. Label lines: type, truncated, occluded,
+alpha, 2D box, height width length [m], location (middle of the lower face in rectified camera 0) [m],
+rotation_y, score.
 """
 
 from collections.abc import Sequence
@@ -107,7 +108,7 @@ def read_labels(path: Path) -> KittiLabels:
 
 
 def to_labels(boxes: Boxes3D, xyxy: np.ndarray) -> KittiLabels:
-    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results; classes get KITTI's names where it has them."""
+    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names."""
     count = len(boxes)
     location = boxes.bottom_center
     alpha = boxes.yaw - np.arctan2(location[:, 0], location[:, 2])
@@ -175,7 +176,7 @@ class KittiObjects:
         return read_labels(self.root / "label_2" / f"{name}.txt")
 
     def lidar_depth(self, name: str, size: tuple[int, int]) -> np.ndarray | None:
-        """Sparse depth ``(height, width)`` float32 [m] of the LiDAR scan, 0 = unknown; None without a scan."""
+        """Sparse depth ``(height, width)`` float32 [m] of the LiDAR scan, 0 = unknown; None without one."""
         scans = [self.root / folder / f"{name}.bin" for folder in ("velodyne", "velodyne_reduced")]
         scan = next((path for path in scans if path.is_file()), None)
         if scan is None:

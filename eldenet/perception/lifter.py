@@ -21,18 +21,19 @@ class BoxLifter:
     """``(depth, detections, camera) -> Boxes3D``.
 
     Methods:
-        paper: equations 1 to 3 as read: pixels around the box's median depth, back-projected; the box that holds
-            them along the camera's axes; its centre the mean of the eight vertices.
+        paper: equations 1 to 3 as read: pixels around the box's median depth, back-projected; the box that
+            holds them along the camera's axes; its centre the mean of the eight vertices.
         lshape: ground removed, foreground around the core's median depth, heading from the two sides that are
             seen, size of the class, anchored at those sides.
         refine: from there, one least-squares fit of position, heading, size and a factor on the depth to the
             points, the 2D box, the ground and the class.
-        no_depth: the same fit without depth, from the 2D box, the class and ``camera_height``: the baseline that
-            says what depth is worth.
+        no_depth: the same fit without depth, from the 2D box, the class and ``camera_height``: the baseline
+            that says what depth is worth.
 
     Fall-backs, noted in ``quality["fallback"]``: an object with fewer than ``FEWEST_POINTS`` pixels is fitted
-    without its sides (or, without any, without depth); one of an unknown class keeps the extents of its points
-    along the L-shape's heading; edges of the 2D box that the picture's border or a nearer box cuts are bounds only.
+    without its sides (or, without any, without depth); one of an unknown class keeps the extents of its
+    points along the L-shape's heading; edges of the 2D box that the picture's border or a nearer box cuts are
+    bounds only.
 
     Args:
         method: see above.
@@ -90,7 +91,7 @@ class BoxLifter:
         reach = detections.xyxy[:, 2:].max(0)
         if reach[0] > width + 4 or reach[1] > height + 4:
             raise ValueError(
-                f"boxes reach to column {reach[0]:.0f} and row {reach[1]:.0f}, but depth is {height} x {width}: "
+                f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, but depth is {height} x {width}: "
                 "both must be of one picture"
             )
         priors = [prior_of(name, self.priors) for name in detections.classes]

@@ -1,7 +1,7 @@
 """Heading of an object from the two sides that are seen: search-based L-shape fitting, and boxes on it.
 
-Zhang, Xu, Dong, Dolan, "Efficient L-Shape Fitting for Vehicle Detection Using Laser Scanners", IV 2017: of all
-rectangles around the points, the one whose edges the points are closest to.
+Zhang, Xu, Dong, Dolan, "Efficient L-Shape Fitting for Vehicle Detection Using Laser Scanners", IV 2017: of
+all rectangles around the points, the one whose edges the points are closest to.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What each method makes of the pixels of N objects: :func:`paper_boxes`, :func:`lshape_boxes`, :func:`fitted_boxes`."""
+"""What each method makes of the pixels of N objects: paper, L-shape, and the fit with or without depth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -85,7 +85,7 @@ def paper_boxes(known: Known) -> RawBoxes:
 
 
 def _heading(known: Known, points: np.ndarray) -> tuple[np.ndarray, lshape.Extents]:
-    """Yaw ``(N,)`` by the L-shape, the longer side or the one that fits the class along it, and its extents."""
+    """Yaw ``(N,)`` by the L-shape, along the side that fits the class or is longer, and the extents."""
     weight = known.found.weight
     z = np.median(known.found.depth, axis=1)
     yaw = lshape.closeness_yaw(points, weight, 0.05 + 0.15 * known.depth_sigma * z)
@@ -188,7 +188,7 @@ def _problem(known: Known) -> fit.Problem:
 
 def _distance_by_height(known: Known) -> np.ndarray:
     """Depth ``(N,)`` [m] by the class's height; an unknown class counts as a metre high."""
-    priors = [prior or _ANYTHING for prior in known.priors]
+    priors: list[ClassPrior | None] = [prior or _ANYTHING for prior in known.priors]
     found = expected_depth(known.detections, known.camera, priors, known.trusted)
     return np.array([depth for depth, _ in found])
 

@@ -28,7 +28,8 @@ class Layout(NamedTuple):
         letterbox: "topleft" or "center" (aspect kept, padded), or "stretch".
         bgr: colour order of the input.
         scale: factor on 0-255.
-        decode: output ``(...)`` and input ``(height, width)`` -> xyxy ``(N, 4)`` [input px], scores ``(N, classes)``.
+        decode: output ``(...)`` and input ``(height, width)`` -> xyxy ``(N, 4)`` [input px], scores
+            ``(N, classes)``.
     """
 
     letterbox: str
@@ -99,9 +100,9 @@ LAYOUTS = {
 class OnnxDetector:
     """A detector from an ONNX file.
 
-    Layouts: "yolov8" (also the original YOLOv9's export: centre boxes, padded on all sides), "yolov9" (libreyolo's:
-    corner boxes, padded right and below), "yolox", "fastestdet", "nms" (NMS in the graph). "auto" tells them by
-    the output's shape and the file's metadata.
+    Layouts: "yolov8" (also the original YOLOv9's export: centre boxes, padded on all sides), "yolov9"
+    (libreyolo's: corner boxes, padded right and below), "yolox", "fastestdet", "nms" (NMS in the graph).
+    "auto" tells them by the output's shape and the file's metadata.
 
     Args:
         path: of the file.
@@ -266,7 +267,7 @@ def _warn_of_licence(path: Path, metadata: dict[str, str]) -> None:
     text = " ".join(metadata.values())
     if "AGPL" in text or "GPL" in metadata.get("license", ""):
         warnings.warn(
-            f"{path} says of itself that it is under {metadata.get('license', 'the AGPL')}: its terms may reach to "
+            f"{path} says it is under {metadata.get('license', 'the AGPL')}: its terms may reach to "
             "whatever uses it, networks included",
             stacklevel=3,
         )

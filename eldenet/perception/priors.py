@@ -55,8 +55,8 @@ def prior_of(name: str, priors: Mapping[str, ClassPrior] = PRIORS) -> ClassPrior
 def silhouette(shape: Shape | None, style: str) -> np.ndarray:
     """Points ``(M, 3)`` in units of (length, height, width) whose extent in the picture is the 2D box.
 
-    Convention: a "projected" box goes around the eight corners (KITTI's labels); a "tight" one goes around what
-    is seen, and a car does not fill the corners of its box.
+    Convention: a "projected" box goes around the eight corners (KITTI's labels); a "tight" one goes around
+    what is seen, and a car does not fill the corners of its box.
     """
     corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     if style == "projected" or shape in (None, "box"):

@@ -1,10 +1,10 @@
 """What boxes are worth: centre accuracy and match rates, with intervals.
 
-Definitions. A truth and a prediction are a pair if the detector found it: 2D IoU of 0.5 or more, one to one, the
-largest overlaps first. **Centre accuracy**: mean over pairs of ``max(0, 1 - |c - c*| / |c*|)``, c* the true centre in
-the level frame. **Match rate**: share of pairs whose boxes overlap by at least a quarter (or a half) from above or
-in space, or whose centres are at most 0.5, 1, 2 or 4 m apart. **Recall**: the same, over all truths. Yaw is compared
-modulo pi.
+Definitions. A truth and a prediction are a pair if the detector found it: 2D IoU of 0.5 or more, one to one,
+the largest overlaps first. **Centre accuracy**: mean over pairs of ``max(0, 1 - |c - c*| / |c*|)``, c* the
+true centre in the level frame. **Match rate**: share of pairs whose boxes overlap by at least a quarter (or a
+half) from above or in space, or whose centres are at most 0.5, 1, 2 or 4 m apart. **Recall**: the same, over
+all truths. Yaw is compared modulo pi.
 """
 
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ class Pairs:
 def pair_up(
     truth_xyxy: np.ndarray, found_xyxy: np.ndarray, least: float = PAIR_OVERLAP
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers ``(P,)`` of truths and of what was found for them: one to one, the largest 2D overlaps first."""
+    """Numbers ``(P,)`` of truths and of what was found: one to one, the largest 2D overlaps first."""
     overlap = iou_2d(truth_xyxy, found_xyxy)
     rows, columns = [], []
     while overlap.size and overlap.max() >= least:

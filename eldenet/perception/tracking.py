@@ -1,7 +1,7 @@
 """Boxes over time: which is which, how fast it moves, and where its front is.
 
-A constant-velocity Kalman filter per object and an optimal assignment per frame, in the spirit of Weng et al., "3D
-Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
+A constant-velocity Kalman filter per object and an optimal assignment per frame, in the spirit of Weng et
+al., "3D Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
 """
 
 from dataclasses import dataclass, field, replace
@@ -43,12 +43,13 @@ class Track:
 class BoxTracker:
     """``tracker(boxes, seconds) -> Boxes3D`` with identities, velocities and headings.
 
-    Boxes must be in one frame that stands still, or moves slowly against the objects. Where an object moves, its
-    yaw points along its motion, which settles front and back.
+    Boxes must be in one frame that stands still, or moves slowly against the objects. Where an object moves,
+    its yaw points along its motion, which settles front and back.
 
     Args:
         gate: farthest that a box may be from where its track expects it [m].
-        births: frames in which a new object must be seen before it is reported (all may be in the first frames).
+        births: frames in which a new object must be seen before it is reported (all may be in the first
+            frames).
         deaths: frames in a row after which an unseen object is given up.
         position_sigma: of a measured centre at 10 m [m]; it grows with distance.
         acceleration: of the objects, standard deviation [m/s2].

@@ -92,7 +92,8 @@ def generate_scene(split: str, index: int, kind: str = "street") -> Scene:
     """
     if split not in SPLITS or kind not in KINDS or index < 0:
         raise ValueError(
-            f"split={split!r}, kind={kind!r}, index={index}: give one of {list(SPLITS)}, one of {KINDS}, 0 or more"
+            f"split={split!r}, kind={kind!r}, index={index}: give one of {list(SPLITS)}, one of "
+            f"{KINDS}, and a number from 0"
         )
     return _Builder(Draw((_STREAM, SPLITS[split], index, KINDS.index(kind))), kind).build()
 
