@@ -30,7 +30,7 @@ def footprints(bev: np.ndarray) -> np.ndarray:
 
 
 def intersection_area(first: np.ndarray, second: np.ndarray) -> float:
-    """Area that two convex polygons ``(K, 2)``, ``(L, 2)``, counter-clockwise, share (Sutherland, Hodgman)."""
+    """Area that two convex polygons ``(K, 2)``, ``(L, 2)``, counter-clockwise, share: Sutherland-Hodgman."""
     polygon = first
     for start, end in zip(second, np.roll(second, -1, axis=0), strict=True):
         if not len(polygon):

@@ -9,6 +9,7 @@ all truths. Yaw is compared modulo pi.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def by_distance(pairs: Pairs, bins: Sequence[float] = BINS) -> list[tuple[float,
     """``(from, to, summary)`` of each bin of the true distance [m]."""
     return [
         (low, high, summary(pairs.select((pairs.distance >= low) & (pairs.distance < high))))
-        for low, high in zip(bins[:-1], bins[1:], strict=True)
+        for low, high in pairwise(bins)
     ]
 
 
