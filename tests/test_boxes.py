@@ -18,6 +18,11 @@ def rotation(pitch: float, roll: float) -> np.ndarray:
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ np.array([[k, -t, 0], [t, k, 0], [0, 0, 1]])
 
 
+def cube(y: float = 0.0, yaw: float = 0.0) -> Boxes3D:
+    center, size = np.array([[0.0, y, 0.0]]), np.full((1, 3), 2.0)
+    return Boxes3D(center, size, np.array([yaw]), np.ones(1), np.zeros(1, int), ("car",))
+
+
 def random_boxes(count: int, seed: int = 0) -> Boxes3D:
     rng = np.random.default_rng(seed)
     center = rng.uniform([-6, 0, 4], [6, 2, 16], (count, 3))
@@ -174,19 +179,10 @@ def test_overlap_of_equal_turned_and_distant_boxes():
     box = random_boxes(1)
     bev, iou = box_ious(box, box)
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), pytest.approx(1))
-    square = Boxes3D(
-        np.zeros((2, 3)), np.full((2, 3), 2.0), np.array([0, np.pi / 2]), np.ones(2), np.zeros(2, int), ("c",)
-    )
-    assert box_ious(square, square)[0][0, 1] == pytest.approx(1)
-    eighth = Boxes3D(
-        np.zeros((2, 3)), np.full((2, 3), 2.0), np.array([0, np.pi / 4]), np.ones(2), np.zeros(2, int), ("c",)
-    )
+    assert box_ious(cube(), cube(yaw=np.pi / 2))[0][0, 0] == pytest.approx(1)
     shared = 8 * (np.sqrt(2) - 1)  # the regular octagon of width 2
-    assert box_ious(eighth, eighth)[0][0, 1] == pytest.approx(shared / (8 - shared))
-    high = Boxes3D(
-        np.array([[0, -5.0, 0]]), np.full((1, 3), 2.0), np.zeros(1), np.ones(1), np.zeros(1, int), ("c",)
-    )
-    bev, iou = box_ious(square, high)
+    assert box_ious(cube(), cube(yaw=np.pi / 4))[0][0, 0] == pytest.approx(shared / (8 - shared))
+    bev, iou = box_ious(cube(), cube(y=-5.0))
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), 0)
 
 

@@ -5,18 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eldenet.boxes import Boxes3D, Detections2D, corners_of, wrap_half
+from eldenet.boxes import Detections2D, wrap_half
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception import fit
 from eldenet.perception.ground import GroundHomography, GroundPlane, fit_ground, flat_ground
-from eldenet.perception.iou import box_ious
 from eldenet.perception.lifter import METHODS, BoxLifter
 from eldenet.perception.priors import PRIORS, prior_of, silhouette
 from eldenet.perception.scores import compare
 from eldenet.simulation.street_views import render_street
 from eldenet.simulation.streets import generate_scene
 
-SIZE = (128, 416)
 CAMERA = PinholeCamera(pinhole(400.0, 400.0, 320.0, 100.0))
 
 
@@ -219,7 +217,7 @@ def test_without_depth_a_box_still_comes_out(method, fill):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_no_boxes_five_hundred_boxes_and_tiny_ones(method):
-    depth, xyxy = block((-2.0, 0.85, 12.0))
+    depth, _ = block((-2.0, 0.85, 12.0))
     lifter = BoxLifter(method)
     none = lifter(depth, Detections2D.empty(("car",)), CAMERA)
     assert len(none) == 0
@@ -243,7 +241,7 @@ def test_an_unknown_class_keeps_the_extents_of_its_points():
 
 
 def test_masks_are_used_instead_of_boxes():
-    near, box_near = block((0.3, 0.85, 9.0), yaw=1.5)
+    near, _ = block((0.3, 0.85, 9.0), yaw=1.5)
     far, box_far = block((1.2, 0.85, 17.0), yaw=1.5)
     depth = np.where((near > 0) & ((near < far) | (far == 0)), near, far)
     hidden = replace(detection(box_far), mask=(depth == far)[None] & (far < 25)[None] & (far > 14)[None])
@@ -284,7 +282,8 @@ def test_gradients_are_those_of_the_cost():
         direction, rng.uniform(8, 14, (count, points)), np.ones((count, points)), np.full((count, 2), 0.4),
         np.linspace(0.6, 1, count), np.tile([250.0, 80, 330, 140], (count, 1)), np.full((count, 4), 4.0),
         rng.random((count, 4)) > 0.4, np.tile(silhouette("vehicle", "tight"), (count, 1, 1)),
-        np.log(np.tile([3.9, 1.6, 1.5], (count, 1))), np.full((count, 3), 0.1), np.tile([1.6, 0.01, -0.02], (count, 1)),
+        np.log(np.tile([3.9, 1.6, 1.5], (count, 1))), np.full((count, 3), 0.1),
+        np.tile([1.6, 0.01, -0.02], (count, 1)),
         np.full(count, 0.1), np.full(count, 0.08),
     )  # fmt: skip
     state = np.tile([0.3, 10.0, 1.5, 0.4, *np.log([3.9, 1.6, 1.5]), 0.02], (count, 1)) + rng.normal(
@@ -362,17 +361,3 @@ def test_priors_go_by_name():
     for shape in ("vehicle", "upright", "box", None):
         for style in ("tight", "projected"):
             assert np.abs(silhouette(shape, style)).max() == 0.5
-
-
-def test_a_tight_silhouette_lies_within_the_corners():
-    corners = corners_of(np.array([[2.0, 0.8, 9.0]]), np.array([[3.9, 1.6, 1.5]]), np.array([0.5]))
-    box = Boxes3D(
-        np.array([[2.0, 0.8, 9.0]]),
-        np.array([[3.9, 1.6, 1.5]]),
-        np.array([0.5]),
-        np.ones(1),
-        np.zeros(1, int),
-        ("car",),
-    )
-    np.testing.assert_array_equal(box.corners, corners)
-    assert box_ious(box, box)[1][0, 0] == pytest.approx(1)

@@ -68,7 +68,7 @@ def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
     for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
         colour = colour_of(name)
         left, top, right, bottom = (round(float(edge)) for edge in box)
-        cv2.rectangle(picture, (left, top), (right, bottom), colour, 1, cv2.LINE_AA)
+        cv2.rectangle(picture, (left, top), (right, bottom), colour, 1)
         _write(picture, f"{name} {score:.2f}", left, top, colour)
     return picture
 

@@ -1,14 +1,13 @@
-"""Centre accuracy and match rates of the four methods: simulated streets and halls, and KITTI's object frames.
+"""Centre accuracy and match rates of the four methods: simulated streets and halls, KITTI's object frames.
 
 python experiments/table4_centres/run.py --frames 60 --sim-model runs/streets-depth/model \
     --detector yolox_nano_coco_256x832.onnx --kitti-model meter_kitti --kitti-sigma 0.12
 
-Everything was tuned on simulated training scenes; this script uses test scenes, and KITTI's frames only report.
-KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures stay in the run folder.
+Everything was tuned on simulated training scenes; this script uses test scenes, and KITTI's frames only
+report. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures stay in the run folder.
 """
 
 import argparse
-import platform
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +27,7 @@ from eldenet.perception.onnx_detector import OnnxDetector
 from eldenet.perception.scores import Pairs, bootstrap, by_distance, compare, pair_up, summary
 from eldenet.pictures import write_picture
 from eldenet.predictor import DepthPredictor
-from eldenet.record import write_rows
+from eldenet.record import environment, write_rows
 from eldenet.simulation.street_views import StreetView, render_street
 
 HERE = Path(__file__).parent
@@ -261,21 +260,23 @@ def main() -> None:
 
 def notes_of(frames: int, notes: list[str], times: list[float]) -> list[str]:
     """The protocol, in words."""
+    words = " ".join(Path(word).name if "/" in word else word for word in sys.argv[1:])
     return [
-        "Centre accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to one). "
-        "BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. Brackets: "
-        "95 % of 2000 resamples of whole frames.",
+        "Centre accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
+        "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
+        "Brackets: 95 % of 2000 resamples of whole frames.",
         "",
-        f"Simulation: {frames} test scenes each, streets at 256 x 832, halls at 240 x 320; objects seen to 30 % or "
-        "more, not cut by the border, 17 pixels high or more; tight boxes around what is seen. KITTI: training "
-        'frames at hand with a scan, or all with a network; Car and Van, not beyond "hard". Label boxes are '
-        "projections of the 3D boxes, so they leak the answer. `no_depth` knows the class sizes and the nominal "
-        "camera height.",
+        f"Simulation: {frames} test scenes each, streets at 256 x 832, halls at 240 x 320; objects seen to 30 % "
+        "or more, not cut by the border, 17 pixels high or more; tight boxes around what is seen.",
         "",
-        *(f"{note}." for note in notes),
-        f"`refine`: {np.median(times):.1f} ms of processor time per object (median over settings, ground included), "
-        f"1 thread, {platform.processor() or platform.machine()}, numpy {np.__version__}. Made by "
-        f"`python experiments/table4_centres/run.py {' '.join(Path(a).name if '/' in a else a for a in sys.argv[1:])}`.",
+        'KITTI: training frames at hand with a scan, or all with a network; Car and Van, not beyond "hard". '
+        "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class sizes "
+        "and the nominal camera height.",
+        "",
+        *(f"- {note}." for note in notes),
+        f"- `refine`: {np.median(times):.1f} ms of processor time per object (median over settings, ground "
+        f"included), 1 thread, {environment()['hardware']['processor']}, numpy {np.__version__}.",
+        f"- Made by `python experiments/table4_centres/run.py {words}`.",
     ]
 
 
