@@ -20,12 +20,14 @@ class GroundPlane:
         offset: height of the frame's origin above the ground [m].
         share: of the pixels tried that lie on it.
         tilt: by which it may rise or fall elsewhere [rad].
+        fitted: to a depth map, whose errors it shares.
     """
 
     normal: np.ndarray
     offset: float
     share: float = 1.0
     tilt: float = 0.01
+    fitted: bool = False
 
     def below(self, points: np.ndarray) -> np.ndarray:
         """Height ``(...)`` of level points ``(..., 3)`` above the ground [m]."""
@@ -86,7 +88,7 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
     share = float(inside.mean())
     if normal[1] < np.cos(STEEPEST) or offset <= 0 or share < 0.1:
         return None
-    return GroundPlane(normal, offset, share)
+    return GroundPlane(normal, offset, share, fitted=True)
 
 
 @dataclass(frozen=True)

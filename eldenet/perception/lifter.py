@@ -39,7 +39,8 @@ class BoxLifter:
         method: see above.
         priors: sizes by class name.
         ground: "fit" it to the depth, a plane that is known, or None for none.
-        camera_height: above the ground [m]; where no plane can be fitted, and for "no_depth".
+        camera_height: above the ground [m], if it is known: "no_depth" rests on it, and "refine" weighs it against
+            the plane that it fits.
         depth_sigma: relative error of the depth of whole objects, as measured on validation data.
         occlusion_mask: leave out pixels in boxes that stand nearer.
 
@@ -109,7 +110,8 @@ class BoxLifter:
         if self.method == "no_depth":
             found = found.without_points()
         trusted, hidden = trusted_edges(detections, (height, width))
-        known = Known(found, detections, camera, priors, plane, trusted, self.depth_sigma)
+        nominal = self._nominal if plane is not None and plane.fitted else None
+        known = Known(found, detections, camera, priors, plane, nominal, trusted, self.depth_sigma)
         raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(known)
         raw = _use_fallbacks(raw, known, self.method)
         quality = {
@@ -131,13 +133,16 @@ class BoxLifter:
             detections.track_id,
         )
 
+    @property
+    def _nominal(self) -> GroundPlane | None:
+        return None if self.camera_height is None else flat_ground(self.camera_height)
+
     def _plane(self, depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
-        nominal = flat_ground(self.camera_height) if self.camera_height is not None else None
         if isinstance(self.ground, GroundPlane):
             return self.ground
         if self.ground is None or self.method in ("no_depth", "paper"):
-            return nominal
-        return fit_ground(depth, camera) or nominal
+            return self._nominal
+        return fit_ground(depth, camera) or self._nominal
 
 
 def _use_fallbacks(raw: RawBoxes, known: Known, method: str) -> RawBoxes:

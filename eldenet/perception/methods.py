@@ -23,13 +23,17 @@ _STARTS = 4
 
 @dataclass(frozen=True)
 class Known:
-    """All that is known of the objects of a picture; see :func:`eldenet.perception.foreground.gather`."""
+    """All that is known of the objects of a picture; see :func:`eldenet.perception.foreground.gather`.
+
+    ``plane`` is the ground that the methods use; ``nominal`` that of the camera's height, if it is another.
+    """
 
     found: Foreground
     detections: Detections2D
     camera: PinholeCamera
     priors: Sequence[ClassPrior | None]
     plane: GroundPlane | None
+    nominal: GroundPlane | None
     trusted: np.ndarray
     depth_sigma: float
 
@@ -156,18 +160,13 @@ def _problem(known: Known) -> fit.Problem:
     priors = [prior or _ANYTHING for prior in known.priors]
     count = len(priors)
     far = np.where(known.found.count > 0, np.median(found.depth, axis=1), 10.0)
-    noise = 0.06 + 0.25 * known.depth_sigma * far
+    noise = 0.06 + known.depth_sigma * far
     sigma = [np.hypot(noise, [table[prior.shape] for prior in priors]) for table in (_OUTSIDE, _INSIDE)]
     extent = np.tile(detections.xyxy[:, 2:] - detections.xyxy[:, :2], 2)
     tight = detections.box_style == "tight"
     shapes = [silhouette(prior.shape, detections.box_style) for prior in priors]
     most = max(len(shape) for shape in shapes)
-    plane = known.plane
-    if plane is None:
-        ground, ground_sigma = np.zeros(3), np.full(count, 1e6)
-    else:
-        ground = np.array([plane.offset, -plane.normal[0], -plane.normal[2]]) / plane.normal[1]
-        ground_sigma = 0.05 + plane.tilt * _distance_by_height(known)
+    ground, ground_sigma = _ground_belief(known)
     return fit.Problem(
         direction=found.direction,
         depth=found.depth,
@@ -180,10 +179,31 @@ def _problem(known: Known) -> fit.Problem:
         silhouette=np.stack([np.concatenate([s, np.repeat(s[:1], most - len(s), 0)]) for s in shapes]),
         log_size=np.log([prior.size for prior in priors]),
         size_sigma=np.array([prior.spread for prior in priors]),
-        ground=np.tile(ground, (count, 1)),
+        ground=ground,
         ground_sigma=ground_sigma,
         scale_sigma=np.full(count, known.depth_sigma),
     )
+
+
+def _ground_belief(known: Known) -> tuple[np.ndarray, np.ndarray]:
+    """Y of the ground below each object as ``a + b x + c z`` ``(N, 3)``, and its error ``(N,)`` [m].
+
+    A plane fitted to depth is as wrong as the depth's scale; one from the camera's height is wrong by the
+    tilt. Where both are known, each counts by its error.
+    """
+    away = _distance_by_height(known)
+    total, sums = np.full(len(away), 1e-12), np.zeros((len(away), 3))
+    for plane, scale in ((known.plane, known.depth_sigma), (known.nominal, 0.0)):
+        if plane is None:
+            continue
+        sigma = np.hypot(0.05 + plane.tilt * away, scale * plane.offset if plane.fitted else 0.0)
+        total += sigma**-2
+        sums += (
+            np.array([plane.offset, -plane.normal[0], -plane.normal[2]])
+            / plane.normal[1]
+            / sigma[:, None] ** 2
+        )
+    return sums / total[:, None], total**-0.5
 
 
 def _distance_by_height(known: Known) -> np.ndarray:

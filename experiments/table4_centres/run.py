@@ -270,8 +270,8 @@ def notes_of(frames: int, notes: list[str], times: list[float]) -> list[str]:
         "or more, not cut by the border, 17 pixels high or more; tight boxes around what is seen.",
         "",
         'KITTI: training frames at hand with a scan, or all with a network; Car and Van, not beyond "hard". '
-        "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class sizes "
-        "and the nominal camera height.",
+        "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class "
+        "sizes and the nominal camera height.",
         "",
         *(f"- {note}." for note in notes),
         f"- `refine`: {np.median(times):.1f} ms of processor time per object (median over settings, ground "
