@@ -39,8 +39,8 @@ class BoxLifter:
         method: see above.
         priors: sizes by class name.
         ground: "fit" it to the depth, a plane that is known, or None for none.
-        camera_height: above the ground [m], if it is known: "no_depth" rests on it, and "refine" weighs it against
-            the plane that it fits.
+        camera_height: above the ground [m], if it is known: "no_depth" rests on it, and "refine" weighs it
+            against the plane that it fits.
         depth_sigma: relative error of the depth of whole objects, as measured on validation data.
         occlusion_mask: leave out pixels in boxes that stand nearer.
 

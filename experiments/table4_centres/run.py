@@ -266,8 +266,8 @@ def notes_of(frames: int, notes: list[str], times: list[float]) -> list[str]:
         "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
         "Brackets: 95 % of 2000 resamples of whole frames.",
         "",
-        f"Simulation: {frames} test scenes each, streets at 256 x 832, halls at 240 x 320; objects seen to 30 % "
-        "or more, not cut by the border, 17 pixels high or more; tight boxes around what is seen.",
+        f"Simulation: {frames} test scenes each, streets at 256 x 832, halls at 240 x 320; objects seen to "
+        "30 % or more, not cut by the border, 17 pixels high or more; tight boxes around what is seen.",
         "",
         'KITTI: training frames at hand with a scan, or all with a network; Car and Van, not beyond "hard". '
         "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class "
