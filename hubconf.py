@@ -51,3 +51,83 @@ def mobilenet_v2_upconv(**options: _Any) -> _DepthNet:
 def mobilenet_v3_upconv(**options: _Any) -> _DepthNet:
     """MobileNetV3 large with the UpConv decoder."""
     return _load("mobilenet_v3_upconv", **options)
+
+
+def resnet50_upconv(**options: _Any) -> _DepthNet:
+    """ResNet50 with the UpConv decoder."""
+    return _load("resnet50_upconv", **options)
+
+
+def mobilenet_v1_upconv(**options: _Any) -> _DepthNet:
+    """MobileNetV1 with the UpConv decoder."""
+    return _load("mobilenet_v1_upconv", **options)
+
+
+def mobilenet_v3_small_upconv(**options: _Any) -> _DepthNet:
+    """MobileNetV3 small with the UpConv decoder."""
+    return _load("mobilenet_v3_small_upconv", **options)
+
+
+def seresnet18_upconv(**options: _Any) -> _DepthNet:
+    """SE-ResNet18 of timm with the UpConv decoder."""
+    return _load("seresnet18_upconv", **options)
+
+
+def seresnet50_upconv(**options: _Any) -> _DepthNet:
+    """SE-ResNet50 of timm with the UpConv decoder."""
+    return _load("seresnet50_upconv", **options)
+
+
+def senet154_upconv(**options: _Any) -> _DepthNet:
+    """SENet-154 of timm with the UpConv decoder."""
+    return _load("senet154_upconv", **options)
+
+
+def fastdepth(**options: _Any) -> _DepthNet:
+    """FastDepth, unpruned: MobileNetV1, depthwise NNConv5 decoder, additive skips."""
+    return _load("fastdepth", **options)
+
+
+def guidedepth(**options: _Any) -> _DepthNet:
+    """GuideDepth: DDRNet-23-slim and three guided upsampling blocks."""
+    return _load("guidedepth", **options)
+
+
+def guidedepth_s(**options: _Any) -> _DepthNet:
+    """GuideDepth-S."""
+    return _load("guidedepth_s", **options)
+
+
+def lite_mono(**options: _Any) -> _DepthNet:
+    """Lite-Mono."""
+    return _load("lite_mono", **options)
+
+
+def lite_mono_tiny(**options: _Any) -> _DepthNet:
+    """Lite-Mono-tiny."""
+    return _load("lite_mono_tiny", **options)
+
+
+def lite_mono_small(**options: _Any) -> _DepthNet:
+    """Lite-Mono-small."""
+    return _load("lite_mono_small", **options)
+
+
+def lite_mono_8m(**options: _Any) -> _DepthNet:
+    """Lite-Mono-8M."""
+    return _load("lite_mono_8m", **options)
+
+
+def meter_xxs(**options: _Any) -> _DepthNet:
+    """METER-XXS."""
+    return _load("meter_xxs", **options)
+
+
+def meter_xs(**options: _Any) -> _DepthNet:
+    """METER-XS."""
+    return _load("meter_xs", **options)
+
+
+def meter_s(**options: _Any) -> _DepthNet:
+    """METER-S."""
+    return _load("meter_s", **options)

@@ -28,6 +28,7 @@ class Progress:
     sums: dict[str, float] = field(default_factory=dict)  # of the losses of this epoch's batches
     history: list[dict[str, float]] = field(default_factory=list)
     seconds: float = 0.0  # spent in training steps, over all sittings
+    waited: float = 0.0  # [s] for batches between the steps, the workers' start included
 
 
 @dataclass

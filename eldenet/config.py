@@ -112,9 +112,9 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         raise ValueError(str(error)) from error
 
 
-def build_model(config: DictConfig) -> Any:
-    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``."""
-    return instantiate(config)
+def build_model(config: DictConfig, **arguments: Any) -> Any:
+    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
+    return instantiate(config, **arguments)
 
 
 def build_protocol(config: DictConfig) -> Any:
@@ -150,7 +150,7 @@ def build_split(
     steps: list[Any] = []
     changes: dict[str, Any] = {}
     if score and config.data[split].get("load_size") is not None:
-        changes = {"load_size": None, "cache": False}
+        changes = {"load_size": None, "cache": "none"}
     if protocol.changes_frames:
         steps.append(
             ResizeCrop(
@@ -170,7 +170,7 @@ def build_split(
                 split,
                 protocol.name,
             )
-            changes = {"load_size": None, "cache": False}
+            changes = {"load_size": None, "cache": "none"}
     if augment and config.get("augmentation"):  # augmentation=none is an empty node
         steps.append(instantiate(config.augmentation))
     dataset = instantiate(

@@ -1,7 +1,7 @@
 """Score a model on a data set under a protocol."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,13 @@ class Evaluation:
     Attributes:
         metrics: by name, with ``images`` and ``pixels``.
         rows: ``(name, *metrics)`` per image, in the data set's order.
+        classes: of the data set's semantic labels, see :meth:`~eldenet.metrics.DepthMetrics.by_class`; empty
+            where it has none.
     """
 
     metrics: dict[str, float]
     rows: list[tuple[Any, ...]]
+    classes: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 @torch.inference_mode()
@@ -75,20 +78,21 @@ def evaluate(
     loader: DataLoader = evaluation_loader(
         dataset, batch_size, workers=workers, rank=rank, processes=processes
     )
-    metrics = DepthMetrics(protocol, sync=processes > 1).to(device)
+    metrics = DepthMetrics(protocol, sync=processes > 1, classes=dataset.class_names).to(device)
     rows: list[tuple[Any, ...]] = []
     with eval_mode(model):
         for batch in loader:
             image = batch["image"].to(device, memory_format=torch.channels_last)
             prediction = predict_depth(model, image, flip=protocol.flip)
-            metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device))
+            labels = batch["labels"].to(device) if "labels" in batch else None
+            metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device), labels)
             values = metrics.rows.cpu().tolist()
             rows += [(name, *row) for name, row in zip(batch["name"], values, strict=True)]
             if advance is not None:
                 advance(len(image))
     if processes > 1:
         rows = _gather_rows(rows)
-    return Evaluation(metrics.compute(), rows)
+    return Evaluation(metrics.compute(), rows, metrics.by_class())
 
 
 def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

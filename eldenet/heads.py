@@ -87,3 +87,30 @@ class LogHead(Head):
         return _logit(
             (self._clamped(depth) / self.min_depth).log() / math.log(self.max_depth / self.min_depth)
         )
+
+
+class ScaledHead(Head):
+    """The raw map is depth in a unit of its own, clamped to the range: for networks trained elsewhere.
+
+    Raw values beyond the range get no gradient, so a network that starts far away may not learn; the other
+    heads squash instead.
+
+    Args:
+        scale: [m] per unit of the raw map; 0.01 for centimetres.
+        min_depth: [m].
+        max_depth: [m].
+    """
+
+    def __init__(self, scale: float = 1.0, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
+        super().__init__(min_depth, max_depth)
+        if scale <= 0:
+            raise ValueError(f"scale={scale}: metres per unit of the raw map, more than 0 is needed")
+        self.scale = float(scale)
+
+    def to_metres(self, raw: Tensor) -> Tensor:
+        """Map any real number to metres."""
+        return self._clamped(raw * self.scale)
+
+    def from_metres(self, depth: Tensor) -> Tensor:
+        """Inverse of :meth:`to_metres`."""
+        return self._clamped(depth) / self.scale

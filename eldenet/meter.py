@@ -1,11 +1,24 @@
-"""Adds up the losses of an epoch, and notices the first one that is not a number."""
+"""Adds up an epoch's losses and the time spent waiting for data; notices a loss that is not a number."""
 
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 from torch import Tensor
 
+from eldenet.checkpoint import Progress
+
 LOOK_EVERY = 10  # steps: each look makes the host wait for an accelerator
+
+
+def timed(batches: Iterable[dict[str, Any]], progress: Progress) -> Iterator[dict[str, Any]]:
+    """The same batches; how long each one was waited for is added to ``progress.waited``."""
+    started = time.monotonic()
+    for batch in batches:
+        progress.waited += time.monotonic() - started
+        yield batch
+        started = time.monotonic()
 
 
 class LossMeter:

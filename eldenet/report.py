@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.metrics import LOWER_IS_BETTER, METRICS, UNITS, EvalProtocol
+from eldenet.metrics import CLASS_METRICS, LOWER_IS_BETTER, METRICS, UNITS, EvalProtocol
 from eldenet.record import RUN_FILE, read_run
 
 if TYPE_CHECKING:
@@ -139,6 +139,14 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         for label, group in ((str(run["model"]), "metrics"), ("constant predictor", "constant_predictor"))
     ]
     log.table(protocol_line(run), names, rows)
+    classes = run.get("errors_by_class") or {}
+    if classes:
+        rows = [
+            [name, *(number(metric, errors[metric]) for metric in CLASS_METRICS), f"{errors['pixels']:,}"]
+            for name, errors in classes.items()
+        ]
+        columns = ["class", *(heading(metric, run) for metric in CLASS_METRICS), "pixels"]
+        log.table("errors by class, all of its pixels pooled", columns, rows)
     log.table(
         cost_line(run),
         [heading(name, run) for name in COSTS],

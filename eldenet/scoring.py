@@ -73,6 +73,8 @@ def score_and_record(
     )
     log.close()
     train_set = cfg.build_split(config, "train", protocol)
+    if train_set.cache == "ram":
+        train_set.cache = "none"  # each frame is read once: nothing to keep
     constant = fit_constant_predictor(train_set).to(resources.device)
     baseline = score(constant, "evaluating the constant predictor")
     sample = dataset[0]["image"]
@@ -84,7 +86,12 @@ def score_and_record(
         "skipped": {"train": train_set.skipped, **(skipped or {}), split: dataset.skipped},
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,
+        "errors_by_class": result.classes or None,
         "constant_predictor": baseline.metrics,
+        "normalisation": {
+            "mean": [round(value, 6) for value in model.mean.flatten().tolist()],
+            "std": [round(value, 6) for value in model.std.flatten().tolist()],
+        },
         "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),

@@ -17,6 +17,7 @@ def main(config: "DictConfig", folder: Path) -> float:
     """Train, evaluate the best epoch on the test split, measure its cost, write and show the result."""
     from omegaconf import OmegaConf
 
+    from eldenet.normalisation import normalisation, write_normalisation
     from eldenet.report import closing_table
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
@@ -36,10 +37,15 @@ def main(config: "DictConfig", folder: Path) -> float:
     )
     loss = cfg.instantiate(config.loss)
     log = RunLog(folder, quiet=not cfg.is_main_process())
-    model = build_seeded_model(config, log)
+    resumed = None if checkpoint is None else run_folder(checkpoint)
+    chosen = normalisation(cfg.plain(config.normalisation), train_set, resumed=resumed)
+    if chosen.keys() & config.model.keys():
+        raise ValueError("both normalisation and model.mean or model.std are given: take one of them")
+    model = build_seeded_model(config, log, **chosen)
     if cfg.is_main_process():
         folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(config, folder / "config.yaml", resolve=True)
+        write_normalisation(folder, cfg.plain(config.normalisation), chosen)
     log.say(
         f"{config.data.name}: {len(train_set)} training and {len(val_set)} validation frames; "
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
@@ -82,12 +88,15 @@ def main(config: "DictConfig", folder: Path) -> float:
     return progress.best_value
 
 
-def build_seeded_model(config: "DictConfig", log: "RunLog") -> "DepthNet":
-    """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``."""
+def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) -> "DepthNet":
+    """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``.
+
+    ``arguments`` go to its constructor beside those of ``config.model``.
+    """
     from eldenet.resources import seed_everything
 
     seed_everything(config.seed)
-    model = cfg.build_model(config.model)
+    model = cfg.build_model(config.model, **arguments)
     if config.weights is not None:
         import eldenet
 
@@ -130,6 +139,11 @@ def _checkpoint(config: "DictConfig", folder: Path) -> Path | None:
         return None if config.ckpt_path is None else Path(config.ckpt_path)
     own = folder / "checkpoints" / "last.pt"
     return own if own.is_file() else None
+
+
+def run_folder(checkpoint: Path) -> Path:
+    """The run that a checkpoint, or a run's folder, belongs to."""
+    return checkpoint if checkpoint.is_dir() else checkpoint.parent.parent
 
 
 def _load_best(folder: Path, config: "DictConfig") -> "DepthNet":

@@ -15,7 +15,7 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.loading import EpochSampler, training_loader
 from eldenet.evaluation import evaluate, sample_rows
 from eldenet.losses.base import WeightedSum
-from eldenet.meter import LossMeter
+from eldenet.meter import LossMeter, timed
 from eldenet.metrics import LOWER_IS_BETTER, METRICS, EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.resources import Resources, make_accelerator, seed_everything
@@ -118,7 +118,7 @@ class Trainer:
                 batches * self.batch_size,
                 progress.batch * self.batch_size,
             ) as bar:
-                for batch in self.loader:
+                for batch in timed(self.loader, progress):
                     started = time.monotonic()
                     progress.batch += 1
                     update = progress.batch % self.accumulate == 0 or progress.batch == batches
@@ -132,6 +132,7 @@ class Trainer:
                     )
             self._end_epoch(epoch)
         self.log.close()
+        del self.loader  # its workers end with it
         return progress
 
     def train_step(self, batch: dict[str, Any], *, update: bool) -> dict[str, Tensor]:
@@ -175,7 +176,7 @@ class Trainer:
         seed_everything(self.seed)
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
-        self.folder, self.protocol, self.val_set = folder, protocol, val_set
+        self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
@@ -292,6 +293,7 @@ class Trainer:
                 self.protocol,
                 device=self.accelerator.device,
                 batch_size=self.batch_size,
+                workers=self.workers,
                 rank=self.rank,
                 processes=self.processes,
                 advance=bar.advance,

@@ -1,6 +1,6 @@
 """The few types that everything else speaks: no project imports here."""
 
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 from torch import Tensor
@@ -21,12 +21,14 @@ class Frame(NamedTuple):
         depth: ``(H, W)`` float32 [m], 0 = unknown.
         intrinsics: ``(3, 3)`` float64 [px of this image], or None where the data set has none.
         name: unique within the data set, stable over machines.
+        labels: semantic class of each pixel of ``depth``, ``(H, W)`` uint8, 255 = none; None where not read.
     """
 
     image: np.ndarray
     depth: np.ndarray
     intrinsics: np.ndarray | None
     name: str
+    labels: np.ndarray | None = None
 
 
 class DepthSample(TypedDict):
@@ -39,6 +41,8 @@ class DepthSample(TypedDict):
         mask: ``(1, H, W)`` bool, True where the depth is known and within the data set's range.
         intrinsics: ``(3, 3)`` float [px of this image, after resize and crop]; zeros where unknown.
         name: the frame's name.
+        labels: ``(1, H, W)`` uint8 semantic class of each pixel of ``depth``, 255 = none; only where the
+            data set reads them.
     """
 
     image: Tensor
@@ -46,3 +50,4 @@ class DepthSample(TypedDict):
     mask: Tensor
     intrinsics: Tensor
     name: str
+    labels: NotRequired[Tensor]

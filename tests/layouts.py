@@ -157,6 +157,13 @@ def cityscapes(root: Path, frame: Content = SMALL, place: str = "{kind}", camera
     return root
 
 
+def gt_fine(root: Path, ids: np.ndarray) -> None:
+    """The label ids of every frame of :func:`cityscapes`."""
+    for part, cities in CITIES.items():
+        for city in cities:
+            picture(root / f"gtFine/{part}/{city}/{city}_000000_000019_gtFine_labelIds.png", ids)
+
+
 def cityscapes_mtan(root: Path, size: tuple[int, int] = (128, 256), count: int = 4) -> Path:
     """MTAN's arrays: v = p / 65535."""
     metres = np.random.default_rng(0).uniform(4, 70, (*size, 1))

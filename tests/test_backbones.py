@@ -26,10 +26,11 @@ HAS_TIMM = importlib.util.find_spec("timm") is not None
 
 @functools.lru_cache(maxsize=1)  # one at a time: the large ones take hundreds of megabytes
 def built(name: str) -> Backbone:
-    if name == "timm" and not HAS_TIMM:
+    config = yaml.safe_load(CONFIGS[name].read_text())
+    if config["_target_"].endswith("TimmBackbone") and not HAS_TIMM:
         pytest.skip("timm is not installed")
     torch.manual_seed(0)
-    return build(yaml.safe_load(CONFIGS[name].read_text()))
+    return build(config)
 
 
 # Of module scope, so that pytest runs one backbone's tests after another and each is built once.

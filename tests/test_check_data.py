@@ -98,7 +98,7 @@ def test_all_frames_missing_is_a_fault(tmp_path: Path) -> None:
 
 
 def test_rooms_are_checked_too(tmp_path: Path, cache: str) -> None:
-    overrides = ["data.size=[32,40]", "data.input_size=[32,40]", f"data.cache={cache}", "frames=3"]
+    overrides = ["data.size=[32,40]", "data.input_size=[32,40]", f"data.root={cache}", "frames=3"]
     good, report = run(tmp_path, *overrides, "data.frames={train: 16, val: 8, test: 8}", "samples=0")
     assert good
     assert [part["looked_at"] for part in report["splits"]] == [3, 3, 3]

@@ -188,7 +188,7 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
     run = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run["metrics"]["images"] == 8
     # both halves of the validation were scored with the weights and statistics that were saved
-    data = compose("train", [*TINY[:2], f"data.cache={cache}"]).data
+    data = compose("train", [*TINY[:2], f"data.root={cache}"]).data
     val_set = instantiate(data.val, frames=7, resize_depth=False)
     saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data.protocol)).metrics
     assert run["training"]["best_value"] == pytest.approx(saved["abs_rel"], rel=1e-6)

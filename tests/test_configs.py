@@ -48,6 +48,7 @@ HIDDEN: dict[str, set[str]] = {
         "refine",  # chosen as a group: model/refine=joint_bilateral
         "normalisation",  # ImageNet's, which every pretrained backbone expects
     },
+    "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, of networks that are one piece
     # Numbers of one machine, not of the data set; the default fits every machine.
     "eldenet.data.rooms.Rooms": {"workers"},
     # torch's own long tail (foreach, capturable, ...): +optimizer.eps=... adds what is needed.

@@ -24,7 +24,7 @@ LAYERS = {
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
     4: "averaging checkpoint evaluation legend meter pictures pointcloud predictions predictor "
-    "profiling record runlog runtimes schedules",
+    "normalisation profiling record runlog runtimes schedules",
     5: "trainer",
     6: "perception",
     7: "navigation",
@@ -32,7 +32,8 @@ LAYERS = {
     "train evaluate benchmark predict predict_boxes export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
-SIBLINGS_THAT_MAY = {("data", "simulation")}  # the rendered data sets
+# the rendered data sets; whole networks share helpers with the parts
+SIBLINGS_THAT_MAY = {("data", "simulation"), ("baselines", "backbones"), ("baselines", "decoders")}
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 

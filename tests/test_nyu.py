@@ -77,7 +77,7 @@ def test_labelled(tmp_path: Path) -> None:
 
 
 def test_load_size_and_cache(tmp_path: Path) -> None:
-    data = NYULabelled(labelled(tmp_path), load_size=(12, 16), cache=True)
+    data = NYULabelled(labelled(tmp_path), load_size=(12, 16), cache="ram")
     first = data[0]
     assert first["image"].shape == (3, 12, 16)
     assert first["depth"].shape == (1, 12, 16)

@@ -164,7 +164,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(cache):
-    return Rooms("train", 70, size=SIZE, cache=cache, workers=0)
+    return Rooms("train", 70, size=SIZE, root=cache, workers=0)
 
 
 def test_sample_types(dataset):
@@ -198,12 +198,12 @@ def test_stored_depth_keeps_a_tenth_of_a_millimetre(dataset):
 def test_fewer_and_more_frames_reuse_shards(dataset, cache, monkeypatch):
     asked = []
     monkeypatch.setattr(rooms_module, "render_missing", lambda *args: asked.append(list(args[2])))
-    few = Rooms("train", 10, size=SIZE, cache=cache)
+    few = Rooms("train", 10, size=SIZE, root=cache)
     assert not asked
     assert few.names == dataset.names[:10]
-    Rooms("train", 200, size=SIZE, cache=cache)
+    Rooms("train", 200, size=SIZE, root=cache)
     assert asked == [[2, 3]]
-    Rooms("val", 10, size=SIZE, cache=cache)
+    Rooms("val", 10, size=SIZE, root=cache)
     assert asked[-1] == [0]
 
 
@@ -223,7 +223,7 @@ def test_damaged_shards_are_rendered_again(dataset, cache, damage):
     else:
         (folder / "shard.json").write_text("{")
     assert not is_whole(folder)
-    again = Rooms("train", 70, size=SIZE, cache=cache, workers=0)
+    again = Rooms("train", 70, size=SIZE, root=cache, workers=0)
     assert is_whole(folder)
     np.testing.assert_array_equal(open_shard(folder)[0], whole)
     assert again.load_frame(69).image.shape == (*SIZE, 3)
@@ -283,7 +283,7 @@ def test_pickled_data_sets_open_their_own_maps(dataset):
 )  # fmt: skip
 def test_bad_arguments(bad, tmp_path):
     with pytest.raises(ValueError, match=r"give|splits"):
-        Rooms(cache=tmp_path, **bad)
+        Rooms(root=tmp_path, **bad)
 
 
 def test_statistics(dataset):

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 import torch
@@ -12,6 +12,9 @@ from torch.utils.data import Dataset
 from eldenet.data.roots import check_files, missing_files, one_of
 from eldenet.geometry import resize_intrinsics, resize_sparse
 from eldenet.types import DepthSample, Frame
+
+if TYPE_CHECKING:
+    from eldenet.data.cache import FrameStore
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int]
@@ -29,7 +32,7 @@ class SampleOptions(TypedDict, total=False):
     resize_depth: bool
     seed: int
     load_size: Sequence[int] | None
-    cache: bool
+    cache: str
     on_error: str
 
 
@@ -50,7 +53,8 @@ class DepthDataset(Dataset[DepthSample]):
         seed: of the augmentation.
         load_size: ``(height, width)`` a frame is resized to as soon as it is read, before the transform [px]:
             an augmentation at the training size costs a tenth of one at the camera's. None keeps the frame's.
-        cache: keep the frames in memory once read (and resized), one copy per worker.
+        cache: keep the frames once read (and resized): "disk" for this run and later ones, "ram" for this
+            run alone, one copy for all workers; or "none". See :mod:`eldenet.data.cache`.
         on_error: "stop" at a frame whose files are missing or cannot be read, or "skip": leave it out of
             ``names`` and list it in ``skipped``. Missing files are found at once, the others by
             :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
@@ -65,6 +69,7 @@ class DepthDataset(Dataset[DepthSample]):
 
     ground_truth = "raw"
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
+    class_names: tuple[str, ...] = ()  # of the semantic labels, by their number; none where they are not read
 
     def __init__(
         self,
@@ -77,12 +82,13 @@ class DepthDataset(Dataset[DepthSample]):
         resize_depth: bool = True,
         seed: int = 0,
         load_size: Sequence[int] | None = None,
-        cache: bool = False,
+        cache: str = "none",
         on_error: str = "stop",
     ) -> None:
         if not names:
             raise ValueError(f"{type(self).__name__} found no frames: check root and split")
         one_of("on_error", on_error, ("stop", "skip"))
+        one_of("cache", cache, ("none", "ram", "disk"))
         self.on_error = on_error
         self.skipped: dict[str, str] = {}
         self.names = list(names)
@@ -92,11 +98,23 @@ class DepthDataset(Dataset[DepthSample]):
         self.resize_depth = resize_depth
         self.seed = seed
         self.load_size = None if load_size is None else (int(load_size[0]), int(load_size[1]))
-        self._cache: dict[int, Frame] | None = {} if cache else None
+        self.cache = cache
+        self._store: FrameStore | None = None
 
     def load_frame(self, index: int) -> Frame:
         """Read frame ``index`` from disk, decoded to RGB and metres."""
         raise NotImplementedError
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The files that frame ``index`` is read from: where one changes, a disk cache reads it again."""
+        raise ValueError(
+            f"{type(self).__name__} does not say which files a frame is read from, so a disk cache would not "
+            "notice when they change: write its frame_files, or take cache=ram"
+        )
+
+    def frame_settings(self) -> dict[str, object]:
+        """The adapter's own settings that :meth:`load_frame` depends on, as plain values: for a cache."""
+        return {}
 
     def check_frames(self, root: Path, files: Sequence[Sequence[str]]) -> None:
         """Stop at frames whose files are not there, or leave them out; an adapter's constructor ends with it.
@@ -152,8 +170,7 @@ class DepthDataset(Dataset[DepthSample]):
         for name in self.frame_lists:
             entries = getattr(self, name)
             setattr(self, name, [entries[index] for index in indices])
-        if self._cache is not None:
-            self._cache = {}
+        self._store = None
 
     def leave_out_unreadable(self) -> None:
         """Read every frame once and leave out those that cannot be read."""
@@ -186,15 +203,29 @@ class DepthDataset(Dataset[DepthSample]):
             frame = self._resized(frame, self.input_size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
+    def open_cache(self) -> None:
+        """Open the frame cache, if there is to be one: once, before worker processes that shall share it.
+
+        Raises:
+            ValueError: cache=ram and too little memory, or cache=disk and no ``frame_files``.
+        """
+        if self.cache != "none" and self._store is None:
+            from eldenet.data.cache import open_store
+
+            self._store = open_store(self)
+            if self._store is None:
+                self.cache = "none"
+
     def _ready_frame(self, index: int) -> Frame:
-        if self._cache is not None and index in self._cache:
-            return self._cache[index]
+        self.open_cache()
+        if self._store is None:
+            return self.read_ready(index)
+        return self._store.frame(index, self.names[index], self.frame_files, self.read_ready)
+
+    def read_ready(self, index: int) -> Frame:
+        """Frame ``index`` read from its files and brought to ``load_size``; what a cache keeps."""
         frame = self.load_frame(index)
-        if self.load_size is not None:
-            frame = self._resized(frame, self.load_size)
-        if self._cache is not None:
-            self._cache[index] = frame
-        return frame
+        return frame if self.load_size is None else self._resized(frame, self.load_size)
 
     def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
         sparse = self.ground_truth in SPARSE
@@ -210,18 +241,20 @@ def resize_frame(
     """
     import cv2
 
-    image, depth, intrinsics, name = frame
+    image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
         shrink = image.shape[0] > size[0]
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
     if resize_depth and depth.shape != size:
+        if labels is not None:
+            labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
         if sparse:
             depth = resize_sparse(depth, size)
         else:
             depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-    return Frame(image, depth, intrinsics, name)
+    return Frame(image, depth, intrinsics, name, labels)
 
 
 def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
@@ -229,13 +262,16 @@ def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
     known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
     depth = np.where(known, frame.depth, 0.0).astype(np.float32)
     intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
-    return {
+    sample: DepthSample = {
         "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))).float().div_(255.0),
         "depth": torch.from_numpy(depth)[None],
         "mask": torch.from_numpy(known)[None],
         "intrinsics": torch.from_numpy(np.array(intrinsics, dtype=np.float32)),
         "name": frame.name,
     }
+    if frame.labels is not None:
+        sample["labels"] = torch.from_numpy(np.ascontiguousarray(frame.labels))[None]
+    return sample
 
 
 class Chain:

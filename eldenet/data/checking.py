@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.data.base import DepthDataset
+from eldenet.data.statistics import ChannelSums
 
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a per cent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
@@ -112,13 +113,13 @@ def check_split(
     sizes: Counter[str] = Counter()
     fine = np.zeros(len(_EDGES) - 1, np.int64)
     coarse = np.zeros(HISTOGRAM_BINS, np.int64)
-    pixels = valid = outside = colours = 0
-    sums, squares = np.zeros(3), np.zeros(3)
+    pixels = valid = outside = 0
+    colours = ChannelSums()
     for index in spread(len(dataset), frames):
         advance(1)
         found.looked_at += 1
         try:
-            image, depth, intrinsics, name = dataset.load_frame(index)
+            image, depth, intrinsics, name, _ = dataset.load_frame(index)
         except (ValueError, OSError) as error:
             found.unreadable[dataset.names[index]] = str(error)
             continue
@@ -131,12 +132,7 @@ def check_split(
         outside += int(known.sum()) - values.size
         fine += np.histogram(values, _EDGES)[0]
         coarse += np.histogram(values, HISTOGRAM_BINS, (0.0, dataset.max_depth))[0]
-        small = image[::4, ::4].reshape(-1, 3) / 255.0  # every sixteenth pixel says as much
-        colours, sums, squares = (
-            colours + len(small),
-            sums + small.sum(0),
-            squares + np.square(small).sum(0),
-        )
+        colours.add(image)
         if intrinsics is not None:
             found.with_intrinsics += 1
             if found.intrinsics is None:
@@ -148,10 +144,7 @@ def check_split(
         share = np.cumsum(fine) / fine.sum()
         middles = np.sqrt(_EDGES[:-1] * _EDGES[1:])
         found.percentiles = {f"p{q}": float(middles[np.argmax(share >= q / 100)]) for q in _PERCENTILES}
-    if colours:
-        mean = sums / colours
-        found.mean = mean.tolist()
-        found.std = np.sqrt(np.maximum(squares / colours - mean**2, 0)).tolist()
+    found.mean, found.std = colours.mean, colours.std
     return found
 
 

@@ -11,8 +11,10 @@ from typing import Unpack
 
 import numpy as np
 
+from eldenet.data.arrays import read_array, read_text
 from eldenet.data.base import DepthDataset, SampleOptions
-from eldenet.data.io import DepthEncoding, decode_depth, read_array, read_depth, read_image, read_raw_depth
+from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
+from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
 from eldenet.data.roots import find_root, one_of
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.types import Frame
@@ -25,12 +27,14 @@ CITYSCAPES_TREE = """
 leftImg8bit/{train,val,test}/<city>/<city>_000000_000019_leftImg8bit.png
 disparity/{train,val,test}/<city>/<city>_000000_000019_disparity.png       (16 bits)
 camera/{train,val,test}/<city>/<city>_000000_000019_camera.json
+gtFine/{train,val,test}/<city>/<city>_000000_000019_gtFine_labelIds.png    (optional: for errors by class)
 (each also below its zip's name: disparity_trainvaltest/disparity/..., disparity_trainvaltest/...)
 """
 MTAN_TREE = """
 train/image/0.npy ... 2974.npy     (128, 256, 3) float, 0 to 1
 train/depth/0.npy ...              (128, 256, 1) float, inverse depth, 0 = unknown
 val/image/0.npy ... 499.npy, val/depth/0.npy ...
+train/label/0.npy ..., val/label/...   (optional: (128, 256), classes, -1 = none; or label_7, label_19)
 """
 KINDS = {"leftImg8bit": ".png", "disparity": ".png", "camera": ".json"}
 
@@ -48,6 +52,8 @@ class Cityscapes(DepthDataset):
         split: "train" and "val", parts of the official training frames that share no city, "trainval" for all
             of these, "official_val" (500 frames) or "official_test" (1,525).
         val_cities: cities of the official training part that are for validation.
+        labels: read ``gtFine``'s 19 classes along, for errors by class: True, False, or "auto" for those that
+            are there.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
 
     Raises:
@@ -64,6 +70,7 @@ class Cityscapes(DepthDataset):
         *,
         split: str = "train",
         val_cities: Sequence[str] = ("darmstadt", "ulm"),
+        labels: bool | str = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         one_of("split", split, ("train", "val", "trainval", "official_val", "official_test"))
@@ -88,16 +95,22 @@ class Cityscapes(DepthDataset):
                 )
             names = [name for name in names if (name.split("/")[1] in val_cities) == (split == "val")]
         super().__init__(names, **options)
-        self.files = [
-            tuple(f"{places[kind]}/{_below(name)}_{kind}{ending}" for kind, ending in KINDS.items())
-            for name in names
-        ]
+        kinds = [(places[kind], f"{kind}{ending}") for kind, ending in KINDS.items()]
+        gt_fine = next((place for place in _places("gtFine", part) if (self.root / place).is_dir()), None)
+        if wanted_labels(labels, gt_fine is not None, f"gtFine/{part} in {self.root}"):
+            self.class_names = tuple(CLASS_IDS)
+            kinds.append((str(gt_fine), "gtFine_labelIds.png"))
+        self.files = [tuple(f"{place}/{_below(name)}_{kind}" for place, kind in kinds) for name in names]
         self.check_frames(self.root, self.files)
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture, disparity and camera."""
+        return [self.root / file for file in self.files[index]]
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
-        image_file, disparity_file, camera_file = (self.root / file for file in self.files[index])
-        image = read_image(image_file)
+        image_file, disparity_file, camera_file, *label_file = (self.root / f for f in self.files[index])
+        image = read_image(image_file, grey=False)
         disparity = read_depth(disparity_file, DISPARITY)
         if image.shape[:2] != disparity.shape:
             raise ValueError(
@@ -107,7 +120,9 @@ class Cityscapes(DepthDataset):
         intrinsics, baseline = read_camera(camera_file)
         depth = disparity_to_depth(disparity, intrinsics[0, 0], baseline)
         intrinsics = resize_intrinsics(intrinsics, CITYSCAPES_SIZE, (image.shape[0], image.shape[1]))
-        return Frame(image, depth, intrinsics, self.names[index])
+        labels = read_label_ids(label_file[0]) if label_file else None
+        _same_as(labels, depth, label_file)
+        return Frame(image, depth, intrinsics, self.names[index], labels)
 
 
 def read_camera(path: Path) -> tuple[np.ndarray, float]:
@@ -117,10 +132,9 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         FileNotFoundError: where there is no such file.
         ValueError: naming the file, where it is cut or a number is missing or cannot be.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: fetch camera_trainvaltest.zip")
+    text = read_text(path, "fetch camera_trainvaltest.zip")
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(text)
         camera = content["intrinsic"]
         fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
         baseline = float(content["extrinsic"]["baseline"])
@@ -128,14 +142,17 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         raise ValueError(
             f"{path} is cut or is no Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
         ) from error
-    if not (fx > 0 and fy > 0 and baseline > 0):
-        raise ValueError(f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0: fetch it again")
+    if not (min(fx, fy, baseline) > 0 and np.isfinite([fx, fy, cx, cy, baseline]).all()):
+        raise ValueError(
+            f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0, and u0={cx}, v0={cy} "
+            "finite: fetch it again"
+        )
     return pinhole(fx, fy, cx, cy), baseline
 
 
 def _place(root: Path, kind: str, part: str) -> str:
     """The folder of one kind of file, relative to ``root``, however its zip was unpacked."""
-    places = [f"{kind}/{part}", f"{kind}_trainvaltest/{kind}/{part}", f"{kind}_trainvaltest/{part}"]
+    places = _places(kind, part)
     found = next((place for place in places if (root / place).is_dir()), None)
     if found is None:
         raise FileNotFoundError(
@@ -143,6 +160,17 @@ def _place(root: Path, kind: str, part: str) -> str:
             f"Expected tree:\n{CITYSCAPES_TREE.strip()}"
         )
     return found
+
+
+def _places(kind: str, part: str) -> list[str]:
+    return [f"{kind}/{part}", f"{kind}_trainvaltest/{kind}/{part}", f"{kind}_trainvaltest/{part}"]
+
+
+def _same_as(labels: np.ndarray | None, depth: np.ndarray, files: Sequence[Path]) -> None:
+    if labels is not None and labels.shape != depth.shape:
+        raise ValueError(
+            f"{files[0]} is {labels.shape}, depth is {depth.shape} (height, width): they are no pair"
+        )
 
 
 def _below(name: str) -> str:
@@ -166,6 +194,8 @@ class CityscapesMTAN(DepthDataset):
         val_frames: how many of the training frames are for validation: those of the highest numbers.
         baseline: of the stereo camera, one for all frames [m].
         focal: fx at 2048 pixels of width, one for all frames [px].
+        labels: read ``label`` (or ``label_19``, ``label_7``) along, for errors by class: True, False, or
+            "auto" for those that are there. The set does not name its classes.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
 
     Raises:
@@ -184,6 +214,7 @@ class CityscapesMTAN(DepthDataset):
         val_frames: int = 150,
         baseline: float = 0.22,
         focal: float = 2262.52,
+        labels: bool | str = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         one_of("split", split, ("train", "val", "trainval", "official_val"))
@@ -203,7 +234,12 @@ class CityscapesMTAN(DepthDataset):
                 raise ValueError(f"val_frames={val_frames}: give at least 1 and fewer than {len(numbers)}")
             numbers = numbers[-val_frames:] if split == "val" else numbers[:-val_frames]
         super().__init__([f"{part}/{number}" for number in numbers], **options)
-        self.files = [(f"{part}/image/{n}.npy", f"{part}/depth/{n}.npy") for n in numbers]
+        kinds = ["image", "depth"]
+        found = [kind for kind in ("label", "label_19", "label_7") if (self.root / part / kind).is_dir()]
+        if wanted_labels(labels, bool(found), f"{part}/label in {self.root}"):
+            self.class_names = tuple(f"class {number}" for number in range(len(CLASS_IDS)))
+            kinds.append(found[0])
+        self.files = [tuple(f"{part}/{kind}/{n}.npy" for kind in kinds) for n in numbers]
         self.constant = baseline * focal * 256
         self.encoding = DepthEncoding("MTAN inverse depth", dtype="float", decode=self._metres)
         self.check_frames(self.root, self.files)
@@ -212,9 +248,17 @@ class CityscapesMTAN(DepthDataset):
         steps = inverse.astype(np.float64) * 65535 - 1  # of 1/256 px; up to 0 is infinitely far
         return np.where(steps > 1e-6, self.constant / np.maximum(steps, 1e-6), 0.0)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and inverse depth."""
+        return [self.root / file for file in self.files[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """What makes metres of inverse depth."""
+        return {"constant": self.constant}
+
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
-        image_file, depth_file = (self.root / file for file in self.files[index])
+        image_file, depth_file, *label_file = (self.root / file for file in self.files[index])
         image, inverse = read_array(image_file), read_raw_depth(depth_file)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype.kind != "f":
             raise ValueError(f"{image_file} is {image.shape} {image.dtype}, wanted (H, W, 3) float")
@@ -232,4 +276,7 @@ class CityscapesMTAN(DepthDataset):
                 f"{depth_file} reaches {inverse.max()}: inverse depth ends at 1, is it in metres?"
             )
         depth = decode_depth(inverse, self.encoding, depth_file)
-        return Frame((image.clip(0, 1) * 255).round().astype(np.uint8), depth, None, self.names[index])
+        labels = read_label_array(label_file[0], len(self.class_names)) if label_file else None
+        _same_as(labels, depth, label_file)
+        image = (image.clip(0, 1) * 255).round().astype(np.uint8)
+        return Frame(image, depth, None, self.names[index], labels)

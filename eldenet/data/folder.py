@@ -6,6 +6,7 @@ from typing import Unpack
 
 import numpy as np
 
+from eldenet.data.arrays import read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.roots import csv_pairs, find_root, one_of
@@ -96,6 +97,15 @@ class FolderDataset(DepthDataset):
         self.pairs = [pairs[name] for name in names]
         self.check_frames(self.root, self.pairs)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and depth."""
+        return [self.root / file for file in self.pairs[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """Encoding and camera."""
+        camera = None if self.intrinsics is None else self.intrinsics.tolist()
+        return {"encoding": self.encoding.description, "intrinsics": camera}
+
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
         image_file, depth_file = self.pairs[index]
@@ -166,9 +176,8 @@ def _val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -
 
 def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:
     if isinstance(val_names, str | Path):
-        if not Path(val_names).is_file():
-            raise FileNotFoundError(f"{val_names} does not exist: val_names is a list, or a text file")
-        val_names = [line.strip() for line in Path(val_names).read_text().splitlines() if line.strip()]
+        text = read_text(Path(val_names), "val_names is a list, or a text file")
+        val_names = [line.strip() for line in text.splitlines() if line.strip()]
     unknown = sorted(set(val_names) - set(names))
     if unknown:
         raise ValueError(

@@ -1,11 +1,17 @@
-"""Is a file whole? One check per format, on its bytes: decoders pass over much in silence.
+"""Is a picture's file whole? One check per format, on its bytes: decoders pass over much in silence.
 
 A check returns what is wrong, or "". A new format is one row in ``FORMATS``.
 """
 
+import os
 import re
+import sys
+import tempfile
+import threading
 import zlib
 from collections.abc import Callable
+
+import numpy as np
 
 _JPEG_MARKER = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # any marker that ends entropy-coded data
 
@@ -96,3 +102,49 @@ FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
     (b"MM\0*", _tiff_fault),
 )
 """First bytes of a file, and the check of its format; the one table."""
+
+
+# libjpeg's words for damage that it paints over. One to nine bytes too many are a habit of webcams: harmless.
+_COMPLAINT = re.compile(r"(?!.*: \d extraneous byte)(Corrupt JPEG data|Premature end of JPEG file).*")
+_STANDARD_ERROR = threading.Lock()  # of this process: one decoder at a time is listened to
+
+
+def decode_picture(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
+    """The picture as OpenCV decodes it, and what is wrong with it, or ""."""
+    if content.startswith(b"\xff\xd8"):
+        return _decode_jpeg(content, flags)
+    return _decode(content, flags)
+
+
+def _decode(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
+    import cv2
+
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags), ""
+    except cv2.error as error:  # such as a size that no memory holds
+        return None, str(error).strip().splitlines()[0]
+
+
+def _decode_jpeg(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
+    """Libjpeg goes on past damaged pixels and only prints that it did, from below Python.
+
+    So what it prints is read back from the standard error's file. Anybody else's words are written on.
+    """
+    with _STANDARD_ERROR, tempfile.TemporaryFile() as said:
+        try:
+            kept = os.dup(2)
+        except OSError:  # a service without a standard error: nothing is printed
+            return _decode(content, flags)
+        try:
+            os.dup2(said.fileno(), 2)
+            picture, fault = _decode(content, flags)
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        said.seek(0)
+        lines = said.read().decode(errors="replace").splitlines()
+    complaints = [line for line in lines if "JPEG" in line]
+    for line in lines:
+        if line not in complaints:
+            sys.stderr.write(f"{line}\n")
+    return picture, fault or next((line for line in complaints if _COMPLAINT.fullmatch(line)), "")

@@ -3,8 +3,6 @@
 A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``formats.FORMATS``.
 """
 
-import io
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.formats import FORMATS
+from eldenet.data.arrays import read_array, read_bytes, read_exr, read_pfm
+from eldenet.data.formats import FORMATS, decode_picture
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,11 @@ class DepthEncoding:
     decode: Callable[[np.ndarray], np.ndarray] | None = None
     lowest_peak: int = 0
 
+    @property
+    def description(self) -> str:
+        """Tells one encoding from another; ``decode`` goes by its name."""
+        return f"{self.name}: {self.scale!r}, {self.offset!r}, {self.dtype}"
+
     def to_metres(self, raw: np.ndarray) -> np.ndarray:
         """Turn ``(H, W)`` numbers of the file into float32 [m], 0 where unknown."""
         if raw.dtype in (np.uint8, np.uint16):
@@ -58,6 +62,10 @@ def _table(encoding: DepthEncoding, dtype: str) -> np.ndarray:
     return encoding._metres_of(np.arange(np.iinfo(dtype).max + 1, dtype=dtype))
 
 
+def _turned_bits(raw: np.ndarray) -> np.ndarray:
+    return ((raw >> 3) | (raw << 13)) / 1000.0
+
+
 ENCODINGS: dict[str, DepthEncoding] = {
     row.name: row
     for row in (
@@ -66,7 +74,7 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
         # SUN RGB-D turns the bits of its millimetres: (v >> 3) | (v << 13), as its toolbox reads them.
-        DepthEncoding("sunrgbd", 1e-3, decode=lambda v: ((v >> 3) | (v << 13)) / 1000.0, lowest_peak=255),
+        DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
         # DenseDepth's training pictures: eight bits over ten metres.
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
         # The labelled frames in eight bits: bin centres up to the set's largest depth.
@@ -107,21 +115,28 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
     return DepthEncoding("given", scale, offset, dtype)
 
 
-def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
+def read_image(path: str | Path, *, upright: bool = False, grey: bool = True) -> np.ndarray:
     """Read a picture as uint8 RGB, ``(H, W, 3)``.
 
     Args:
         path: JPEG, PNG, BMP, TIFF or binary PPM/PGM; recognised by content, not by its ending.
         upright: turn a photo as its EXIF says. False for data sets: their depth is stored as the pixels are.
+        grey: False refuses a grey picture: where every camera sees colour, it is something else.
 
     Raises:
         FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged or no picture.
+        ValueError: where the file is cut, damaged, or no picture of eight bits (or of colour, where asked).
     """
     import cv2
 
-    flags = cv2.IMREAD_COLOR if upright else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    picture = _decode(Path(path), flags)
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+    picture = _decode(Path(path), flags if upright else flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    if picture.dtype != np.uint8:
+        raise ValueError(f"{path} holds {picture.dtype}, a picture has 8 bits: is it a depth map?")
+    if picture.ndim == 2:
+        if not grey:
+            raise ValueError(f"{path} is grey, this data set's pictures have colour: is it a depth map?")
+        return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
@@ -177,6 +192,11 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
             "probably it was written in metres or in eight bits; if not, give encoding as {scale, dtype}"
         )
     metres = row.to_metres(raw)
+    if raw.any() and not metres.any():
+        raise ValueError(
+            f"{source} holds no depth above 0 m, but other numbers, all negative, NaN, infinite or without "
+            "a meaning in this encoding. Write the file again, 0 where depth is unknown"
+        )
     if row.name == "metres":
         known = metres[metres > 0]
         middle = float(np.median(known)) if known.size else 0.0
@@ -194,90 +214,17 @@ def _suggest(raw: np.ndarray) -> str:
     return f"for {raw.dtype} there is {', '.join(names) or 'no named encoding'}, or {{scale, offset, dtype}}"
 
 
-# --- whole files only -----------------------------------------------------------------------------------
-
-
-def _read_bytes(path: Path) -> bytes:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: check root, or fetch the file again")
-    return path.read_bytes()
-
-
-def read_array(path: Path) -> np.ndarray:
-    """A plain ``.npy`` file.
-
-    Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged or holds Python objects.
-    """
-    try:
-        # No pickles: a data file must not run code.
-        return np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise ValueError(
-            f"{path} is cut or is no plain .npy file ({error}): fetch or write it again"
-        ) from error
-
-
-def read_pfm(path: Path) -> np.ndarray:
-    """A portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
-
-    Convention: rows come from the bottom up; the third line's sign is the byte order, and its size is not
-    multiplied in, as in Middlebury's and MiDaS's own readers.
-
-    Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut or is no PFM.
-    """
-    content = _read_bytes(path)
-    header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)[ \t\r]*\n", content)
-    if header is None:
-        raise ValueError(f"{path} is no PFM file, or is cut within its header: fetch or write it again")
-    shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
-    wanted, have = 4 * int(np.prod(shape)), len(content) - header.end()
-    if have < wanted:
-        raise ValueError(f"{path} is cut ({have} of {wanted} bytes of pixels): fetch or copy it again")
-    order = "<f4" if float(header[4]) < 0 else ">f4"
-    values = np.frombuffer(content, order, wanted // 4, header.end()).reshape(shape)[::-1].astype(np.float32)
-    return values[..., 0] if shape[2] == 1 else values
-
-
-def read_exr(path: Path) -> np.ndarray:
-    """The one channel of an OpenEXR file, or any of several that are equal (grey), ``(H, W)``.
-
-    Raises:
-        FileNotFoundError: where there is no such file.
-        ImportError: OpenEXR is not installed; OpenCV's wheels come without it.
-        ValueError: where the file is cut, damaged, or its channels differ.
-    """
-    _read_bytes(path)
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except Exception as error:  # the library raises several kinds
-        raise ValueError(f"{path} is cut or is no OpenEXR file ({error}): fetch or write it again") from error
-    first, *others = channels.values()
-    if not all(np.array_equal(first, other) for other in others):
-        raise ValueError(f"{path} has the channels {', '.join(channels)}: write depth alone, as one channel")
-    return first
-
-
 def _decode(path: Path, flags: int) -> np.ndarray:
-    import cv2
-
-    content = _read_bytes(path)
+    content = read_bytes(path)
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None:
         raise ValueError(f"{path} is no JPEG, PNG, BMP, TIFF or binary PPM/PGM file ({len(content)} bytes)")
     # OpenCV returns a full-size picture from a third of a JPEG, so completeness is checked first.
     fault = check(content)
+    if not fault:
+        picture, fault = decode_picture(content, flags)
     if fault:
         raise ValueError(f"{path} is cut or damaged ({fault}): fetch or copy it again")
-    picture = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     if picture is None:
         raise ValueError(f"{path} is complete but cannot be decoded: write it again as PNG")
     return picture

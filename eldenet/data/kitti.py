@@ -11,6 +11,7 @@ from typing import Unpack
 
 import numpy as np
 
+from eldenet.data.arrays import read_text
 from eldenet.data.base import SampleOptions
 from eldenet.data.kitti_calibration import velodyne_to_image
 from eldenet.data.kitti_frames import KITTIFrames
@@ -158,6 +159,11 @@ class KITTIRaw(KITTIFrames):
         calibrated = self.calibrate([folder], "required")
         self.matrices = {key: velodyne_to_image(where, key[1]) for key, where in calibrated.items()}
 
+    def frame_settings(self) -> dict[str, object]:
+        """Calibration and projection."""
+        matrices = {f"scan {date} {camera}": m.tolist() for (date, camera), m in self.matrices.items()}
+        return {**super().frame_settings(), **matrices, "projection": self.projection}
+
     def read_sparse(self, index: int, size: tuple[int, int]) -> np.ndarray:
         """Project the frame's scan."""
         place = self.places[index]
@@ -203,25 +209,41 @@ class KITTISelection(KITTIFrames):
         places = sorted({*pictures, *maps})
         super().__init__(pictures, maps, places, frames=frames, **options)
         self.cameras = folder / "intrinsics"
-        lost = [str(file) for file in map(self._camera_file, range(len(self))) if not file.is_file()]
-        if lost and calibration == "required":
+        if calibration == "required":
+            self._check_cameras()
+
+    def _check_cameras(self) -> None:
+        files = {i: self._camera_file(i) for i in range(len(self))}
+        lost = {i: f"no intrinsics: {file}" for i, file in files.items() if not file.is_file()}
+        if lost and (self.on_error == "stop" or len(lost) == len(self)):
+            what = ", ".join(str(files[i]) for i in list(lost)[:3])
             raise FileNotFoundError(
-                f"{len(lost)} intrinsics are missing: {', '.join(lost[:3])} ...: complete the data set, or "
-                "do without, data.calibration=optional"
+                f"{len(lost)} intrinsics are missing: {what} ...: complete the data set, or do without, "
+                "data.calibration=optional"
             )
+        self.leave_out(lost)
 
     def _camera_file(self, index: int) -> Path:
         return self.cameras / f"{self.pictures[index].stem}.txt"
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture, depth and, where there is one, the camera's file."""
+        camera = self._camera_file(index)
+        return [*super().frame_files(index), *([camera] if camera.is_file() else [])]
+
     def camera_of(self, index: int) -> np.ndarray | None:
         """Intrinsics of the cropped picture, from its own file."""
         file = self._camera_file(index)
-        if not file.is_file():
+        if not file.exists():
             return None
+        text = read_text(file)
         try:
-            return np.array([float(number) for number in file.read_text().split()]).reshape(3, 3)
+            camera = np.array([float(number) for number in text.split()]).reshape(3, 3)
         except ValueError as error:
             raise ValueError(f"{file} does not hold nine numbers ({error}): fetch it again") from error
+        if not (np.isfinite(camera).all() and camera[0, 0] > 0 and camera[1, 1] > 0 and camera[2, 2] == 1):
+            raise ValueError(f"{file} holds no intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
+        return camera
 
 
 def _both(cameras: Sequence[int]) -> Sequence[int]:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.data.arrays import read_text
+
 CAM_TO_CAM, VELO_TO_CAM = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 
 
@@ -18,16 +20,9 @@ def read_calibration(path: Path) -> dict[str, np.ndarray]:
         FileNotFoundError: where there is no such file.
         ValueError: for a file that is no text or holds no such line.
     """
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist: it comes with KITTI's calibration zip of that date; put it there"
-        )
     entries = {}
-    try:
-        lines = path.read_text().splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text file: fetch it again") from error
-    for line in lines:
+    text = read_text(path, "fetch it again, from KITTI's calibration zip of that date")
+    for line in text.splitlines():
         key, _, numbers = line.partition(":")
         try:
             entries[key.strip()] = np.array([float(number) for number in numbers.split()])

@@ -76,9 +76,17 @@ class KITTIFrames(DepthDataset):
         """The date: KITTI's frames are rectified, and cut to size, once per date."""
         return self.places[index].date
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and source of depth."""
+        return [self.pictures[index], self.sources[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """The calibration, which is read at the start."""
+        return {f"{date} {camera}": matrix.tolist() for (date, camera), matrix in self.intrinsics.items()}
+
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its sparse depth."""
-        image = read_image(self.pictures[index])
+        image = read_image(self.pictures[index], grey=False)
         depth = self.read_sparse(index, (image.shape[0], image.shape[1]))
         if image.shape[:2] != depth.shape:
             raise ValueError(

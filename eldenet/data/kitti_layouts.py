@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from eldenet.data.arrays import read_text
+
 PICTURES = (".png", ".jpg", ".jpeg")
 DEPTH_KINDS = ("groundtruth", "velodyne_raw")
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_\d{4}_sync")
@@ -168,12 +170,11 @@ def frame_list(file: str | Path) -> list[Line]:
         ValueError: naming a line that is neither, or a frame that is there twice.
     """
     path = Path(file).expanduser()
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: name the list of frames (BTS's or monodepth2's)")
     lines = []
-    for number, text in enumerate(path.read_text().splitlines(), 1):
+    content = read_text(path, "name the list of frames (BTS's or monodepth2's)")
+    for number, text in enumerate(content.splitlines(), 1):
         if text.strip():
-            lines.append(_line(text.split(), f"{path}, line {number}: {text!r}"))
+            lines.append(_line(text.split(), f"{path}, line {number}: {text[:200]!r}"))
     if not lines:
         raise ValueError(f"{path} is empty: fetch the list again")
     place, times = Counter(line.place for line in lines).most_common(1)[0]

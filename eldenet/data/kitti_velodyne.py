@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.data.arrays import read_bytes
 from eldenet.geometry import nearest_points
 
 PROJECTIONS = ("camera", "eigen")
@@ -16,15 +17,13 @@ def read_scan(path: Path) -> np.ndarray:
         FileNotFoundError: where there is no such file.
         ValueError: naming a file that is empty, cut, or holds numbers that are no points.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: check root, or fetch the scan again")
-    content = path.read_bytes()
+    content = read_bytes(path)
     if not content or len(content) % 16:
         raise ValueError(
             f"{path} is cut or is no scan ({len(content)} bytes, points are 16 each): fetch it again"
         )
     points = np.frombuffer(content, "<f4").reshape(-1, 4)
-    if not np.isfinite(points).all() or np.abs(points[:, :3]).max() > 1000:
+    if not np.isfinite(points).all() or not 1 < np.abs(points[:, :3]).max() <= 1000:
         raise ValueError(f"{path} holds numbers that are no points within 1 km: fetch it again")
     return points
 

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby, islice
+from multiprocessing import get_context
+from multiprocessing.context import BaseContext
 
 import torch
 from torch.utils.data import DataLoader, Sampler, default_collate
 
 from eldenet.data.base import DepthDataset
+from eldenet.resources import prepare_environment
 from eldenet.types import DepthSample
 
 
@@ -61,6 +64,7 @@ def training_loader(
     dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, pin_memory: bool = False
 ) -> DataLoader:
     """Loader in the order of ``sampler``, whose ``epoch`` and ``start`` are set before each epoch."""
+    dataset.open_cache()
     return DataLoader(
         dataset,
         batch_sampler=sampler,
@@ -70,7 +74,7 @@ def training_loader(
         persistent_workers=workers > 0,
         pin_memory=pin_memory,
         worker_init_fn=_quiet_worker if workers else None,
-        multiprocessing_context="forkserver" if workers else None,
+        multiprocessing_context=_worker_context() if workers else None,
     )
 
 
@@ -79,18 +83,22 @@ def evaluation_loader(
 ) -> DataLoader:
     """Loader that gives this process its share of the frames: every frame once, in order, none padded.
 
-    A batch ends where the frames' size changes, as far as the data set knows it (``size_group``).
+    A batch ends where the frames' size changes, as far as the data set knows it (``size_group``). There are
+    at most as many workers as batches; they end with the pass over the frames.
     """
+    dataset.open_cache()
     mine = range(rank, len(dataset), processes)
     groups = groupby(mine, key=dataset.size_group)
+    batches = [run for _, group in groups for run in batched(group, batch_size)]
+    workers = min(workers, len(batches))
     return DataLoader(
         dataset,
-        batch_sampler=[run for _, group in groups for run in batched(group, batch_size)],
+        batch_sampler=batches,
         generator=torch.Generator(),
         num_workers=workers,
         collate_fn=collate,
         worker_init_fn=_quiet_worker if workers else None,
-        multiprocessing_context="forkserver" if workers else None,
+        multiprocessing_context=_worker_context() if workers else None,
     )
 
 
@@ -99,6 +107,14 @@ def batched(indices: Iterable[int], size: int) -> Iterator[list[int]]:
     rest = iter(indices)
     while run := list(islice(rest, size)):
         yield run
+
+
+def _worker_context() -> BaseContext:
+    """Workers fork from a server that holds the imports: a validation's start in a moment, not in seconds."""
+    prepare_environment()  # the server takes it over
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["__main__", "torch", "cv2", "albumentations", "eldenet.data.loading"])
+    return context
 
 
 def _quiet_worker(_: int) -> None:

@@ -11,6 +11,7 @@ from typing import Unpack
 
 import numpy as np
 
+from eldenet.data.arrays import read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.roots import csv_pairs, find_root, one_of
@@ -71,10 +72,18 @@ class _NYUPairs(NYUFrames):
         self.root, self.pairs, self.encoding = root, list(pairs), depth_encoding(encoding)
         self.check_frames(root, pairs)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Picture and depth."""
+        return [self.root / file for file in self.pairs[index]]
+
+    def frame_settings(self) -> dict[str, object]:
+        """The encoding."""
+        return {"encoding": self.encoding.description}
+
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
         image_file, depth_file = self.pairs[index]
-        image = read_image(self.root / image_file)
+        image = read_image(self.root / image_file, grey=False)
         depth = read_depth(self.root / depth_file, self.encoding)
         if image.shape[:2] != depth.shape:
             raise ValueError(
@@ -224,23 +233,31 @@ def _sync_pairs(folder: Path) -> list[tuple[str, str]]:
 
 
 def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
-    if not list_file.is_file():
-        raise FileNotFoundError(f"{list_file} does not exist: list_file names the list of frames")
     pairs = []
-    for number, line in enumerate(list_file.read_text().splitlines(), 1):
+    text = read_text(list_file, "list_file names the list of frames")
+    for number, line in enumerate(text.splitlines(), 1):
         cells = line.split()
         if not cells:
             continue
         if len(cells) not in (2, 3):
             raise ValueError(f"{list_file}, line {number}: wants 'image depth [focal]' but holds {line!r}")
-        if len(cells) == 3 and abs(float(cells[2]) - NYU_FOCAL) > 1.0:
+        if len(cells) == 3 and not _is_focal(cells[2]):
             raise ValueError(
                 f"{list_file}, line {number}: focal length {cells[2]} px, NYU's camera has {NYU_FOCAL}: is "
                 "it another data set's list?"
             )
         # Joined as it stands, a path that starts with "/" would drop the root.
         pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
+    if not pairs:
+        raise ValueError(f"{list_file} is empty: list_file names the list of frames")
     return pairs
+
+
+def _is_focal(cell: str) -> bool:
+    try:
+        return abs(float(cell) - NYU_FOCAL) <= 1.0
+    except ValueError:
+        return False
 
 
 def _stem(file: str, prefix: str) -> str:

@@ -24,6 +24,10 @@ splits.mat                     (the official split: trainNdxs, testNdxs)
 """
 
 
+# What h5py raises where a file's inner tables are damaged.
+_DAMAGED = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError, MemoryError)
+
+
 class NYUHDF5(NYUFrames):
     """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
 
@@ -57,6 +61,10 @@ class NYUHDF5(NYUFrames):
         if split in ("train", "val"):
             names = [names[i] for i in hold_out(names, split)]
         super().__init__(names, **options)
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The one file."""
+        return [self.root / f"{self.names[index]}.h5"]
 
     def load_frame(self, index: int) -> Frame:
         """Read one file."""
@@ -116,13 +124,20 @@ class NYUMat(NYUFrames):
             )
         super().__init__([f"{number:04d}" for number in self.numbers], **options)
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The .mat."""
+        return [self.path]
+
+    def frame_settings(self) -> dict[str, object]:
+        """Which depth."""
+        return {"depth": self.depth_key}
+
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         mat, at = self._mat(), self.numbers[index] - 1
-        image = np.ascontiguousarray(mat["images"][at].transpose(2, 1, 0))
-        depth = decode_depth(
-            np.ascontiguousarray(mat[self.depth_key][at].T), "metres", f"{self.path}, frame {at + 1}"
-        )
+        source = f"{self.path}, frame {at + 1}"
+        image = np.ascontiguousarray(_read(mat["images"], at, source).transpose(2, 1, 0))
+        depth = decode_depth(np.ascontiguousarray(_read(mat[self.depth_key], at, source).T), "metres", source)
         return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
 
     def _mat(self) -> Any:
@@ -141,7 +156,7 @@ def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
     Raises:
         ValueError: a key is missing, or an array has another shape or type.
     """
-    image, depth = _take(file, "rgb", source)[()], _take(file, "depth", source)[()]
+    image, depth = (_read(_take(file, key, source), (), source) for key in ("rgb", "depth"))
     if image.ndim != 3 or image.shape[0] != 3 or image.dtype != np.uint8 or image.shape[1:] != depth.shape:
         raise ValueError(
             f"{source}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, wanted (3, H, W) uint8 "
@@ -168,25 +183,39 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
         raise ImportError("reading NYU's HDF5 files needs h5py: pip install 'eldenet[nyu]'") from error
     try:
         return h5py.File(file, "r")
-    except OSError as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"{source} is cut or is no HDF5 file ({error}): fetch it again") from error
 
 
 def _take(file: Any, key: str, source: object) -> Any:
-    if key not in file:
-        raise ValueError(f"{source} has no {key!r}, only {', '.join(sorted(file))}: is it the right file?")
-    return file[key]
+    """The data set of that key in an open file."""
+    try:
+        keys = sorted(file)
+        found = file[key] if key in keys else None
+    except _DAMAGED as error:
+        raise ValueError(f"{source} is damaged ({error}): fetch it again") from error
+    if found is None:
+        raise ValueError(f"{source} has no {key!r}, only {', '.join(keys)}: is it the right file?")
+    if not hasattr(found, "shape"):
+        raise ValueError(f"{source}: {key!r} is a folder of others, not an array: is it the right file?")
+    return found
+
+
+def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
+    """The array, or a part of it."""
+    try:
+        return np.asarray(dataset[part])
+    except _DAMAGED as error:
+        raise ValueError(f"{source} is damaged ({error}): fetch it again") from error
 
 
 def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:
     images, depths = _take(mat, "images", path), _take(mat, depth_key, path)
-    axes_fit = (
-        images.ndim == 4 and images.shape[1] == 3 and depths.shape == (images.shape[0], *images.shape[2:])
-    )
-    if not axes_fit:
+    fit = images.ndim == 4 and images.shape[1] == 3 and images.dtype == np.uint8
+    if not fit or depths.shape != (images.shape[0], *images.shape[2:]):
         raise ValueError(
-            f"{path}: images {images.shape} and {depth_key} {depths.shape}, wanted (N, 3, 640, 480) and "
-            "(N, 640, 480)"
+            f"{path}: images {images.shape} {images.dtype} and {depth_key} {depths.shape}, wanted "
+            "(N, 3, 640, 480) uint8 and (N, 640, 480)"
         )
     return int(images.shape[0])
 
@@ -197,7 +226,20 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
         from scipy.io import loadmat
     except ImportError as error:
         raise ImportError("reading splits.mat needs scipy: pip install 'eldenet[nyu]'") from error
-    numbers = [int(n) for n in loadmat(path)["testNdxs" if split == "test" else "trainNdxs"].ravel()]
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is no file: fetch it again")
+    try:
+        found = loadmat(path)
+        parts = {key: [int(number) for number in found[key].ravel()] for key in ("trainNdxs", "testNdxs")}
+    except Exception as error:  # the reader raises many kinds
+        reason = f"{type(error).__name__}: {str(error)[:200]}"
+        raise ValueError(
+            f"{path} is cut or is not the official split, trainNdxs and testNdxs ({reason}): fetch it again"
+        ) from error
+    every = parts["trainNdxs"] + parts["testNdxs"]
+    if not every or min(every) < 1 or len(set(every)) < len(every):
+        raise ValueError(f"{path}: frames are numbered from 1 and each is there once: fetch it again")
+    numbers = parts["testNdxs" if split == "test" else "trainNdxs"]
     if split in ("train", "val"):
         numbers = [n for n in numbers if is_val_frame(n) == (split == "val")]
     return numbers

@@ -103,6 +103,10 @@ class NYUTar(NYUFrames):
         self._open: dict[str, int] = {}
         self._process = -1
 
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """The frame's shard."""
+        return [self.root / self.members[index].shard]
+
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         member = self.members[index]
@@ -164,12 +168,17 @@ def _walk(shard: Path) -> tuple[list[Member], str]:
                     return members, f"{entry.name} is incomplete"
                 if entry.isfile() and entry.name.endswith(".h5"):
                     members.append(Member(f"data/{shard.name}", entry.name, entry.offset_data, entry.size))
-    except tarfile.TarError as error:
+    except (tarfile.TarError, OSError, ValueError) as error:
         return members, f"no tar header at byte {end}: {error}"
     with shard.open("rb") as file:
         file.seek(end)
         closing = file.read(512)
-    return members, "" if len(closing) == 512 and not any(closing) else f"no end of archive at byte {end}"
+        if len(closing) < 512 or any(closing):
+            return members, f"no end of archive at byte {end}"
+        while block := file.read(1 << 20):
+            if any(block):  # a header of zeros looks like the end
+                return members, f"more files after the end of archive at byte {end}"
+    return members, ""
 
 
 def _frame_name(part: str, member: str) -> str:

@@ -34,18 +34,18 @@ VERSION = 1
 
 
 class Rooms(DepthDataset):
-    """Rendered rooms with exact depth; frames are rendered once into a cache and reread from it.
+    """Rendered rooms with exact depth; frames are rendered once into a folder and reread from it.
 
     Frame ``i`` of a split is view ``i % 8`` of room ``i // 8`` (named ``rooms/train/000123/4``) and depends
     on nothing else: more ``frames`` later keep the old ones and add to them. The splits hold different rooms.
-    The cache's folder is named after the generator's sources and settings, so that a changed generator never
+    That folder is named after the generator's sources and settings, so that a changed generator never
     reads old frames.
 
     Args:
         split: "train", "val" or "test".
         frames: how many frames of the split to use.
         size: ``(height, width)`` of the rendered frames [px].
-        cache: folder for rendered frames; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
+        root: folder for rendered frames; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         workers: processes that render what is missing; None takes two (one on a single core), 0 renders here.
         min_depth: nearest depth that counts as known [m].
         max_depth: farthest depth that counts as known, at most 13 [m].
@@ -67,7 +67,7 @@ class Rooms(DepthDataset):
         frames: int = 2048,
         *,
         size: Sequence[int] = (128, 160),
-        cache: str | os.PathLike[str] | None = None,
+        root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
         min_depth: float = 0.1,
         max_depth: float = 10.0,
@@ -94,7 +94,7 @@ class Rooms(DepthDataset):
             "rooms": SHARD_ROOMS,
         }
         name = f"rooms-v{VERSION}-{self.size[0]}x{self.size[1]}-{generator_hash(settings)}"
-        self.folder = (default_cache() if cache is None else Path(cache)).expanduser() / name
+        self.folder = (default_cache() if root is None else Path(root)).expanduser() / name
         shards = range(-(-frames // SHARD_FRAMES))
         missing = [s for s in shards if not is_whole(shard_folder(self.folder, split, s))]
         if missing:

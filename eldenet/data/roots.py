@@ -5,6 +5,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from eldenet.data.arrays import read_text
+
 VARIABLE = "ELDENET_DATA"
 
 
@@ -75,16 +77,19 @@ def csv_pairs(table: Path) -> list[tuple[str, str]]:
     """Lines ``image,depth`` of a CSV without a header; empty lines are passed over.
 
     Raises:
-        ValueError: naming a line that is no pair.
+        FileNotFoundError: there is no such file.
+        ValueError: naming a line that is no pair, or a file that is no text or holds no line.
     """
     pairs = []
-    with table.open(newline="") as lines:
-        for number, row in enumerate(csv.reader(lines), 1):
-            if not row:
-                continue
-            if len(row) != 2 or not all(cell.strip() for cell in row):
-                raise ValueError(f"{table}, line {number}: wants image,depth but holds {row}")
-            pairs.append((row[0].strip(), row[1].strip()))
+    text = read_text(table, "fetch or write the list of frames again")
+    for number, row in enumerate(csv.reader(text.splitlines()), 1):
+        if not row:
+            continue
+        if len(row) != 2 or not all(cell.strip() for cell in row):
+            raise ValueError(f"{table}, line {number}: wants image,depth but holds {str(row)[:200]}")
+        pairs.append((row[0].strip(), row[1].strip()))
+    if not pairs:
+        raise ValueError(f"{table} is empty: fetch or write the list of frames again")
     return pairs
 
 

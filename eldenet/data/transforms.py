@@ -121,7 +121,8 @@ class Augmentation:
             colour.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
         points = A.KeypointParams(format="xy", remove_invisible=False)
         # Two passes: the keypoints that carry the geometry need not travel through the colour changes.
-        self.geometry = A.Compose(geometry, keypoint_params=points) if geometry else None
+        along: dict[str, Any] = {"keypoint_params": points, "additional_targets": {"labels": "mask"}}
+        self.geometry = A.Compose(geometry, **along) if geometry else None
         self.colour = A.Compose(colour) if colour else None
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
@@ -130,7 +131,7 @@ class Augmentation:
         Raises:
             ValueError: where image and depth differ in size.
         """
-        image, depth, intrinsics, name = frame
+        image, depth, intrinsics, name, labels = frame
         _same_size(frame)
         # A shared state, not Compose.set_random_seed: that one gives every transform the same seed, so that
         # one throw of the dice decides flip, affine and colour alike.
@@ -139,14 +140,18 @@ class Augmentation:
             self.geometry.set_random_state(generator, chance)
             height, width = depth.shape
             corners = np.array([[0, 0], [width, 0], [0, height]], dtype=np.float32)
-            moved = self.geometry(image=image, mask=depth, keypoints=corners)
+            # class 255 travels as 0, which is what comes in from beyond the border
+            classes = {} if labels is None else {"labels": labels + np.uint8(1)}
+            moved = self.geometry(image=image, mask=depth, keypoints=corners, **classes)
             image, depth = moved["image"], moved["mask"]
+            if labels is not None:
+                labels = moved["labels"] - np.uint8(1)
             matrix = _affine_through(corners, np.asarray(moved["keypoints"], dtype=np.float64))
             depth, intrinsics = _move_camera(depth, intrinsics, matrix)
         if self.colour is not None:
             self.colour.set_random_state(generator, chance)
             image = self.colour(image=image)["image"]
-        return Frame(image, depth, intrinsics, name)
+        return Frame(image, depth, intrinsics, name, labels)
 
 
 class ResizeCrop:
@@ -225,7 +230,7 @@ class ResizeCrop:
     def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
         import cv2
 
-        image, depth, intrinsics, name = frame
+        image, depth, intrinsics, name, labels = frame
         if depth.shape == size:
             return frame
         how = {
@@ -240,7 +245,9 @@ class ResizeCrop:
             depth = resize_sparse(depth, size)
         else:
             depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        return Frame(image, depth, intrinsics, name)
+        if labels is not None:
+            labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        return Frame(image, depth, intrinsics, name, labels)
 
     def _cropped(self, frame: Frame, crop: tuple[int, int]) -> Frame:
         (height, width), (rows, cols) = frame.depth.shape, crop
@@ -252,7 +259,7 @@ class ResizeCrop:
         return self._window(frame, top, top + rows, left, left + cols)
 
     def _window(self, frame: Frame, top: int, bottom: int, left: int, right: int) -> Frame:
-        image, depth, intrinsics, name = frame
+        image, depth, intrinsics, name, labels = frame
         height, width = depth.shape
         if not (0 <= top < bottom <= height and 0 <= left < right <= width):
             raise ValueError(
@@ -261,7 +268,9 @@ class ResizeCrop:
         if intrinsics is not None:
             intrinsics = crop_intrinsics(intrinsics, top, left)
         window = (slice(top, bottom), slice(left, right))
-        return Frame(image[window], depth if self.keep_depth else depth[window], intrinsics, name)
+        if not self.keep_depth:
+            depth, labels = depth[window], None if labels is None else labels[window]
+        return Frame(image[window], depth, intrinsics, name, labels)
 
 
 def _albumentations() -> Any:

@@ -1,0 +1,81 @@
+"""GuideDepth: depth features doubled in size three times, each time guided by the image."""
+
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from eldenet.baselines.ddrnet import DDRNet
+from eldenet.configurable import Configurable
+from eldenet.decoders.base import crop_or_pad
+from eldenet.layers import ConvNormAct
+
+# Channels of the depth features at strides 8, 4, 2; the published code's ``up_features``.
+SIZES = {"full": (64, 32, 16), "small": (32, 8, 4)}
+
+
+class GuidedUpsampling(nn.Module):
+    """The guided upsampling block: features of the depth and of the image, weighed, make a residual.
+
+    Args:
+        channels: of the depth features.
+        out_channels: after the block.
+    """
+
+    def __init__(self, channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.depth_features = nn.Sequential(
+            ConvNormAct(channels, channels, 3), ConvNormAct(channels, channels // 2, 1)
+        )
+        self.guide_features = nn.Sequential(
+            ConvNormAct(3, channels, 3), ConvNormAct(channels, channels // 2, 1)
+        )
+        self.attention = nn.Sequential(
+            nn.AdaptiveAvgPool2d(1),
+            nn.Conv2d(channels, channels, 1, bias=False),
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 1, bias=False),
+            nn.Sigmoid(),
+        )
+        self.combine = nn.Sequential(ConvNormAct(channels, channels, 3), ConvNormAct(channels, channels, 1))
+        self.reduce = nn.Conv2d(channels, out_channels, 1)
+
+    def forward(self, guide: Tensor, depth: Tensor) -> Tensor:
+        """Image ``(B, 3, H, W)`` and features ``(B, channels, H, W)`` -> ``(B, out_channels, H, W)``."""
+        both = torch.cat([self.depth_features(depth), self.guide_features(guide)], dim=1)
+        return self.reduce(self.combine(both * self.attention(both)) + depth)
+
+
+class GuideDepth(Configurable, nn.Module):
+    """GuideDepth: 5.82 M parameters, GuideDepth-S: 5.72 M.
+
+    Rudolph et al., "Lightweight Monocular Depth Estimation through Guided Decoding" (ICRA 2022, arXiv
+    2203.04206). The raw map has the image's size.
+
+    Convention: convolutions that a normalisation follows have no bias (the published ones have: 624 numbers
+    of 5.8 million, which the normalisation takes out again). Training needs batches of two images or more.
+
+    Args:
+        size: ``"full"``, or ``"small"`` for GuideDepth-S, whose decoder is thinner.
+
+    Raises:
+        ValueError: an unknown size.
+    """
+
+    def __init__(self, size: str = "full") -> None:
+        super().__init__()
+        if size not in SIZES:
+            raise ValueError(f"GuideDepth has no size {size!r}; choose one of {', '.join(SIZES)}")
+        channels = (*SIZES[size], 1)
+        self.features = DDRNet(channels[0])
+        self.up = nn.ModuleList(GuidedUpsampling(wide, narrow) for wide, narrow in pairwise(channels))
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, H, W)``."""
+        x = self.features(image)
+        for step, stride in zip(self.up, (4, 2, 1), strict=True):
+            guide = image[..., ::stride, ::stride]  # nearest-neighbour interpolation
+            x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+            x = step(guide, crop_or_pad(x, guide))
+        return x

@@ -1,0 +1,122 @@
+"""Files of plain numbers: ``.npy``, PFM and OpenEXR. A whole file, or a ``ValueError`` that names it."""
+
+import io
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+
+def read_bytes(path: Path) -> bytes:
+    """A file's content.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist{_or_folder(path)}: check root, or fetch the file again"
+        )
+    return path.read_bytes()
+
+
+def read_text(path: Path, advice: str = "fetch it again") -> str:
+    """A text file's content.
+
+    Args:
+        path: of the file.
+        advice: what to do where it is not there or no text.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: it is no text.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist{_or_folder(path)}: {advice}")
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text file: {advice}") from error
+    if "\0" in text:
+        raise ValueError(f"{path} is damaged (it holds zero bytes, text has none): {advice}")
+    return text
+
+
+def _or_folder(path: Path) -> str:
+    return " as a file: it is a folder" if path.is_dir() else ""
+
+
+def read_array(path: Path) -> np.ndarray:
+    """A plain ``.npy`` file.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut, damaged or holds Python objects.
+    """
+    content = read_bytes(path)
+    if content.startswith(b"PK"):
+        raise ValueError(f"{path} is an .npz archive, not an .npy file: write its array with numpy.save")
+    try:
+        # No pickles: a data file must not run code.
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    except Exception as error:  # a damaged header ends in anything from SyntaxError to MemoryError
+        raise ValueError(
+            f"{path} is cut or is no plain .npy file ({_short(error)}): fetch or write it again"
+        ) from error
+
+
+def read_pfm(path: Path) -> np.ndarray:
+    """A portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
+
+    Convention: rows come from the bottom up; the third line's sign is the byte order, and its size is not
+    multiplied in, as in Middlebury's and MiDaS's own readers.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: where the file is cut or is no PFM.
+    """
+    content = read_bytes(path)
+    header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+]?[\d.]+(?:[eE][-+]?\d+)?)[ \t\r]*\n", content)
+    if header is None:
+        raise ValueError(f"{path} is no PFM file, or is cut within its header: fetch or write it again")
+    shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
+    wanted, have = 4 * math.prod(shape), len(content) - header.end()
+    if have < wanted:
+        raise ValueError(f"{path} is cut ({have} of {wanted} bytes of pixels): fetch or copy it again")
+    order = "<f4" if header[4].startswith(b"-") else ">f4"
+    values = np.frombuffer(content, order, wanted // 4, header.end()).reshape(shape)[::-1].astype(np.float32)
+    return values[..., 0] if shape[2] == 1 else values
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """The one channel of an OpenEXR file, or any of several that are equal (grey), ``(H, W)``.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ImportError: OpenEXR is not installed; OpenCV's wheels come without it.
+        ValueError: where the file is cut, damaged, or its channels differ.
+    """
+    read_bytes(path)
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except Exception as error:  # the library raises several kinds
+        raise ValueError(
+            f"{path} is cut or is no OpenEXR file ({_short(error)}): fetch or write it again"
+        ) from error
+    if not channels:
+        raise ValueError(f"{path} has no channels: write depth as one channel")
+    first, *others = channels.values()
+    if not all(np.array_equal(first, other) for other in others):
+        raise ValueError(f"{path} has the channels {', '.join(channels)}: write depth alone, as one channel")
+    return first
+
+
+def _short(error: Exception) -> str:
+    """The first line of a library's message: some go on for a page."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
