@@ -73,6 +73,25 @@ def test_a_scene_without_objects(view):
     assert scene.picture().any()
 
 
+def test_detections_for_supervision(view):
+    pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
+    given = view.detections.to_supervision()
+    np.testing.assert_allclose(given.xyxy, view.detections.xyxy)
+    assert list(given.data["class_name"]) == view.detections.classes
+
+
+def test_a_scene_for_rerun(view, tmp_path):
+    rerun = pytest.importorskip("rerun", reason="pip install 'eldenet[viz]'")
+    scene = Perception(
+        lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), view.camera
+    )(view.image)
+    rerun.init("test")
+    rerun.save(tmp_path / "scene.rrd")
+    scene.log_to_rerun()
+    rerun.disconnect()
+    assert (tmp_path / "scene.rrd").stat().st_size > view.image.nbytes // 4
+
+
 # --- pictures ---
 
 
