@@ -4,6 +4,8 @@ Convention: pixel centres lie on whole numbers (the first pixel's centre is (0, 
 z forward, as in OpenCV. A resize by s therefore moves a point u to (u + 0.5) * s - 0.5.
 """
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 
@@ -82,3 +84,55 @@ def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     x = (cols - intrinsics[0, 2]) / intrinsics[0, 0] * depth
     y = (rows - intrinsics[1, 2]) / intrinsics[1, 1] * depth
     return np.stack([x, y, depth], axis=-1)
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1`` (paper, equation 1).
+
+    ``H`` is the infinite homography (Hartley and Zisserman, section 13.4), ``h`` the depth of pixel (row i,
+    column j). The level frame has x right, y down along gravity, z forward; by default it is the camera's
+    own.
+
+    Attributes:
+        intrinsics: ``(3, 3)`` K [px].
+        rotation: ``(3, 3)`` R, level from camera.
+        translation: ``(3,)`` t, the optical centre in the level frame [m].
+    """
+
+    intrinsics: np.ndarray
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        shapes = tuple(np.shape(part) for part in (self.intrinsics, self.rotation, self.translation))
+        if shapes != ((3, 3), (3, 3), (3,)):
+            raise ValueError(f"intrinsics, rotation, translation of shapes {shapes}: give (3,3), (3,3), (3,)")
+        if not (self.intrinsics[0, 0] > 0 and self.intrinsics[1, 1] > 0):
+            raise ValueError("intrinsics without focal lengths above 0: see eldenet.geometry.pinhole")
+
+    @classmethod
+    def from_projection(cls, projection: np.ndarray) -> "PinholeCamera":
+        """Camera of a rectified projection ``(3, 4)``, such as KITTI's P2: ``K [I | K^-1 p4]``."""
+        intrinsics = np.array(projection[:, :3], dtype=np.float64)
+        return cls(intrinsics, translation=-np.linalg.solve(intrinsics, projection[:, 3]))
+
+    @property
+    def homography(self) -> np.ndarray:
+        """``H = R K^-1`` ``(3, 3)``."""
+        return self.rotation @ np.linalg.inv(self.intrinsics)
+
+    def back_project(self, columns: np.ndarray, rows: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Level points ``(..., 3)`` [m] of pixels at ``depth`` [m]: equation 1."""
+        pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64)
+        return np.asarray(depth)[..., None] * (pixels @ self.homography.T) + self.translation
+
+    def to_camera(self, points: np.ndarray) -> np.ndarray:
+        """Camera coordinates ``(..., 3)`` of level points [m]."""
+        return np.asarray((points - self.translation) @ self.rotation)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels ``(..., 2)`` (column, row) of level points ``(..., 3)``; NaN for those not in front."""
+        seen = self.to_camera(points)
+        z = np.where(seen[..., 2:] > 1e-6, seen[..., 2:], np.nan)
+        return np.asarray((seen / z) @ self.intrinsics.T)[..., :2]

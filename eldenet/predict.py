@@ -29,6 +29,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 def predict(config: "DictConfig") -> "Results":
     """Check everything that can be checked, load the network, predict, write, say what was done."""
     import eldenet
+    from eldenet.predict_boxes import box_results, frames_per_second
     from eldenet.predictions import name_results
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
@@ -54,11 +55,15 @@ def predict(config: "DictConfig") -> "Results":
             f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
             f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
         )
+    rate = None  # [frames/s]; a camera says its own only while it is open
     if is_video:
-        stream = str(config.source) if live else source
-        predict_video(stream, names[source], predictor, results, log, frames=config.frames)
-    else:
-        predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
+        rate = 30.0 if live else frames_per_second(source)
+    with box_results(config, results, list(names.values()), rate, log) as results.also:
+        if is_video:
+            stream = str(config.source) if live else source
+            predict_video(stream, names[source], predictor, results, log, frames=config.frames)
+        else:
+            predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
     return results
 
 
@@ -106,13 +111,17 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
         raise ValueError(f"depth_range={span}: give [near, far] in metres, 0 <= near < far")
     formats = cfg.plain(config.formats)
     if formats is None:
-        formats = ["colour"] if is_video else ["depth", "colour"] + ["ply"] * (camera is not None)
+        formats = (
+            ["colour"]
+            if is_video
+            else ["depth", "colour"] + ["ply"] * (camera is not None and not config.boxes)
+        )
     formats = [formats] if isinstance(formats, str) else formats
     for name in formats:
         one_of("formats", str(name), tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
-    if ("ply" in formats) != (camera is not None):
+    if ("ply" in formats) != (camera is not None) and not (config.boxes and camera is not None):
         raise ValueError(
             "a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]"
             if camera is None

@@ -32,6 +32,7 @@ class Results:
         skipped: what could not be read.
         too_far: pixels beyond what 16 bits of millimetres hold.
         size: ``(height, width)`` of the first picture [px]; the intrinsics hold for this size alone.
+        also: is given the name, photo and depth of each picture too.
     """
 
     folder: Path
@@ -43,6 +44,7 @@ class Results:
     skipped: list[str] = field(default_factory=list)
     too_far: int = 0
     size: tuple[int, int] | None = None
+    also: Callable[[str, np.ndarray, np.ndarray], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
@@ -82,6 +84,8 @@ class Results:
         if "colour" in formats:
             near, far = self.depth_range or visible_range(depth)
             write_picture(self.folder / f"{name}_colour.png", photo_beside_depth(photo, depth, near, far))
+        if self.also is not None:
+            self.also(name, photo, depth)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ LONGEST_FILE = 320  # lines
 # A file or package may import from its own layer and from those below it; in layer 2 from those below alone.
 LAYERS = {
     0: "types configurable",
-    1: "layers geometry heads protocol refinement resources modes",
+    1: "boxes layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
     4: "averaging benchmarking checkpoint evaluation exporting folding legend meter normalisation pictures "
@@ -29,7 +29,7 @@ LAYERS = {
     6: "perception",
     7: "navigation",
     8: "config zoo scoring report "  # these, and the entry points, see everything
-    "studies study train evaluate benchmark predict export check_data train_detector navigate",
+    "studies study train evaluate benchmark predict predict_boxes export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
 # the rendered data sets; whole networks share helpers with the parts

@@ -1,0 +1,244 @@
+"""What finds objects in a picture: one protocol, and the simple adapters to it."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from eldenet.boxes import BoxStyle, Detections2D
+
+COCO_NAMES = tuple(
+    [
+        "person",
+        "bicycle",
+        "car",
+        "motorcycle",
+        "airplane",
+        "bus",
+        "train",
+        "truck",
+        "boat",
+        "traffic light",
+        "fire hydrant",
+        "stop sign",
+        "parking meter",
+        "bench",
+        "bird",
+        "cat",
+        "dog",
+        "horse",
+        "sheep",
+        "cow",
+        "elephant",
+        "bear",
+        "zebra",
+        "giraffe",
+        "backpack",
+        "umbrella",
+        "handbag",
+        "tie",
+        "suitcase",
+        "frisbee",
+        "skis",
+        "snowboard",
+        "sports ball",
+        "kite",
+        "baseball bat",
+        "baseball glove",
+        "skateboard",
+        "surfboard",
+        "tennis racket",
+        "bottle",
+        "wine glass",
+        "cup",
+        "fork",
+        "knife",
+        "spoon",
+        "bowl",
+        "banana",
+        "apple",
+        "sandwich",
+        "orange",
+        "broccoli",
+        "carrot",
+        "hot dog",
+        "pizza",
+        "donut",
+        "cake",
+        "chair",
+        "couch",
+        "potted plant",
+        "bed",
+        "dining table",
+        "toilet",
+        "tv",
+        "laptop",
+        "mouse",
+        "remote",
+        "keyboard",
+        "cell phone",
+        "microwave",
+        "oven",
+        "toaster",
+        "sink",
+        "refrigerator",
+        "book",
+        "clock",
+        "vase",
+        "scissors",
+        "teddy bear",
+        "hair drier",
+        "toothbrush",
+    ]
+)
+ROAD_NAMES = (
+    "person",
+    "bicycle",
+    "car",
+    "motorcycle",
+    "bus",
+    "truck",
+)  # those of COCO that traffic is made of
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """``frame (H, W, 3)`` uint8 RGB -> :class:`~eldenet.boxes.Detections2D` in pixels of that frame."""
+
+    def __call__(self, frame: np.ndarray) -> Detections2D:
+        """Find objects."""
+        ...
+
+
+def check_frame(frame: np.ndarray) -> None:
+    """Raise ValueError for anything but ``(H, W, 3)`` uint8."""
+    if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
+        raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
+
+
+class FixedDetections:
+    """Detections that are known already (labels, a simulator, a file), one per call, in order.
+
+    Args:
+        detections: of the frames that will come.
+    """
+
+    def __init__(self, detections: Iterable[Detections2D]) -> None:
+        self._coming = iter(detections)
+
+    def __call__(self, frame: np.ndarray) -> Detections2D:
+        """The next frame's.
+
+        Raises:
+            ValueError: there are none left.
+        """
+        check_frame(frame)
+        found = next(self._coming, None)
+        if found is None:
+            raise ValueError("more frames than fixed detections: give one Detections2D per frame")
+        return found
+
+
+class CallableDetector:
+    """Any function as a detector.
+
+    Args:
+        function: frame -> ``(xyxy (N, 4), score (N,), label (N,))`` as anything numpy takes.
+        names: of the classes.
+        box_style: how its boxes lie around objects.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[np.ndarray], tuple[Any, Any, Any]],
+        names: tuple[str, ...],
+        box_style: BoxStyle = "tight",
+    ) -> None:
+        self.function, self.names, self.box_style = function, tuple(names), box_style
+
+    def __call__(self, frame: np.ndarray) -> Detections2D:
+        """Find objects."""
+        check_frame(frame)
+        xyxy, score, label = (np.asarray(part) for part in self.function(frame))
+        return Detections2D(
+            xyxy.reshape(-1, 4),
+            score.reshape(-1),
+            label.reshape(-1).astype(np.int64),
+            self.names,
+            self.box_style,
+        )
+
+
+class TorchvisionDetector:
+    """A detection network of torchvision (or of its interface) with its weights.
+
+    Args:
+        model: ``images -> [{"boxes", "scores", "labels"}]``, such as
+            ``torchvision.models.detection.ssdlite320_mobilenet_v3_large(weights="DEFAULT")``.
+        names: of its classes; torchvision's weights carry theirs in ``weights.meta["categories"]``.
+        threshold: detections below this score are dropped.
+        box_style: how its boxes lie around objects.
+    """
+
+    def __init__(
+        self, model: Any, names: tuple[str, ...], *, threshold: float = 0.3, box_style: BoxStyle = "tight"
+    ) -> None:
+        self.model, self.names, self.threshold, self.box_style = (
+            model.eval(),
+            tuple(names),
+            threshold,
+            box_style,
+        )
+
+    def __call__(self, frame: np.ndarray) -> Detections2D:
+        """Find objects."""
+        import torch
+
+        check_frame(frame)
+        image = torch.from_numpy(np.ascontiguousarray(frame.transpose(2, 0, 1))).float() / 255
+        with torch.inference_mode():
+            found = {name: value.cpu().numpy() for name, value in self.model([image])[0].items()}
+        kept = found["scores"] >= self.threshold
+        label = found["labels"][kept].astype(np.int64)
+        return Detections2D(found["boxes"][kept], found["scores"][kept], label, self.names, self.box_style)
+
+
+def only(detections: Detections2D, names: Iterable[str]) -> Detections2D:
+    """Those of some classes."""
+    wanted = {name.lower() for name in names}
+    return detections.select(np.array([name.lower() in wanted for name in detections.classes], bool))
+
+
+def merge_cyclists(detections: Detections2D) -> Detections2D:
+    """A person on a bicycle becomes one "cyclist": KITTI counts them as one, COCO as two.
+
+    The two are one where the boxes overlap by a fifth of the smaller and the person's feet are above the
+    bicycle's lower edge, or near it.
+    """
+    names = detections.names if "cyclist" in detections.names else (*detections.names, "cyclist")
+    classes, xyxy = detections.classes, np.array(detections.xyxy, np.float64)
+    label, kept = detections.label.copy(), np.ones(len(detections), bool)
+    riders = [i for i, name in enumerate(classes) if name == "person"]
+    for bicycle in (i for i, name in enumerate(classes) if name == "bicycle"):
+        best, most = None, 0.2
+        for person in riders:
+            low = np.maximum(xyxy[bicycle, :2], xyxy[person, :2])
+            high = np.minimum(xyxy[bicycle, 2:], xyxy[person, 2:])
+            areas = [np.prod(xyxy[i, 2:] - xyxy[i, :2]) for i in (bicycle, person)]
+            share = float(np.prod(np.maximum(high - low, 0)) / max(min(areas), 1e-9))
+            tall = xyxy[person, 3] - xyxy[person, 1]
+            if share > most and xyxy[person, 3] < xyxy[bicycle, 3] + 0.1 * tall:
+                best, most = person, share
+        if best is not None:
+            riders.remove(best)
+            kept[best] = False
+            xyxy[bicycle, :2] = np.minimum(xyxy[bicycle, :2], xyxy[best, :2])
+            xyxy[bicycle, 2:] = np.maximum(xyxy[bicycle, 2:], xyxy[best, 2:])
+            label[bicycle] = names.index("cyclist")
+    return replace(detections, xyxy=xyxy, label=label, names=names).select(kept)
+
+
+def rename(detections: Detections2D, table: Mapping[str, str]) -> Detections2D:
+    """The same objects under other class names; names that the table lacks stay."""
+    return replace(detections, names=tuple(table.get(name, name) for name in detections.names))

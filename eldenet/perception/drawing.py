@@ -1,0 +1,163 @@
+"""Boxes for people: drawn into the picture, and from above on a grid of metres."""
+
+import cv2
+import numpy as np
+
+from eldenet.boxes import FRONT_FACE, Boxes3D, Detections2D, clipped_edges
+from eldenet.geometry import PinholeCamera
+from eldenet.perception.iou import footprints
+
+_NEAR = 0.1  # [m]: edges are cut there
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_COLOUR_OF = {
+    "car": (255, 120, 60), "van": (255, 190, 60), "truck": (190, 120, 255), "person": (80, 200, 255),
+    "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
+    "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
+}  # fmt: skip
+_GROUND, _GRID, _SIGHT, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
+
+
+def colour_of(name: str) -> tuple[int, int, int]:
+    """The colour of a class, RGB: the same in every picture."""
+    colours = list(_COLOUR_OF.values())
+    number = sum(ord(letter) * (place + 1) for place, letter in enumerate(name.lower()))
+    return _COLOUR_OF.get(name.lower(), colours[number % len(colours)])
+
+
+def draw_boxes(
+    image: np.ndarray, boxes: Boxes3D, camera: PinholeCamera, *, front: bool = False, labels: bool = True
+) -> np.ndarray:
+    """A copy of ``image (H, W, 3)`` uint8 RGB with the twelve edges of every box, far ones first.
+
+    Args:
+        image: the picture.
+        boxes: in the camera's level frame.
+        camera: of the picture.
+        front: shade the front face; only where it is known (labels, tracks), for geometry cannot tell it.
+        labels: class and distance [m] above each box.
+    """
+    picture = np.ascontiguousarray(image).copy()
+    thick = max(1, round(image.shape[0] / 300))
+    for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):
+        corners = camera.to_camera(boxes.corners[index])
+        colour = colour_of(boxes.names[boxes.label[index]])
+        if front and (corners[list(FRONT_FACE), 2] > _NEAR).all():
+            face = _pixels(corners[list(FRONT_FACE)], camera)
+            shade = picture.copy()
+            cv2.fillPoly(shade, [_fixed(face)], colour, cv2.LINE_AA, 4)
+            picture = cv2.addWeighted(shade, 0.35, picture, 0.65, 0)
+        edges = clipped_edges(corners, _NEAR)
+        if not len(edges):
+            continue
+        for ends in edges:
+            start, end = _fixed(_pixels(ends, camera))
+            cv2.line(picture, start.tolist(), end.tolist(), colour, thick, cv2.LINE_AA, 4)
+        if labels:
+            pixels = _pixels(edges.reshape(-1, 3), camera)
+            box = boxes[int(index)]
+            text = f"{box.name} {box.distance:.1f} m"
+            if boxes.track_id is not None:
+                text = f"#{boxes.track_id[index]} {text}"
+            _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), colour)
+    return picture
+
+
+def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
+    """A copy of the picture with the 2D boxes, their classes and scores."""
+    picture = np.ascontiguousarray(image).copy()
+    for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
+        colour = colour_of(name)
+        left, top, right, bottom = (round(float(edge)) for edge in box)
+        cv2.rectangle(picture, (left, top), (right, bottom), colour, 1)
+        _write(picture, f"{name} {score:.2f}", left, top, colour)
+    return picture
+
+
+def draw_bev(
+    boxes: Boxes3D,
+    camera: PinholeCamera,
+    width: int,
+    *,
+    size: tuple[int, int] = (400, 300),
+    reach: float | None = None,
+    truth: Boxes3D | None = None,
+) -> np.ndarray:
+    """The boxes from above: ``size`` (height, width) [px], the camera at the bottom, round metres as a grid.
+
+    Args:
+        boxes: in the level frame; of a tracked box its velocity is drawn: where it is in a second.
+        camera: whose field of view is shaded.
+        width: of the camera's picture [px].
+        size: of the panel [px].
+        reach: depth at the upper edge [m]; None: beyond the farthest box, 10 m or more.
+        truth: other boxes, drawn in grey.
+    """
+    height, wide = size
+    if reach is None:
+        farthest = float(boxes.center[:, 2].max()) if len(boxes) else 10.0
+        reach = float(np.clip(farthest * 1.12 + 2, 10.0, 120.0))
+    scale = (height - 12) / reach
+    panel = np.full((height, wide, 3), _GROUND, np.uint8)
+
+    def place(points: np.ndarray) -> np.ndarray:
+        return np.stack([wide / 2 + points[..., 0] * scale, height - 6 - points[..., 1] * scale], axis=-1)
+
+    edges = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
+    rays = (edges[[0, 2]] / edges[2]).T * reach * 1.5
+    cv2.fillPoly(panel, [_fixed(place(np.concatenate([[[0.0, 0.0]], rays])))], _SIGHT, cv2.LINE_AA, 4)
+    step = next(value for value in (1, 2, 5, 10, 20, 50) if reach / value <= 8)
+    for z in np.arange(0, reach, step):
+        row = round(height - 6 - z * scale)
+        cv2.line(panel, (0, row), (wide, row), _GRID, 1)
+        if z:
+            cv2.putText(panel, f"{z:g} m", (3, row - 2), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
+    side = wide / 2 / scale
+    for x in np.arange(-np.floor(side / step) * step, side, step):
+        column = round(wide / 2 + x * scale)
+        cv2.line(panel, (column, 0), (column, height), _GRID, 1)
+    if truth is not None:
+        for corners in footprints(truth.bev):
+            cv2.polylines(panel, [_fixed(place(corners))], True, (150, 150, 150), 2, cv2.LINE_AA, 4)
+    for index, corners in enumerate(footprints(boxes.bev)):
+        colour = tuple(int(0.75 * part) for part in colour_of(boxes.names[boxes.label[index]]))
+        cv2.polylines(panel, [_fixed(place(corners))], True, colour, 2, cv2.LINE_AA, 4)
+        if boxes.velocity is not None:
+            ends = boxes.center[index, [0, 2]] + np.array([[0, 0], boxes.velocity[index, [0, 2]]])
+            start, end = place(ends).round().astype(int)
+            cv2.arrowedLine(panel, start.tolist(), end.tolist(), colour, 1, cv2.LINE_AA, tipLength=0.25)
+    eye = place(np.array([[-0.5, 0], [0.5, 0], [0, 1.2]]) * max(1.0, reach / 40))
+    cv2.fillPoly(panel, [_fixed(eye)], _INK, cv2.LINE_AA, 4)
+    return panel
+
+
+def picture_beside_bev(picture: np.ndarray, panel: np.ndarray) -> np.ndarray:
+    """One picture with even sides: the drawn photo and the panel, of one height."""
+    tall = max(picture.shape[0], panel.shape[0])
+    parts = []
+    for part in (picture, panel):
+        if part.shape[0] != tall:
+            wide = round(part.shape[1] * tall / part.shape[0])
+            part = np.asarray(cv2.resize(part, (wide, tall), interpolation=cv2.INTER_LINEAR), np.uint8)
+        parts.append(part)
+    row = np.concatenate([parts[0], np.full((tall, 4, 3), 255, np.uint8), parts[1]], axis=1)
+    return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
+
+
+def _pixels(points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Pixels ``(K, 2)`` of camera points ``(K, 3)`` in front, kept within what OpenCV can draw."""
+    pixels = (points / points[:, 2:]) @ camera.intrinsics.T
+    return np.asarray(np.clip(pixels[:, :2], -20000, 20000))
+
+
+def _fixed(points: np.ndarray) -> np.ndarray:
+    """Sixteenths of a pixel, as OpenCV's ``shift=4`` wants them."""
+    return np.asarray(np.round(np.clip(points, -20000, 20000) * 16), np.int32)
+
+
+def _write(picture: np.ndarray, text: str, left: float, top: float, colour: tuple[int, int, int]) -> None:
+    size = max(0.35, picture.shape[0] / 900)
+    (wide, tall), _ = cv2.getTextSize(text, _FONT, size, 1)
+    x = int(np.clip(left, 0, max(0, picture.shape[1] - wide - 2)))
+    y = int(np.clip(top - 3, tall + 2, picture.shape[0] - 2))
+    cv2.rectangle(picture, (x, y - tall - 2), (x + wide + 2, y + 2), (20, 20, 20), -1)
+    cv2.putText(picture, text, (x + 1, y), _FONT, size, colour, 1, cv2.LINE_AA)

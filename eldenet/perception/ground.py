@@ -1,0 +1,167 @@
+"""The ground: a plane fitted to depth or known from calibration, and the view from above that it gives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eldenet.geometry import PinholeCamera
+
+STEEPEST = 0.27  # [rad], 15 degrees: of a plane that may be the ground, against the level frame
+_TRIALS = 128
+_SAMPLES = 1500
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """Points with ``normal . X = offset`` in the level frame; the normal points down.
+
+    Attributes:
+        normal: ``(3,)`` unit.
+        offset: height of the frame's origin above the ground [m].
+        share: of the pixels tried that lie on it.
+        tilt: by which it may rise or fall elsewhere [rad].
+        fitted: to a depth map, whose errors it shares.
+    """
+
+    normal: np.ndarray
+    offset: float
+    share: float = 1.0
+    tilt: float = 0.01
+    fitted: bool = False
+
+    def below(self, points: np.ndarray) -> np.ndarray:
+        """Height ``(...)`` of level points ``(..., 3)`` above the ground [m]."""
+        return np.asarray(self.offset - points @ self.normal)
+
+    def level_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Y of the ground at ``(x, z)`` [m]."""
+        n = self.normal
+        return np.asarray((self.offset - n[0] * x - n[2] * z) / n[1])
+
+
+def flat_ground(camera_height: float, tilt: float = 0.02) -> GroundPlane:
+    """Level ground below a camera at ``camera_height`` [m] in the origin; a driving car tilts by ``tilt``."""
+    return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=tilt)
+
+
+def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> GroundPlane | None:
+    """Fit the ground to a depth map ``(H, W)`` [m] (0 or NaN: unknown): RANSAC, then least squares.
+
+    Returns None where no nearly level plane below the camera holds a tenth of the lower half.
+    """
+    height = depth.shape[0]
+    rows, columns = np.nonzero(np.isfinite(depth[height // 2 :]) & (depth[height // 2 :] > 0))
+    if len(rows) < 50:
+        return None
+    rng = np.random.default_rng(seed)
+    chosen = rng.permutation(len(rows))[:_SAMPLES] if len(rows) > _SAMPLES else np.arange(len(rows))
+    rows, columns = rows[chosen] + height // 2, columns[chosen]
+    points = camera.back_project(columns, rows, depth[rows, columns])
+    triple = points[rng.integers(0, len(points), (_TRIALS, 3))]
+    normals = np.cross(triple[:, 1] - triple[:, 0], triple[:, 2] - triple[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(length, 1e-12)[:, None]
+    normals *= np.where(normals[:, 1:2] < 0, -1.0, 1.0)
+    offsets = (normals * triple[:, 0]).sum(1)
+    # Depth errors grow with depth, and so does the tolerance; what they do to heights is the ray's share
+    # of y.
+    tolerance = 0.03 + 0.012 * points[:, 2]
+    misses = np.abs(normals @ points.T - offsets[:, None])
+    near = misses < tolerance
+    # Far points outnumber none here, but hold little about the height: near ones count more.
+    votes = (near / (1.0 + 0.05 * points[:, 2])).sum(1)
+    votes[(length < 1e-9) | (normals[:, 1] < np.cos(STEEPEST)) | (offsets <= 0)] = -1
+    best = int(np.argmax(votes))
+    if votes[best] <= 0:
+        return None
+    normal, offset, inside = normals[best], offsets[best], near[best]
+    for _ in range(3):
+        if inside.sum() < 10:
+            return None
+        # y = (offset - nx x - nz z) / ny, solved for the three ratios
+        matrix = np.column_stack([points[inside, 0], points[inside, 2], np.ones(inside.sum())])
+        weight = 1 / tolerance[inside]
+        a, b, c = np.linalg.lstsq(matrix * weight[:, None], points[inside, 1] * weight, rcond=None)[0]
+        scale = 1 / np.sqrt(1 + a * a + b * b)
+        normal, offset = np.array([-a, 1.0, -b]) * scale, float(c * scale)
+        inside = np.abs(points @ normal - offset) < tolerance
+    share = float(inside.mean())
+    if normal[1] < np.cos(STEEPEST) or offset <= 0 or share < 0.1:
+        return None
+    return GroundPlane(normal, offset, share, fitted=True)
+
+
+@dataclass(frozen=True)
+class GroundHomography:
+    """Picture <-> ground: ``[x, z, 1] ~ M [j, i, 1]``, the plane implying the depth.
+
+    For a pixel p of the plane n . X = d, depth is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``, which
+    put into equation 1 gives this 3x3 matrix. It holds for ground points alone: at 20 m one degree of pitch
+    moves a point by a fifth of its distance.
+
+    Attributes:
+        camera: of the picture.
+        plane: the ground.
+    """
+
+    camera: PinholeCamera
+    plane: GroundPlane
+
+    @classmethod
+    def from_camera(cls, camera: PinholeCamera, height: float) -> "GroundHomography":
+        """From calibration: the level frame's origin is ``height`` [m] above level ground."""
+        return cls(camera, flat_ground(height))
+
+    @classmethod
+    def from_depth(cls, depth: np.ndarray, camera: PinholeCamera) -> "GroundHomography":
+        """From a depth map.
+
+        Raises:
+            ValueError: no ground was found in it.
+        """
+        plane = fit_ground(depth, camera)
+        if plane is None:
+            raise ValueError("no ground in this depth map: no nearly level plane below the camera")
+        return cls(camera, plane)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """``(3, 3)`` from pixels (column, row, 1) to ground (x, z, 1), up to scale."""
+        h, t, n = self.camera.homography, self.camera.translation, self.plane.normal
+        away = self.plane.offset - n @ t
+        return np.stack([away * h[0] + t[0] * (n @ h), away * h[2] + t[2] * (n @ h), n @ h])
+
+    def depth(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Depth [m] of ground pixels; inf at and above the horizon."""
+        pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64)
+        slope = pixels @ (self.plane.normal @ self.camera.homography)
+        away = self.plane.offset - self.plane.normal @ self.camera.translation
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(slope > 1e-9, away / slope, np.inf)
+
+    def to_ground(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Ground ``(..., 2)`` x, z [m] of pixels below the horizon; NaN above it."""
+        ground = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64) @ self.matrix.T
+        w = np.where(ground[..., 2:] > 1e-9, ground[..., 2:], np.nan)
+        return np.asarray((ground / w)[..., :2])
+
+    def warp(
+        self, image: np.ndarray, *, across: tuple[float, float], ahead: tuple[float, float], cell: float
+    ) -> np.ndarray:
+        """The ground from above: ``image`` warped onto a grid of ``cell`` [m], far rows on top.
+
+        Args:
+            image: ``(H, W, 3)`` uint8.
+            across: range of x [m].
+            ahead: range of z [m].
+            cell: size of a pixel of the result [m].
+        """
+        import cv2
+
+        width, height = round((across[1] - across[0]) / cell), round((ahead[1] - ahead[0]) / cell)
+        if width < 1 or height < 1:
+            raise ValueError(f"across={across}, ahead={ahead}, cell={cell}: an empty grid")
+        grid = np.array(
+            [[1 / cell, 0, -across[0] / cell - 0.5], [0, -1 / cell, ahead[1] / cell - 0.5], [0, 0, 1]]
+        )
+        return np.asarray(cv2.warpPerspective(image, grid @ self.matrix, (width, height)))

@@ -1,0 +1,198 @@
+"""KITTI's object benchmark on disk: pictures, calibration, labels, LiDAR; and its label format as output.
+
+Geiger et al., "Are we ready for autonomous driving?", CVPR 2012. Label lines: type, truncated, occluded,
+alpha, 2D box, height width length [m], location (middle of the lower face in rectified camera 0) [m],
+rotation_y, score.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.data.io import read_image
+from eldenet.data.kitti_calibration import entry
+from eldenet.data.roots import find_root
+from eldenet.geometry import PinholeCamera
+
+TREE = """
+training/
+  image_2/000000.png  calib/000000.txt  label_2/000000.txt  velodyne/000000.bin (or velodyne_reduced/)
+"""
+_KITTI_OF = {
+    "car": "Car", "van": "Van", "truck": "Truck", "bus": "Truck", "person": "Pedestrian",
+    "pedestrian": "Pedestrian", "cyclist": "Cyclist", "train": "Tram", "tram": "Tram",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KittiLabels:
+    """Lines of a label file, as arrays.
+
+    Attributes:
+        types: of the N objects ("Car", ..., "DontCare").
+        truncated: ``(N,)`` share outside the picture.
+        occluded: ``(N,)`` 0 visible, 1 partly, 2 largely hidden, 3 unknown.
+        alpha: ``(N,)`` observation angle [rad].
+        xyxy: ``(N, 4)`` [px].
+        size: ``(N, 3)`` length, width, height [m].
+        location: ``(N, 3)`` middle of the lower face [m].
+        yaw: ``(N,)`` rotation_y [rad].
+        score: ``(N,)``; 1 for ground truth.
+    """
+
+    types: tuple[str, ...]
+    truncated: np.ndarray
+    occluded: np.ndarray
+    alpha: np.ndarray
+    xyxy: np.ndarray
+    size: np.ndarray
+    location: np.ndarray
+    yaw: np.ndarray
+    score: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.types)
+
+    def select(self, chosen: np.ndarray) -> "KittiLabels":
+        """Those that ``chosen`` (bool or numbers) picks."""
+        numbers = np.arange(len(self))[chosen]
+        arrays = {name: value[numbers] for name, value in vars(self).items() if name != "types"}
+        return KittiLabels(tuple(self.types[number] for number in numbers), **arrays)
+
+    @property
+    def boxes(self) -> Boxes3D:
+        """In the frame of rectified camera 0."""
+        names = tuple(dict.fromkeys(self.types))
+        label = np.array([names.index(name) for name in self.types], np.int64)
+        center = self.location - self.size[:, [2]] * np.array([0.0, 0.5, 0.0])
+        return Boxes3D(center, self.size, self.yaw, self.score, label, names)
+
+    @property
+    def detections(self) -> Detections2D:
+        """The labelled 2D boxes. They are projections of the 3D boxes: using them leaks the answer."""
+        names = tuple(dict.fromkeys(self.types))
+        label = np.array([names.index(name) for name in self.types], np.int64)
+        return Detections2D(self.xyxy, self.score, label, names, "projected")
+
+
+def read_labels(path: Path) -> KittiLabels:
+    """Read a label file (15 columns) or a result file (16); an empty file holds no object.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: naming the line that does not fit.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist: it comes with KITTI's object labels")
+    types, rows = [], []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words[1:]]
+        except ValueError:
+            values = []
+        if len(values) not in (14, 15):
+            raise ValueError(f"{path}, line {number}: holds {line[:60]!r}, wants a type and 14 or 15 numbers")
+        types.append(words[0])
+        rows.append(values if len(values) == 15 else [*values, 1.0])
+    table = np.array(rows, np.float64).reshape(-1, 15)
+    return KittiLabels(
+        tuple(types), table[:, 0], table[:, 1].astype(int), table[:, 2], table[:, 3:7],
+        table[:, [9, 8, 7]], table[:, 10:13], table[:, 13], table[:, 14],
+    )  # fmt: skip
+
+
+def to_labels(boxes: Boxes3D, xyxy: np.ndarray) -> KittiLabels:
+    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names."""
+    count = len(boxes)
+    location = boxes.bottom_center
+    alpha = boxes.yaw - np.arctan2(location[:, 0], location[:, 2])
+    alpha = (alpha + np.pi) % (2 * np.pi) - np.pi
+    types = tuple(_KITTI_OF.get(name.lower(), name.replace(" ", "_")) for name in boxes.classes)
+    return KittiLabels(
+        types, np.full(count, -1.0), np.full(count, -1), alpha, np.asarray(xyxy, np.float64).reshape(-1, 4),
+        boxes.size, location, boxes.yaw, boxes.score,
+    )  # fmt: skip
+
+
+def write_labels(path: Path, labels: KittiLabels, *, with_score: bool = True) -> None:
+    """Write a result file (16 columns), or labels (15)."""
+    lines = []
+    for i, kind in enumerate(labels.types):
+        length, width, height = labels.size[i]
+        numbers = [*labels.xyxy[i], height, width, length, *labels.location[i], labels.yaw[i]]
+        if with_score:
+            numbers.append(labels.score[i])
+        text = " ".join(f"{value:.4f}" for value in numbers)
+        lines.append(f"{kind} {labels.truncated[i]:.2f} {labels.occluded[i]} {labels.alpha[i]:.4f} {text}\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(lines))
+
+
+class KittiObjects:
+    """The frames of a folder of the object benchmark that have a picture, a calibration and labels.
+
+    Args:
+        root: holds ``image_2`` ...; None: ``$ELDENET_DATA/kitti/object/training``.
+        names: frames to use; None: all that are complete.
+
+    Raises:
+        FileNotFoundError: the folder or a named frame is not there.
+    """
+
+    def __init__(self, root: str | Path | None = None, names: Sequence[str] | None = None) -> None:
+        self.root = find_root(root, "kitti/object/training", ("image_2", "calib", "label_2"), TREE)
+        if names is None:
+            names = sorted(path.stem for path in (self.root / "label_2").glob("*.txt"))
+            names = [name for name in names if all(path.is_file() for path in self._files(name))]
+        self.names = list(names)
+        for name in self.names:
+            for path in self._files(name):
+                if not path.is_file():
+                    raise FileNotFoundError(f"{path} does not exist: frame {name} needs it")
+
+    def _files(self, name: str) -> tuple[Path, Path]:
+        return self.root / "image_2" / f"{name}.png", self.root / "calib" / f"{name}.txt"
+
+    def image(self, name: str) -> np.ndarray:
+        """``(H, W, 3)`` uint8 RGB."""
+        return read_image(self._files(name)[0])
+
+    def camera(self, name: str) -> PinholeCamera:
+        """Of the left colour picture, in the frame of rectified camera 0, where the labels are.
+
+        Raises:
+            ValueError: the calibration lacks P2.
+        """
+        return PinholeCamera.from_projection(entry(self._files(name)[1], "P2", (3, 4)))
+
+    def labels(self, name: str) -> KittiLabels:
+        """Of one frame, DontCare areas included."""
+        return read_labels(self.root / "label_2" / f"{name}.txt")
+
+    def lidar_depth(self, name: str, size: tuple[int, int]) -> np.ndarray | None:
+        """Sparse depth ``(height, width)`` float32 [m] of the LiDAR scan, 0 = unknown; None without one."""
+        scans = [self.root / folder / f"{name}.bin" for folder in ("velodyne", "velodyne_reduced")]
+        scan = next((path for path in scans if path.is_file()), None)
+        if scan is None:
+            return None
+        calibration = self._files(name)[1]
+        rigid, rectify = np.eye(4), np.eye(4)
+        rigid[:3] = entry(calibration, "Tr_velo_to_cam", (3, 4))
+        rectify[:3, :3] = entry(calibration, "R0_rect", (3, 3))
+        points = np.fromfile(scan, np.float32).reshape(-1, 4)[:, :3].astype(np.float64)
+        points = points[points[:, 0] > 0.5]
+        seen = np.column_stack([points, np.ones(len(points))]) @ (rectify @ rigid).T
+        seen = seen @ entry(calibration, "P2", (3, 4)).T
+        far = seen[:, 2]
+        columns, rows = (np.rint(seen[:, k] / far).astype(int) for k in (0, 1))
+        inside = (far > 0) & (columns >= 0) & (columns < size[1]) & (rows >= 0) & (rows < size[0])
+        order = np.argsort(-far[inside])  # the nearest point of a pixel is written last
+        depth = np.zeros(size, np.float32)
+        depth[rows[inside][order], columns[inside][order]] = far[inside][order]
+        return depth

@@ -1,0 +1,242 @@
+"""What each method makes of the pixels of N objects: paper, L-shape, and the fit with or without depth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eldenet.boxes import Detections2D
+from eldenet.geometry import PinholeCamera
+from eldenet.perception import fit, lshape
+from eldenet.perception.foreground import Foreground, expected_depth
+from eldenet.perception.ground import GroundPlane
+from eldenet.perception.priors import ClassPrior, silhouette
+
+FEWEST_POINTS = 20  # of an object: with fewer, its sides say nothing about its heading
+_CHUNK = 64  # objects solved together
+_ANYTHING = ClassPrior((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), "box")  # an unknown class without depth
+_INSIDE = {"vehicle": 0.30, "upright": 0.12, "box": 0.0}  # [m]: how far a shape may lie inside its box
+_OUTSIDE = {"vehicle": 0.0, "upright": 0.12, "box": 0.0}  # [m]: and outside, where it does not fill it
+_FILL = {"vehicle": 1.0, "upright": 0.5, "box": 1.0}  # a body is slimmer than the reach of its arms and legs
+_STARTS = 4
+
+
+@dataclass(frozen=True)
+class Known:
+    """All that is known of the objects of a picture; see :func:`eldenet.perception.foreground.gather`.
+
+    ``plane`` is the ground that the methods use; ``nominal`` that of the camera's height, if it is another.
+    """
+
+    found: Foreground
+    detections: Detections2D
+    camera: PinholeCamera
+    priors: Sequence[ClassPrior | None]
+    plane: GroundPlane | None
+    nominal: GroundPlane | None
+    trusted: np.ndarray
+    depth_sigma: float
+
+    @property
+    def size(self) -> np.ndarray:
+        """``(N, 3)`` of the classes [m]; NaN for an unknown one."""
+        return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
+
+    def ground_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray | None:
+        """Y of the ground [m], where there is one."""
+        return None if self.plane is None else self.plane.level_at(x, z)
+
+
+@dataclass(frozen=True)
+class RawBoxes:
+    """Boxes as arrays over N objects, before classes and scores are added."""
+
+    center: np.ndarray
+    size: np.ndarray
+    yaw: np.ndarray
+    depth_scale: np.ndarray
+    cost: np.ndarray
+    fallback: np.ndarray
+
+    @classmethod
+    def of(cls, center: np.ndarray, size: np.ndarray, yaw: np.ndarray) -> "RawBoxes":
+        """Boxes of a method that neither scales depth nor has a cost."""
+        count = len(yaw)
+        return cls(center, size, yaw, np.ones(count), np.full(count, np.nan), np.zeros(count, bool))
+
+    def where(self, chosen: np.ndarray, other: "RawBoxes") -> "RawBoxes":
+        """``other``'s boxes where ``chosen``, marked as fall-backs."""
+        mixed = {
+            name: np.where(chosen.reshape(-1, *[1] * (value.ndim - 1)), getattr(other, name), value)
+            for name, value in vars(self).items()
+        }
+        return RawBoxes(**(mixed | {"fallback": self.fallback | chosen}))
+
+
+def _bounds(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest coordinates ``(N, 3)``; zeros for an object without points."""
+    gone = (weight <= 0)[..., None]
+    some = np.any(weight > 0, axis=1, keepdims=True)
+    low, high = np.where(gone, np.inf, points).min(1), np.where(gone, -np.inf, points).max(1)
+    return np.where(some, low, 0.0), np.where(some, high, 0.0)
+
+
+def paper_boxes(known: Known) -> RawBoxes:
+    """Equations 1 to 3: the extents of the points along the axes of the level frame."""
+    low, high = _bounds(known.found.points(known.camera), known.found.weight)
+    size = np.maximum((high - low)[:, [0, 2, 1]], 0.05)
+    return RawBoxes.of((low + high) / 2, size, np.zeros(len(low)))
+
+
+def _heading(known: Known, points: np.ndarray) -> tuple[np.ndarray, lshape.Extents]:
+    """Yaw ``(N,)`` by the L-shape, along the side that fits the class or is longer, and the extents."""
+    weight = known.found.weight
+    z = np.median(known.found.depth, axis=1)
+    yaw = lshape.closeness_yaw(points, weight, 0.05 + 0.15 * known.depth_sigma * z)
+    extents = lshape.extents(points, weight, yaw)
+    size = known.size
+    fits = lshape.length_axis(extents, yaw, np.nan_to_num(size, nan=1.0))
+    longer = np.where(extents.high_v - extents.low_v > extents.high_u - extents.low_u, yaw + np.pi / 2, yaw)
+    yaw = np.where(np.isnan(size[:, 0]), longer, fits)
+    few = known.found.count < FEWEST_POINTS
+    if few.any():  # along the line of sight, as most traffic is
+        middle = (points * weight[..., None]).sum(1) / np.maximum(weight.sum(1), 1)[:, None]
+        yaw = np.where(few, np.arctan2(-middle[:, 2], middle[:, 0]), yaw)
+    return yaw, lshape.extents(points, weight, yaw)
+
+
+def lshape_boxes(known: Known) -> RawBoxes:
+    """Heading from the L-shape, the size of the class (else of the points), anchored at the seen sides."""
+    points = known.found.points(known.camera)
+    empty = known.found.count < 1
+    points = np.where(empty[:, None, None], 1.0, points)
+    known = _padded(known, empty)
+    yaw, extents = _heading(known, points)
+    low, high = _bounds(points, known.found.weight)
+    x, z = (low[:, 0] + high[:, 0]) / 2, (low[:, 2] + high[:, 2]) / 2
+    ground = known.ground_at(x, z)
+    bottom = high[:, 1] if ground is None else ground
+    raw = np.stack(
+        [extents.high_u - extents.low_u, extents.high_v - extents.low_v, bottom - low[:, 1]], axis=1
+    )
+    size = np.where(np.isnan(known.size), np.maximum(raw, 0.05), known.size)
+    x, z = lshape.anchored(extents, yaw, size)
+    ground = known.ground_at(x, z)
+    bottom = bottom if ground is None else ground
+    return RawBoxes.of(np.stack([x, bottom - size[:, 2] / 2, z], axis=1), size, yaw)
+
+
+def _padded(known: Known, empty: np.ndarray) -> Known:
+    """One point for objects that have none, so that extents exist; their boxes are replaced afterwards."""
+    weight = known.found.weight.copy()
+    weight[empty, 0] = 1.0
+    return replace(known, found=replace(known.found, weight=weight))
+
+
+def fitted_boxes(known: Known) -> RawBoxes:
+    """The least-squares fit of :mod:`eldenet.perception.fit`, from several headings; the cheapest wins."""
+    count = len(known.priors)
+    problem = _problem(known)
+    start = _starts(known)
+    states, costs = [], []
+    for first in range(0, count, _CHUNK):
+        part = slice(first, first + _CHUNK)
+        chunk = fit.Problem(**{name: value[part] for name, value in vars(problem).items()})
+        state, cost = fit.solve(chunk.repeat(_STARTS), known.camera, start[part].reshape(-1, fit.UNKNOWNS))
+        states.append(state.reshape(-1, _STARTS, fit.UNKNOWNS))
+        costs.append(cost.reshape(-1, _STARTS))
+    state, cost = np.concatenate(states), np.concatenate(costs)
+    best = cost.argmin(1)
+    state, cost = state[np.arange(count), best], cost[np.arange(count), best]
+    size = np.exp(state[:, [fit.LENGTH, fit.WIDTH, fit.HEIGHT]])
+    center = np.stack([state[:, fit.X], state[:, fit.BOTTOM] - size[:, 2] / 2, state[:, fit.Z]], axis=1)
+    return RawBoxes(
+        center, size, state[:, fit.YAW], np.exp(state[:, fit.SCALE]), cost, known.found.count < FEWEST_POINTS
+    )
+
+
+def _problem(known: Known) -> fit.Problem:
+    found, detections = known.found, known.detections
+    priors = [prior or _ANYTHING for prior in known.priors]
+    count = len(priors)
+    far = np.where(known.found.count > 0, np.median(found.depth, axis=1), 10.0)
+    noise = 0.06 + known.depth_sigma * far
+    sigma = [np.hypot(noise, [table[prior.shape] for prior in priors]) for table in (_OUTSIDE, _INSIDE)]
+    extent = np.tile(detections.xyxy[:, 2:] - detections.xyxy[:, :2], 2)
+    tight = detections.box_style == "tight"
+    shapes = [silhouette(prior.shape, detections.box_style) for prior in priors]
+    most = max(len(shape) for shape in shapes)
+    ground, ground_sigma = _ground_belief(known)
+    return fit.Problem(
+        direction=found.direction,
+        depth=found.depth,
+        weight=found.weight,
+        point_sigma=np.stack(sigma, axis=1),
+        fill=np.array([_FILL[prior.shape] for prior in priors]),
+        xyxy=detections.xyxy.astype(np.float64),
+        edge_sigma=(1.5 if tight else 1.0) + (0.03 if tight else 0.02) * extent,
+        trusted=known.trusted,
+        silhouette=np.stack([np.concatenate([s, np.repeat(s[:1], most - len(s), 0)]) for s in shapes]),
+        log_size=np.log([prior.size for prior in priors]),
+        size_sigma=np.array([prior.spread for prior in priors]),
+        ground=ground,
+        ground_sigma=ground_sigma,
+        scale_sigma=np.full(count, known.depth_sigma),
+    )
+
+
+def _ground_belief(known: Known) -> tuple[np.ndarray, np.ndarray]:
+    """Y of the ground below each object as ``a + b x + c z`` ``(N, 3)``, and its error ``(N,)`` [m].
+
+    A plane fitted to depth is as wrong as the depth's scale; one from the camera's height is wrong by the
+    tilt. Where both are known, each counts by its error.
+    """
+    away = _distance_by_height(known)
+    total, sums = np.full(len(away), 1e-12), np.zeros((len(away), 3))
+    for plane, scale in ((known.plane, known.depth_sigma), (known.nominal, 0.0)):
+        if plane is None:
+            continue
+        sigma = np.hypot(0.05 + plane.tilt * away, scale * plane.offset if plane.fitted else 0.0)
+        total += sigma**-2
+        sums += (
+            np.array([plane.offset, -plane.normal[0], -plane.normal[2]])
+            / plane.normal[1]
+            / sigma[:, None] ** 2
+        )
+    return sums / total[:, None], total**-0.5
+
+
+def _distance_by_height(known: Known) -> np.ndarray:
+    """Depth ``(N,)`` [m] by the class's height; an unknown class counts as a metre high."""
+    priors: list[ClassPrior | None] = [prior or _ANYTHING for prior in known.priors]
+    found = expected_depth(known.detections, known.camera, priors, known.trusted)
+    return np.array([depth for depth, _ in found])
+
+
+def _starts(known: Known) -> np.ndarray:
+    """``(N, 4, 8)``: the L-shape's heading and a quarter turn more, along the line of sight and across."""
+    count = len(known.priors)
+    size = np.where(np.isnan(known.size), 1.0, known.size)
+    blind = known.found.count < 1
+    xyxy = known.detections.xyxy
+    middle = (xyxy[:, :2] + xyxy[:, 2:]) / 2
+    guess = known.camera.back_project(middle[:, 0], middle[:, 1], _distance_by_height(known))
+    points = np.where(blind[:, None, None], guess[:, None], known.found.points(known.camera))
+    known = _padded(known, blind)
+    yaw, _ = _heading(known, points)
+    low, high = _bounds(points, known.found.weight)
+    sight = np.arctan2(-(low + high)[:, 2], (low + high)[:, 0])
+    yaw = np.where(blind, sight + np.pi / 4, yaw)
+    state = np.zeros((count, _STARTS, fit.UNKNOWNS))
+    for row, turn in enumerate((yaw, yaw + np.pi / 2, sight, sight + np.pi / 2)):
+        extents = lshape.extents(points, known.found.weight, turn)
+        x, z = lshape.anchored(extents, turn, size)
+        state[:, row, fit.X] = np.where(blind, guess[:, 0], x)
+        state[:, row, fit.Z] = np.where(blind, guess[:, 2], z)
+        ground = known.ground_at(state[:, row, fit.X], state[:, row, fit.Z])
+        state[:, row, fit.BOTTOM] = high[:, 1] if ground is None else ground
+        if ground is None:
+            state[blind, row, fit.BOTTOM] += size[blind, 2] / 2
+        state[:, row, fit.YAW] = turn
+    state[..., fit.LENGTH : fit.HEIGHT + 1] = np.log(size)[:, None]
+    return state

@@ -1,0 +1,300 @@
+"""Detectors as ONNX files, run by ONNX Runtime: YOLOv8-style and YOLOv9 exports, YOLOX, FastestDet.
+
+The file is data: nothing in it is executed but its graph. What each layout means was read from the exporters'
+documentation; the decoding is our own.
+"""
+
+import ast
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eldenet.boxes import BoxStyle, Detections2D
+from eldenet.data.roots import one_of
+from eldenet.perception.detectors import COCO_NAMES, check_frame
+
+_PAD = 114  # grey, as in training
+_STRIDES = (8, 16, 32)
+
+
+class Layout(NamedTuple):
+    """How a family of exports wants its picture and gives its boxes.
+
+    Attributes:
+        letterbox: "topleft" or "center" (aspect kept, padded), or "stretch".
+        bgr: colour order of the input.
+        scale: factor on 0-255.
+        decode: output ``(...)`` and input ``(height, width)`` -> xyxy ``(N, 4)`` [input px], scores
+            ``(N, classes)``.
+    """
+
+    letterbox: str
+    bgr: bool
+    scale: float
+    decode: Callable[[np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]
+
+
+def _corners(boxes: np.ndarray) -> np.ndarray:
+    """cx, cy, w, h -> xyxy."""
+    return np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+
+
+def _yolox(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, N, 5 + classes)``: offsets in grid cells, log sizes, objectness."""
+    cells, strides = [], []
+    for stride in _STRIDES:
+        rows, columns = np.indices((size[0] // stride, size[1] // stride))
+        cells.append(np.stack([columns.ravel(), rows.ravel()], axis=1))
+        strides.append(np.full((rows.size, 1), stride))
+    grid, step = np.concatenate(cells), np.concatenate(strides)
+    raw = output[0].astype(np.float64)
+    boxes = np.concatenate([(raw[:, :2] + grid) * step, np.exp(np.minimum(raw[:, 2:4], 20)) * step], axis=1)
+    return _corners(boxes), raw[:, 4:5] * raw[:, 5:]
+
+
+def _yolov8(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, 4 + classes, N)``: cx, cy, w, h in pixels."""
+    raw = output[0].T.astype(np.float64)
+    return _corners(raw[:, :4]), raw[:, 4:]
+
+
+def _corners_first(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, 4 + classes, N)``: xyxy in pixels."""
+    raw = output[0].T.astype(np.float64)
+    return raw[:, :4], raw[:, 4:]
+
+
+def _fastestdet(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, 5 + classes, h, w)``: objectness, offset (tanh), size (sigmoid), classes, per cell."""
+    raw = output[0].astype(np.float64)
+    _, height, width = raw.shape
+    rows, columns = np.indices((height, width))
+    x, y = (columns + np.tanh(raw[1])) / width * size[1], (rows + np.tanh(raw[2])) / height * size[0]
+    wide, tall = (1 / (1 + np.exp(-raw[k])) * side for k, side in ((3, size[1]), (4, size[0])))
+    boxes = np.stack([x, y, wide, tall], axis=-1).reshape(-1, 4)
+    score = np.maximum(raw[0], 0) ** 0.6 * np.maximum(raw[5:], 0) ** 0.4
+    return _corners(boxes), score.reshape(len(score), -1).T
+
+
+def _finished(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, K, 6)``: xyxy, score, class: NMS is in the graph."""
+    raw = output[0].astype(np.float64)
+    score = np.zeros((len(raw), int(raw[:, 5].max(initial=0)) + 1))
+    score[np.arange(len(raw)), raw[:, 5].astype(int)] = raw[:, 4]
+    return raw[:, :4], score
+
+
+LAYOUTS = {
+    "yolov8": Layout("center", False, 1 / 255, _yolov8),
+    "yolov9": Layout("topleft", False, 1 / 255, _corners_first),
+    "yolox": Layout("topleft", True, 1.0, _yolox),
+    "fastestdet": Layout("stretch", True, 1 / 255, _fastestdet),
+    "nms": Layout("center", False, 1 / 255, _finished),
+}
+
+
+class OnnxDetector:
+    """A detector from an ONNX file.
+
+    Layouts: "yolov8" (also the original YOLOv9's export: centre boxes, padded on all sides), "yolov9"
+    (libreyolo's: corner boxes, padded right and below), "yolox", "fastestdet", "nms" (NMS in the graph).
+    "auto" tells them by the output's shape and the file's metadata.
+
+    Args:
+        path: of the file.
+        layout: see above.
+        letterbox: "topleft", "center" or "stretch"; None: the layout's (or the file's ``letterbox_pad``).
+        names: of the classes; None: the file's, or COCO's where there are 80.
+        input_size: ``(height, width)``; None: the file's. Needed where the file leaves it open.
+        threshold: detections below this score are dropped.
+        nms: of two boxes of one class that overlap by this IoU, the better is kept.
+        keep: names of the classes to keep; None: all.
+        box_style: how its boxes lie around objects.
+        threads: of ONNX Runtime.
+        providers: of ONNX Runtime.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: no ONNX file, or a layout that is not known.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        layout: str = "auto",
+        letterbox: str | None = None,
+        names: Sequence[str] | None = None,
+        input_size: tuple[int, int] | None = None,
+        threshold: float = 0.3,
+        nms: float = 0.5,
+        keep: Sequence[str] | None = None,
+        box_style: BoxStyle = "tight",
+        threads: int = 1,
+        providers: Sequence[str] = ("CPUExecutionProvider",),
+    ) -> None:
+        one_of("layout", layout, ("auto", *LAYOUTS))
+        self.session = _open(Path(path), threads, providers)
+        metadata = self.session.get_modelmeta().custom_metadata_map
+        _warn_of_licence(Path(path), metadata)
+        given = self.session.get_inputs()[0]
+        self.input_name = given.name
+        self.input_size = _input_size(given.shape, input_size, Path(path))
+        self.layout_name = self._sniff(Path(path), metadata) if layout == "auto" else layout
+        self.layout = LAYOUTS[self.layout_name]
+        self.letterbox = letterbox or metadata.get("letterbox_pad") or self.layout.letterbox
+        one_of("letterbox", self.letterbox, ("topleft", "center", "stretch"))
+        self.names = self._names(names, metadata, Path(path))
+        self.threshold, self.nms, self.keep, self.box_style = threshold, nms, keep, box_style
+        if keep is not None and not set(keep) <= set(self.names):
+            raise ValueError(
+                f"keep={list(keep)}: {sorted(set(keep) - set(self.names))} are none of {path}'s classes"
+            )
+
+    def __call__(self, frame: np.ndarray) -> Detections2D:
+        """Find objects in ``(H, W, 3)`` uint8 RGB."""
+        check_frame(frame)
+        picture, scale, shift = fit_picture(frame, self.input_size, self.letterbox)
+        if self.layout.bgr:
+            picture = picture[..., ::-1]
+        tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32) * np.float32(
+            self.layout.scale
+        )
+        output = self.session.run(None, {self.input_name: tensor})[0]
+        xyxy, score = self.layout.decode(output, self.input_size)
+        label = score.argmax(1)
+        best = score[np.arange(len(score)), label]
+        kept = (best >= self.threshold) & np.isfinite(xyxy).all(1)
+        if self.keep is not None:
+            kept &= np.isin(label, [self.names.index(name) for name in self.keep])
+        xyxy, best, label = xyxy[kept], best[kept], label[kept]
+        xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
+        limit = np.array([frame.shape[1] - 1, frame.shape[0] - 1])
+        xyxy = np.clip(xyxy, 0, np.tile(limit, 2))
+        chosen = class_wise_nms(xyxy, best, label, self.nms)
+        chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
+        return Detections2D(
+            xyxy[chosen], best[chosen], label[chosen].astype(np.int64), self.names, self.box_style
+        )
+
+    def _sniff(self, path: Path, metadata: dict[str, str]) -> str:
+        """Layout by the shape of the first output."""
+        output = self.session.get_outputs()[0].shape
+        shape = [side if isinstance(side, int) else None for side in output]
+        height, width = self.input_size
+        anchors = sum((height // stride) * (width // stride) for stride in _STRIDES)
+        if len(shape) == 4 and shape[2:] == [height // 16, width // 16]:
+            return "fastestdet"
+        if len(shape) == 3:
+            if shape[2] == 6 and shape[1] != anchors:
+                return "nms"
+            if shape[1] == anchors and (shape[2] or 0) > 5:
+                return "yolox"
+            channels_first = shape[2] == anchors or (shape[2] is None and (shape[1] or 0) > 4)
+            if channels_first:
+                return "yolov9" if metadata.get("letterbox_pad") == "topleft" else "yolov8"
+        raise ValueError(
+            f"{path}: output of shape {output} for an input of {height} x {width} fits no layout known: give "
+            f"layout= one of {', '.join(LAYOUTS)}"
+        )
+
+    def _names(self, names: Sequence[str] | None, metadata: dict[str, str], path: Path) -> tuple[str, ...]:
+        shape = self.session.get_outputs()[0].shape
+        channels = {"yolox": (2, 5), "yolov8": (1, 4), "yolov9": (1, 4), "fastestdet": (1, 5)}
+        axis, extra = channels.get(self.layout_name, (0, 0))
+        count = shape[axis] - extra if extra and isinstance(shape[axis], int) else None
+        found = tuple(names) if names is not None else _names_in(metadata)
+        if found is None and count in (None, len(COCO_NAMES)):
+            found = COCO_NAMES
+        if found is None:
+            raise ValueError(f"{path} has {count} classes and does not name them: give names=[...]")
+        if count is not None and len(found) != count:
+            raise ValueError(f"{path} has {count} classes, but {len(found)} names")
+        return found
+
+
+def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist: give the path of a detector's .onnx file")
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ValueError("OnnxDetector needs ONNX Runtime: pip install 'eldenet[deploy]'") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=list(providers))
+    except Exception as error:  # its exceptions share no base class
+        raise ValueError(f"{path} is no ONNX file that this ONNX Runtime can run: {error}") from error
+
+
+def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:
+    if len(shape) != 4 or (shape[1] not in (3, None) and not isinstance(shape[1], str)):
+        raise ValueError(f"{path}: input of shape {shape}, a detector takes (1, 3, height, width)")
+    fixed = shape[2:]
+    if all(isinstance(side, int) for side in fixed):
+        if wanted is not None and tuple(wanted) != tuple(fixed):
+            raise ValueError(f"input_size={list(wanted)}, but {path} is made for {fixed}")
+        return int(fixed[0]), int(fixed[1])
+    if wanted is None:
+        raise ValueError(f"{path} leaves its input size open: give input_size=[height, width]")
+    return int(wanted[0]), int(wanted[1])
+
+
+def _names_in(metadata: dict[str, str]) -> tuple[str, ...] | None:
+    """Class names as exporters store them: JSON or a Python literal, a list or a dict by number."""
+    text = metadata.get("names")
+    if not text:
+        return None
+    try:
+        stored = json.loads(text)
+    except ValueError:
+        try:
+            stored = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            return None
+    if isinstance(stored, dict):
+        stored = [stored[key] for key in sorted(stored, key=int)]
+    return tuple(str(name) for name in stored)
+
+
+def _warn_of_licence(path: Path, metadata: dict[str, str]) -> None:
+    text = " ".join(metadata.values())
+    if "AGPL" in text or "GPL" in metadata.get("license", ""):
+        warnings.warn(
+            f"{path} says it is under {metadata.get('license', 'the AGPL')}: its terms may reach to "
+            "whatever uses it, networks included",
+            stacklevel=3,
+        )
+
+
+def fit_picture(
+    frame: np.ndarray, size: tuple[int, int], letterbox: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Resize a frame into ``(height, width)``; returns picture, scale (x, y) and shift (x, y) [px]."""
+    import cv2
+
+    height, width = frame.shape[:2]
+    if letterbox == "stretch":
+        scale = np.array([size[1] / width, size[0] / height])
+        return np.asarray(cv2.resize(frame, (size[1], size[0]))), scale, np.zeros(2)
+    ratio = min(size[0] / height, size[1] / width)
+    inner = (max(1, round(height * ratio)), max(1, round(width * ratio)))
+    left, top = ((size[1] - inner[1]) // 2, (size[0] - inner[0]) // 2) if letterbox == "center" else (0, 0)
+    picture = np.full((*size, 3), _PAD, np.uint8)
+    picture[top : top + inner[0], left : left + inner[1]] = cv2.resize(frame, (inner[1], inner[0]))
+    return picture, np.array([ratio, ratio]), np.array([left, top], np.float64)
+
+
+def class_wise_nms(xyxy: np.ndarray, score: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
+    """Numbers of the boxes to keep, best first: non-maximum suppression within each class."""
+    import torch
+    from torchvision.ops import batched_nms
+
+    kept = batched_nms(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (xyxy, score, label)), threshold)
+    return np.asarray(kept.numpy())

@@ -1,0 +1,77 @@
+"""What is known of a class before a picture is seen: its size, and the shape that fills its box."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Shape = Literal["vehicle", "upright", "box"]
+
+
+@dataclass(frozen=True)
+class ClassPrior:
+    """Sizes of a class.
+
+    Attributes:
+        size: mean length, width, height [m].
+        spread: relative standard deviation of each.
+        shape: what fills the box: a vehicle (corners cut, roof smaller), something upright and slim, a block.
+    """
+
+    size: tuple[float, float, float]
+    spread: tuple[float, float, float]
+    shape: Shape
+
+
+_CAR = ClassPrior((3.90, 1.61, 1.52), (0.11, 0.07, 0.08), "vehicle")
+_VAN = ClassPrior((4.93, 1.86, 2.16), (0.12, 0.08, 0.14), "vehicle")
+_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle")  # COCO's are vans and pick-ups too
+_PERSON = ClassPrior((0.67, 0.61, 1.71), (0.3, 0.25, 0.08), "upright")
+_CYCLIST = ClassPrior((1.77, 0.60, 1.71), (0.1, 0.2, 0.06), "upright")
+
+#: Means over KITTI's tracking labels (17,332 cars), by KITTI's and COCO's names; the last four are rough.
+PRIORS: Mapping[str, ClassPrior] = {
+    "car": _CAR,
+    "van": _VAN,
+    "truck": _TRUCK,
+    "bus": ClassPrior((11.0, 2.6, 3.2), (0.2, 0.08, 0.1), "vehicle"),
+    "pedestrian": _PERSON,
+    "person": _PERSON,
+    "person_sitting": ClassPrior((0.8, 0.6, 1.25), (0.3, 0.25, 0.15), "upright"),
+    "cyclist": _CYCLIST,
+    "bicycle": ClassPrior((1.75, 0.55, 1.1), (0.1, 0.25, 0.15), "upright"),
+    "motorcycle": ClassPrior((2.1, 0.8, 1.35), (0.12, 0.25, 0.2), "upright"),
+    "box": ClassPrior((0.8, 0.6, 0.7), (0.4, 0.4, 0.5), "box"),
+    "pillar": ClassPrior((0.4, 0.4, 2.6), (0.3, 0.3, 0.2), "box"),
+}
+
+
+def prior_of(name: str, priors: Mapping[str, ClassPrior] = PRIORS) -> ClassPrior | None:
+    """The prior of a class by name, whatever its capitals; None for a class that has none."""
+    return priors.get(name.lower())
+
+
+def silhouette(shape: Shape | None, style: str) -> np.ndarray:
+    """Points ``(M, 3)`` in units of (length, height, width) whose extent in the picture is the 2D box.
+
+    Convention: a "projected" box goes around the eight corners (KITTI's labels); a "tight" one goes around
+    what is seen, and a car does not fill the corners of its box.
+    """
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    if style == "projected" or shape in (None, "box"):
+        return corners
+    if shape == "upright":  # an ellipse at the feet, at the shoulders, and a small one at the head
+        angles = np.arange(8) * np.pi / 4
+        circle = np.stack([np.cos(angles), np.zeros(8), np.sin(angles)], axis=1) * 0.5
+        return np.concatenate(
+            [circle * scale + [0, y, 0] for y, scale in ((0.5, 0.8), (0.1, 0.95), (-0.5, 0.3))]
+        )
+    cut = 0.42
+    outline = [(x, z) for x in (-0.5, 0.5) for z in (-cut, cut)] + [
+        (x, z) for x in (-cut, cut) for z in (-0.5, 0.5)
+    ]
+    low = [(x, y, z) for x, z in outline for y in (0.4, -0.02)]
+    wheels = [(x, 0.5, z) for x in (-0.36, 0.36) for z in (-0.5, 0.5)]
+    roof = [(x, -0.5, z) for x in (-0.33, 0.1) for z in (-0.38, 0.38)]
+    return np.array(low + wheels + roof)

@@ -1,0 +1,103 @@
+"""What ``boxes=true`` adds to ``eldenet.predict``: pictures with 3D boxes, and KITTI result files."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldenet import config as cfg
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from eldenet.perception.scene import Perception
+    from eldenet.predictions import Results
+    from eldenet.runlog import RunLog
+
+Add = Callable[[str, np.ndarray, np.ndarray], None]
+
+
+@contextmanager
+def box_results(
+    config: "DictConfig", results: "Results", names: Sequence[str], rate: float | None, log: "RunLog"
+) -> Iterator[Add | None]:
+    """Give a function that takes ``(name, photo, depth)`` of each picture; None without ``boxes=true``.
+
+    Pictures become ``<name>_boxes.png`` and ``<name>_boxes.txt``, a video ``<name>_boxes.mp4`` and one text
+    file per frame. At the end the time that each stage took is said. ``rate`` is a video's [frames/s], None
+    for pictures.
+
+    Raises:
+        ValueError: no intrinsics or no detector were given, or a result is there already.
+    """
+    from eldenet.pictures import write_picture
+    from eldenet.predictions import open_video
+
+    if not config.boxes:
+        yield None
+        return
+    perception = build_perception(config, results.intrinsics, tracked=rate is not None)
+    endings = ("_boxes.mp4",) if rate is not None else ("_boxes.png", "_boxes.txt")
+    results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])
+    spent: dict[str, list[float]] = {}
+    with ExitStack() as stack:
+        show: Callable[[np.ndarray], None] | None = None
+        step = 1.0 if rate is None else 1 / rate
+        if rate is not None:
+            show = stack.enter_context(open_video(results.folder / f"{names[0]}_boxes.mp4", rate))
+
+        def add(name: str, photo: np.ndarray, depth: np.ndarray) -> None:
+            scene = perception(photo, depth=depth, seconds=step)
+            for stage, seconds in scene.seconds.items():
+                spent.setdefault(stage, []).append(seconds)
+            if show is not None:
+                show(scene.picture())
+            else:
+                write_picture(results.folder / f"{name}_boxes.png", scene.picture())
+            scene.write_kitti(results.folder / f"{name}_boxes.txt")
+
+        yield add
+    parts = [
+        f"{stage} {1000 * float(np.median(times)):.1f} ms"
+        for stage, times in spent.items()
+        if stage != "depth" and (stage != "track" or rate is not None)
+    ]
+    if parts:
+        log.say(f"boxes: median {', '.join(parts)} per picture, besides depth")
+
+
+def build_perception(config: "DictConfig", intrinsics: np.ndarray | None, *, tracked: bool) -> "Perception":
+    """Detector, lifter and tracker of the ``perception`` node.
+
+    Raises:
+        ValueError: no intrinsics or no detector were given.
+    """
+    from eldenet.geometry import PinholeCamera
+    from eldenet.perception.scene import Perception
+
+    if intrinsics is None:
+        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = cfg.instantiate(config.perception.detector)
+    lifter = cfg.instantiate(config.perception.lifter)
+    tracker = cfg.instantiate(config.perception.tracker) if tracked else None
+
+    def no_model(frame: np.ndarray) -> np.ndarray:
+        raise AssertionError("depth comes with each picture")
+
+    return Perception(no_model, detector, lifter, PinholeCamera(intrinsics), tracker=tracker)
+
+
+def frames_per_second(video: Path) -> float:
+    """Of a video; 30 where it does not say."""
+    import cv2
+
+    capture = cv2.VideoCapture(str(video))
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    capture.release()
+    return rate if 0 < rate <= 1000 else 30.0

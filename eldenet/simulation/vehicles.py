@@ -1,0 +1,126 @@
+"""Things that stand in a street: cars, vans, trucks, pillars and cartons, of boxes and cylinders.
+
+As the furniture, a maker fills a :class:`~eldenet.simulation.mjcf.Body` whose front looks along +y. Lengths
+run along y, widths along x. A vehicle touches its box ``length`` x ``width`` x ``height`` on all sides.
+"""
+
+from typing import NamedTuple
+
+from eldenet.simulation.materials import any_color
+from eldenet.simulation.mjcf import Body, Draw, Palette
+from eldenet.simulation.patterns import variants
+
+_SLICES = 5  # of a slanted windscreen
+
+
+class Paint(NamedTuple):
+    """Material numbers of one street."""
+
+    bodies: list[int]
+    glass: int
+    rubber: int
+    lamp: int
+    tail: int
+    card: list[int]
+
+
+def paints(draw: Draw, palette: Palette) -> Paint:
+    """Add the colours of vehicles and cartons to a palette."""
+    plain = variants("plain")[0]
+    usual = ((0.8, 0.8, 0.8), (0.05, 0.05, 0.06), (0.35, 0.36, 0.38), (0.4, 0.05, 0.05), (0.08, 0.12, 0.3))
+    bodies = [palette.add([draw.pick(usual)], plain, 1.0, gloss=0.6) for _ in range(5)]
+    bodies += [palette.add([any_color(draw, 0.9)], plain, 1.0, gloss=0.5) for _ in range(3)]
+    brown = (0.5, 0.36, 0.22)
+    card = [palette.add([brown, (0.42, 0.3, 0.18), (0.7, 0.65, 0.55)], variants("text")[0], 0.0)]
+    card += [palette.add([any_color(draw)], draw.pick(variants("plaster")), 1.0) for _ in range(2)]
+    return Paint(
+        bodies,
+        palette.add([(0.03, 0.04, 0.05)], plain, 1.0, gloss=0.9),
+        palette.add([(0.02, 0.02, 0.02)], plain, 1.0),
+        palette.add([(0.9, 0.9, 0.85)], plain, 1.0, gloss=0.8, emission=0.3),
+        palette.add([(0.5, 0.02, 0.02)], plain, 1.0, gloss=0.8, emission=0.1),
+        card,
+    )
+
+
+def car(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
+    """Saloon, hatchback or estate."""
+    paint, waist = d.pick(p.bodies), height * d.uniform(0.56, 0.64)
+    _chassis(d, p, b, length, width, waist, paint)
+    front = length * d.uniform(0.16, 0.24)  # where the windscreen meets the bonnet
+    rear = -length * d.pick((0.32, 0.40, 0.46))
+    _cabin(
+        p,
+        b,
+        (rear, front),
+        (0.06 * length, 0.18 * length),
+        width * 0.92,
+        width * 0.72,
+        (waist, height),
+        paint,
+    )
+
+
+def van(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
+    """Delivery van or people carrier: one volume behind a short bonnet."""
+    paint, waist = d.pick(p.bodies), height * d.uniform(0.45, 0.55)
+    _chassis(d, p, b, length, width, waist, paint)
+    span = (-length * 0.49, length * d.uniform(0.32, 0.42))
+    _cabin(p, b, span, (0.02 * length, 0.14 * length), width * 0.97, width * 0.86, (waist, height), paint)
+
+
+def truck(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
+    """Lorry: a cab and a closed load."""
+    paint, load = d.pick(p.bodies), d.pick((*p.bodies, *p.card))
+    cab = min(2.0, 0.35 * length)
+    _wheels(p, b, length, width, 0.45)
+    b.box(0, length / 2 - cab / 2, 0.4, width * 0.94, cab, height * 0.78 - 0.4, paint)
+    b.box(0, length / 2 - 0.02, height * 0.45, width * 0.8, 0.05, height * 0.24, p.glass)
+    b.box(0, -cab / 2 - 0.1, 0.75, width, length - cab - 0.2, height - 0.75, load)
+    b.box(0, -cab / 2, 0.5, width * 0.5, length - cab, 0.3, p.rubber)
+
+
+def carton(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
+    """A closed box on the floor."""
+    b.box(0, 0, 0, width, length, height, d.pick(p.card))
+
+
+def pillar(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
+    """A round or square post."""
+    if d.chance(0.5):
+        b.cylinder(0, 0, 0, width / 2, height, d.pick(p.card))
+    else:
+        b.box(0, 0, 0, width, length, height, d.pick(p.card))
+
+
+def _chassis(d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int) -> None:
+    """Wheels, and a body below the windows whose four corners are cut."""
+    _wheels(p, b, length, width, d.uniform(0.29, 0.35))
+    low, cut = d.uniform(0.18, 0.28), d.uniform(0.84, 0.92)
+    b.box(0, 0, low, width, length * cut, waist - low, paint)
+    b.box(0, 0, low + 0.05, width * 0.84, length, waist - low - 0.12, paint)
+    for s in (-1, 1):
+        b.box(s * width * 0.33, length / 2 - 0.08, waist - 0.3, 0.3, 0.14, 0.12, p.lamp)
+        b.box(s * width * 0.35, -length / 2 + 0.08, waist - 0.28, 0.22, 0.14, 0.14, p.tail)
+
+
+def _wheels(p: Paint, b: Body, length: float, width: float, radius: float) -> None:
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            place = (sx * (width / 2 - 0.12), sy * length * 0.31, 0.0)
+            b.cylinder(place[0], place[1], radius - 0.11, radius, 0.22, p.rubber, (0, 90, 0))
+
+
+def _cabin(
+    p: Paint, b: Body, span: tuple[float, float], slant: tuple[float, float], low_width: float,
+    high_width: float, levels: tuple[float, float], paint: int,
+) -> None:  # fmt: skip
+    """Windows that lean inwards under a painted roof."""
+    step = (levels[1] - 0.05 - levels[0]) / _SLICES
+    for k in range(_SLICES):
+        share = (k + 0.5) / _SLICES
+        rear, front = span[0] + share * slant[0], span[1] - share * slant[1]
+        width = low_width + share * (high_width - low_width)
+        b.box(0, (rear + front) / 2, levels[0] + k * step, width, front - rear, step, p.glass)
+    rear, front = span[0] + slant[0], span[1] - slant[1]
+    b.box(0, (rear + front) / 2, levels[1] - 0.05, high_width, front - rear, 0.05, paint)

@@ -1,0 +1,217 @@
+"""Detectors: ONNX files of every layout, made here with known boxes, and the simple adapters."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from eldenet.boxes import Detections2D
+from eldenet.perception.detectors import (
+    COCO_NAMES,
+    CallableDetector,
+    Detector,
+    FixedDetections,
+    TorchvisionDetector,
+    merge_cyclists,
+    only,
+    rename,
+)
+from eldenet.perception.onnx_detector import OnnxDetector, class_wise_nms, fit_picture
+
+SIZE = (64, 128)
+ANCHORS = sum((SIZE[0] // s) * (SIZE[1] // s) for s in (8, 16, 32))
+FRAME = np.zeros((128, 256, 3), np.uint8)  # twice the input: no padding whatever the letterbox
+WANTED = np.array([[20.0, 10, 60, 50], [100, 30, 160, 100]])  # [px of the frame]
+NAMES = ("cat", "dog", "cow")
+
+
+def save(path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE) -> Path:
+    """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it."""
+    constant = numpy_helper.from_array(output.astype(np.float32), "boxes")
+    zero = numpy_helper.from_array(np.zeros(1, np.float32), "zero")
+    nodes = [
+        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Add", ["boxes", "nothing"], ["output"]),
+    ]
+    picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, *size])
+    result = helper.make_tensor_value_info("output", TensorProto.FLOAT, list(output.shape))
+    model = helper.make_model(
+        helper.make_graph(nodes, "g", [picture], [result], [constant, zero]),
+        opset_imports=[helper.make_opsetid("", 13)],
+        ir_version=8,
+    )
+    helper.set_model_props(model, metadata)
+    onnx.save(model, path)
+    return path
+
+
+def yolov8(corners: bool = False) -> np.ndarray:
+    out = np.zeros((1, 4 + len(NAMES), ANCHORS))
+    boxes = WANTED / 2
+    if not corners:
+        boxes = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]], 1)
+    for place, (box, label) in enumerate(zip(boxes, (1, 2), strict=True)):
+        out[0, :4, 7 + place], out[0, 4 + label, 7 + place] = box, 0.9 - 0.2 * place
+        out[0, :4, 20 + place], out[0, 4 + label, 20 + place] = (
+            box + 0.5,
+            0.6 - 0.2 * place,
+        )  # NMS's
+    return out
+
+
+def yolox() -> np.ndarray:
+    out = np.full((1, ANCHORS, 5 + len(NAMES)), 0.0)
+    first = {8: 0, 16: 128, 32: 160}
+    for box, label, stride, score in zip(WANTED / 2, (1, 2), (8, 16), (0.9, 0.7), strict=True):
+        center, wide = (box[:2] + box[2:]) / 2, box[2:] - box[:2]
+        column, row = np.floor(center / stride).astype(int)
+        place = first[stride] + row * (SIZE[1] // stride) + column
+        out[0, place, :2] = center / stride - (column, row)
+        out[0, place, 2:4] = np.log(wide / stride)
+        out[0, place, 4], out[0, place, 5 + label] = 1.0, score
+    return out
+
+
+def fastestdet() -> np.ndarray:
+    out = np.zeros((1, 5 + len(NAMES), 4, 8))
+    for box, label, score in zip(WANTED / 2, (1, 2), (0.9, 0.7), strict=True):
+        center, wide = (box[:2] + box[2:]) / 2, (box[2:] - box[:2]) / [SIZE[1], SIZE[0]]
+        column, row = np.floor(center / 16).astype(int)
+        out[0, 1:3, row, column] = np.arctanh(np.minimum(center / 16 - (column, row), 0.999))
+        out[0, 3:5, row, column] = np.log(wide / (1 - wide))
+        out[0, 0, row, column], out[0, 5 + label, row, column] = score, score
+    return out
+
+
+def finished() -> np.ndarray:
+    out = np.zeros((1, 10, 6))
+    out[0, :2] = [[*(WANTED[0] / 2), 0.9, 1], [*(WANTED[1] / 2), 0.7, 2]]
+    return out
+
+
+FILES = {
+    "yolov8": (yolov8(), {"names": str(dict(enumerate(NAMES)))}),
+    "yolov9": (yolov8(corners=True), {"names": json.dumps(NAMES), "letterbox_pad": "topleft"}),
+    "yolox": (yolox(), {"names": json.dumps({str(i): n for i, n in enumerate(NAMES)})}),
+    "fastestdet": (fastestdet(), {"names": str(list(NAMES))}),
+    "nms": (finished(), {"names": str(list(NAMES))}),
+}
+
+
+@pytest.mark.parametrize("layout", sorted(FILES))
+def test_every_layout_is_recognised_and_decoded(layout, tmp_path):
+    detector = OnnxDetector(save(tmp_path / "d.onnx", *FILES[layout]))
+    assert detector.layout_name == layout
+    assert isinstance(detector, Detector)
+    found = detector(FRAME)
+    assert found.classes == ["dog", "cow"]
+    np.testing.assert_allclose(found.xyxy, WANTED, atol=0.2)
+    np.testing.assert_allclose(found.score, [0.9, 0.7], atol=1e-3)
+
+
+def test_classes_and_scores_can_be_chosen(tmp_path):
+    path = save(tmp_path / "d.onnx", *FILES["yolov8"])
+    assert OnnxDetector(path, keep=["cow"])(FRAME).classes == ["cow"]
+    assert OnnxDetector(path, threshold=0.8)(FRAME).classes == ["dog"]
+    assert len(OnnxDetector(path, threshold=0.95)(FRAME)) == 0
+    assert len(OnnxDetector(path, nms=0.999)(FRAME)) == 4
+    with pytest.raises(ValueError, match="horse"):
+        OnnxDetector(path, keep=["horse"])
+
+
+@pytest.mark.parametrize("letterbox", ["topleft", "center", "stretch"])
+def test_boxes_come_back_from_every_letterbox(letterbox, tmp_path):
+    """What is drawn at a place of the fitted picture is found at its place in the frame."""
+    frame = np.zeros((100, 100, 3), np.uint8)
+    frame[40:60, 20:50] = 255
+    picture, scale, shift = fit_picture(frame, SIZE, letterbox)
+    assert picture.shape == (*SIZE, 3)
+    rows, columns = np.nonzero((picture > 200).all(-1))
+    box = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    np.testing.assert_allclose((box - np.tile(shift, 2)) / np.tile(scale, 2), [20, 40, 50, 60], atol=2)
+
+
+def test_unknown_layouts_sizes_and_names_are_refused(tmp_path):
+    odd = save(tmp_path / "odd.onnx", np.zeros((1, 17)), {})
+    with pytest.raises(ValueError, match="layout="):
+        OnnxDetector(odd)
+    nameless = save(tmp_path / "n.onnx", yolov8(), {})
+    with pytest.raises(ValueError, match="names"):
+        OnnxDetector(nameless)
+    assert OnnxDetector(nameless, names=NAMES)(FRAME).names == NAMES
+    with pytest.raises(ValueError, match="3 classes, but 2 names"):
+        OnnxDetector(nameless, names=NAMES[:2])
+    with pytest.raises(ValueError, match="input_size"):
+        OnnxDetector(nameless, names=NAMES, input_size=(32, 32))
+    with pytest.raises(FileNotFoundError, match=r"\.onnx"):
+        OnnxDetector(tmp_path / "none.onnx")
+    (tmp_path / "text.onnx").write_text("no model")
+    with pytest.raises(ValueError, match="no ONNX file"):
+        OnnxDetector(tmp_path / "text.onnx")
+    with pytest.raises(ValueError, match="frame is"):
+        OnnxDetector(nameless, names=NAMES)(FRAME.astype(np.float32))
+
+
+def test_a_file_under_the_agpl_says_so(tmp_path):
+    output, metadata = FILES["yolov8"]
+    path = save(tmp_path / "a.onnx", output, metadata | {"license": "AGPL-3.0 License"})
+    with pytest.warns(UserWarning, match="AGPL"):
+        OnnxDetector(path)
+
+
+def test_nms_is_class_wise():
+    boxes = np.array([[0, 0, 10, 10], [0, 0, 10, 11], [0, 0, 10, 10.0]])
+    kept = class_wise_nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]), 0.5)
+    assert kept.tolist() == [1, 2]
+
+
+def test_the_simple_adapters():
+    known = Detections2D(WANTED, np.ones(2), np.array([0, 1]), ("car", "dog"))
+    fixed = FixedDetections([known])
+    assert fixed(FRAME) is known
+    with pytest.raises(ValueError, match="more frames"):
+        fixed(FRAME)
+    called = CallableDetector(lambda frame: (WANTED.tolist(), [0.5, 0.6], [0, 1]), ("car", "dog"))(FRAME)
+    np.testing.assert_array_equal(called.xyxy, WANTED)
+    assert only(called, ["Dog"]).classes == ["dog"]
+    assert rename(called, {"dog": "hound"}).classes == ["car", "hound"]
+
+
+def test_torchvision_networks_are_taken():
+    from torchvision.models.detection import ssdlite320_mobilenet_v3_large
+
+    model = ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
+    found = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)(FRAME)
+    assert set(found.classes) <= {"car", "dog"}
+    assert (found.xyxy >= 0).all()
+
+
+def test_a_person_on_a_bicycle_is_a_cyclist():
+    names = ("person", "bicycle", "car")
+    xyxy = np.array([[10, 10, 30, 60], [5, 35, 40, 75], [80, 10, 95, 60], [100, 0, 150, 50.0]])
+    found = merge_cyclists(Detections2D(xyxy, np.ones(4), np.array([0, 1, 0, 2]), names))
+    assert found.classes == ["cyclist", "person", "car"]
+    np.testing.assert_array_equal(found.xyxy[0], [5, 10, 40, 75])
+
+
+def test_real_weights_find_the_cars(monkeypatch):
+    import os
+
+    from eldenet.perception.kitti_object import KittiObjects
+
+    if not (os.environ.get("ELDENET_WEIGHTS") and os.environ.get("ELDENET_DATA")):
+        pytest.skip("set ELDENET_WEIGHTS and ELDENET_DATA")
+    folder = Path(os.environ["ELDENET_WEIGHTS"]) / "detector"
+    image = KittiObjects().image("000008")
+    for name, layout in (("yolox_nano_coco_256x832", "yolox"), ("fastestdet_coco_352", "fastestdet")):
+        detector = OnnxDetector(folder / f"{name}.onnx")
+        assert (detector.layout_name, detector.names) == (layout, COCO_NAMES)
+        found = detector(image)
+        assert found.classes[:5] == ["car"] * 5
+        if layout == "yolox":
+            assert len(found) == 11
+            np.testing.assert_allclose(found.score[:5], [0.89, 0.89, 0.86, 0.86, 0.84], atol=0.006)

@@ -1,0 +1,262 @@
+"""The whole chain, its pictures, tracks over time, and ``eldenet.predict boxes=true``."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from test_detectors import FILES, save
+
+import eldenet
+from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.config import compose
+from eldenet.geometry import PinholeCamera, pinhole
+from eldenet.perception.detectors import FixedDetections
+from eldenet.perception.drawing import colour_of, draw_bev, draw_boxes, draw_detections
+from eldenet.perception.kitti_object import read_labels
+from eldenet.perception.lifter import BoxLifter
+from eldenet.perception.scene import STAGES, Perception
+from eldenet.perception.tracking import BoxTracker
+from eldenet.predict import predict
+from eldenet.simulation.street_views import render_street
+
+CAMERA = PinholeCamera(pinhole(300.0, 300.0, 160.0, 60.0))
+BLANK = np.full((120, 320, 3), 40, np.uint8)
+
+
+def boxes(center: np.ndarray, yaw: float = 0.0, label: int = 0) -> Boxes3D:
+    center = np.atleast_2d(np.asarray(center, float))
+    count = len(center)
+    size, ones = np.tile([4.0, 1.6, 1.5], (count, 1)), np.ones(count)
+    return Boxes3D(center, size, yaw * ones, ones, np.full(count, label), ("car", "person"))
+
+
+@pytest.fixture(scope="module")
+def view():
+    return render_street("val", 3, (128, 416))
+
+
+# --- the chain ---
+
+
+def test_a_picture_becomes_a_scene(view, tmp_path):
+    perception = Perception(
+        lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(depth_sigma=0.02), view.camera
+    )
+    scene = perception(view.image)
+    assert set(scene.seconds) == set(STAGES)
+    assert len(scene.boxes) == len(scene.detections) == len(view.boxes)
+    picture = scene.picture()
+    assert picture.dtype == np.uint8
+    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+    scene.write_kitti(tmp_path / "a.txt")
+    read = read_labels(tmp_path / "a.txt")
+    np.testing.assert_allclose(read.boxes.center, scene.boxes.center, atol=1e-3)
+    np.testing.assert_allclose(read.xyxy, view.detections.xyxy, atol=1e-3)
+
+
+def test_depth_of_another_size_and_no_picture_are_refused(view):
+    perception = Perception(
+        lambda frame: view.depth[:50], FixedDetections([view.detections] * 2), BoxLifter(), view.camera
+    )
+    with pytest.raises(ValueError, match="one size"):
+        perception(view.image)
+    with pytest.raises(ValueError, match="frame is"):
+        perception(view.image[..., 0])
+
+
+def test_a_scene_without_objects(view):
+    empty = FixedDetections([Detections2D.empty(("car",))])
+    scene = Perception(lambda frame: view.depth, empty, BoxLifter(), view.camera)(view.image)
+    assert len(scene.boxes) == 0
+    assert scene.picture().any()
+
+
+def test_detections_for_supervision(view):
+    pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
+    given = view.detections.to_supervision()
+    np.testing.assert_allclose(given.xyxy, view.detections.xyxy)
+    assert list(given.data["class_name"]) == view.detections.classes
+
+
+def test_a_scene_for_rerun(view, tmp_path):
+    rerun = pytest.importorskip("rerun", reason="pip install 'eldenet[viz]'")
+    scene = Perception(
+        lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), view.camera
+    )(view.image)
+    rerun.init("test")
+    rerun.save(tmp_path / "scene.rrd")
+    scene.log_to_rerun()
+    rerun.disconnect()
+    assert (tmp_path / "scene.rrd").stat().st_size > view.image.nbytes // 4
+
+
+# --- pictures ---
+
+
+def test_edges_are_drawn_where_the_corners_project():
+    one = boxes([0.5, 0.8, 10.0], yaw=0.3)
+    drawn = draw_boxes(BLANK, one, CAMERA, labels=False)
+    changed = (drawn != BLANK).any(-1)
+    corners = CAMERA.project(one.corners[0])
+    rows, columns = np.nonzero(changed)
+    assert columns.min() == pytest.approx(corners[:, 0].min(), abs=2)
+    assert rows.max() == pytest.approx(corners[:, 1].max(), abs=2)
+    for column, row in np.rint(corners).astype(int):
+        assert changed[row - 1 : row + 2, column - 1 : column + 2].any()
+    assert not (BLANK != 40).any()  # the picture given is left alone
+
+
+@pytest.mark.parametrize("z", [0.5, -0.5, -20.0])
+def test_boxes_beside_and_behind_the_camera_do_no_harm(z):
+    drawn = draw_boxes(BLANK, boxes([0.8, 0.5, z]), CAMERA)
+    assert (drawn != BLANK).any() == (z > -2)
+
+
+def test_the_front_face_is_shaded_where_it_is_known():
+    one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
+    plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
+    assert (shaded != plain).any(-1).sum() > 200
+
+
+def test_the_view_from_above_shows_a_box_at_its_place():
+    one = boxes([3.0, 0.8, 20.0])
+    panel = draw_bev(one, CAMERA, 320, size=(412, 300), reach=40.0)
+    colour = np.array([int(0.75 * part) for part in colour_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    assert (columns.mean() - 150) / 10 == pytest.approx(3.0, abs=0.15)
+    assert (412 - 6 - rows.mean()) / 10 == pytest.approx(20.0, abs=0.15)
+    assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
+
+
+def test_detections_are_drawn():
+    found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
+    assert (draw_detections(BLANK, found)[30:80, 20] == colour_of("car")).all()
+
+
+# --- tracks ---
+
+
+def test_two_cars_keep_their_numbers_and_get_their_speeds():
+    rng = np.random.default_rng(0)
+    tracker = BoxTracker()
+    start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
+    for frame in range(25):
+        order = rng.permutation(2)
+        center = (start + speed * frame * 0.1 + rng.normal(0, 0.1, (2, 3)))[order]
+        found = tracker(boxes(center, yaw=np.pi / 2 * rng.choice([-1, 1])), 0.1)
+    by_number = {int(number): row for row, number in enumerate(found.track_id)}
+    assert set(by_number) == {1, 2}
+    first = by_number[1] if found.center[by_number[1], 0] < 0 else by_number[2]
+    second = 1 - first
+    assert found.velocity[first, 2] == pytest.approx(3.0, abs=0.5)
+    assert found.velocity[second, 2] == pytest.approx(-6.0, abs=0.5)
+    heading = np.stack([np.cos(found.yaw), -np.sin(found.yaw)], 1)  # x, z of the fronts
+    assert heading[first, 1] > 0.95
+    assert heading[second, 1] < -0.95
+
+
+def test_a_filter_is_calmer_than_its_measurements():
+    rng = np.random.default_rng(1)
+    tracker, raw, smooth = BoxTracker(), [], []
+    for frame in range(60):
+        truth = np.array([2.0, 0.8, 10 + 0.2 * frame])
+        center = truth + rng.normal(0, 0.4, 3)
+        found = tracker(boxes(center), 0.1)
+        raw.append(np.linalg.norm(center - truth))
+        smooth.append(np.linalg.norm(found.center[0] - truth))
+    assert np.mean(smooth[20:]) < 0.8 * np.mean(raw[20:])
+
+
+def test_births_deaths_gaps_and_classes():
+    tracker = BoxTracker(births=3, deaths=3)
+    here = [0.0, 0.8, 10.0]
+    for _ in range(3):
+        tracker(Boxes3D.empty(("car", "person")), 0.1)
+    shown = [len(tracker(boxes(here), 0.1)) for _ in range(4)]
+    assert shown == [0, 0, 1, 1]
+    number = tracker(boxes(here), 0.1).track_id[0]
+    tracker(Boxes3D.empty(("car", "person")), 0.1)
+    assert tracker(boxes(here), 0.1).track_id[0] == number  # it survives a gap
+    assert len(tracker(boxes(here, label=1), 0.1)) == 0  # a person is no car
+    for _ in range(3):
+        tracker(Boxes3D.empty(("car", "person")), 0.1)
+    assert not tracker.tracks
+    with pytest.raises(ValueError, match="seconds"):
+        tracker(boxes(here), 0.0)
+    with pytest.raises(ValueError, match="gate"):
+        BoxTracker(gate=0)
+
+
+# --- the command ---
+
+
+@pytest.fixture(scope="module")
+def model_folder(tmp_path_factory) -> Path:
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("trained") / "model"
+    eldenet.load("eldenet_s").save_pretrained(folder, info={"input_size": [32, 64]})
+    return folder
+
+
+@pytest.fixture
+def detector(tmp_path) -> Path:
+    return save(tmp_path / "detector.onnx", *FILES["yolov8"])
+
+
+def run(model_folder: Path, source: Path, output: Path, *overrides: str):
+    quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'", "boxes=true"]
+    return predict(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+
+
+CAMERA_OPTION = "intrinsics=[200,200,128,64]"
+
+
+def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tmp_path):
+    source = tmp_path / "photo.png"
+    cv2.imwrite(str(source), np.full((128, 256, 3), 90, np.uint8))
+    option = f"perception.detector.path='{detector}'"
+    run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_colour.png"}
+    assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
+    with pytest.raises(ValueError, match="there already"):
+        run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[colour]")
+
+
+def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path):
+    source = tmp_path / "walk.mp4"
+    writer = cv2.VideoWriter(str(source), cv2.VideoWriter.fourcc(*"mp4v"), 10, (256, 128))
+    for shade in range(4):
+        writer.write(np.full((128, 256, 3), 60 + shade, np.uint8))
+    writer.release()
+    run(model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'")
+    capture = cv2.VideoCapture(str(tmp_path / "out/walk_boxes.mp4"))
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 4
+    assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
+
+
+def test_predict_says_what_boxes_need(model_folder, detector, tmp_path):
+    source = tmp_path / "photo.png"
+    cv2.imwrite(str(source), np.full((128, 256, 3), 90, np.uint8))
+    with pytest.raises(ValueError, match="intrinsics"):
+        run(model_folder, source, tmp_path / "out", f"perception.detector.path='{detector}'")
+    with pytest.raises(ValueError, match=r"perception\.detector\.path"):
+        run(model_folder, source, tmp_path / "out", CAMERA_OPTION)
+    with pytest.raises(ValueError, match="method"):
+        run(
+            model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'",
+            "perception.lifter.method=magic",
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("part", ["detector", "lifter", "tracker"])
+def test_the_config_shows_every_option(part):
+    import inspect
+
+    from hydra.utils import get_object
+
+    node = compose("predict", ["checkpoint=x", "source=y"]).perception[part]
+    options = set(inspect.signature(get_object(node["_target_"])).parameters)
+    assert options - {"priors"} == {name for name in node if name != "_target_"}
