@@ -9,13 +9,15 @@ from eldenet import config as cfg
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.model import DepthNet
+    from eldenet.resources import Resources
     from eldenet.runlog import RunLog
+    from eldenet.runtimes.scored import RuntimeNetwork
 
 
 @cfg.entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
-    import eldenet
     from eldenet.report import closing_table
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
@@ -27,7 +29,7 @@ def main(config: "DictConfig", folder: Path) -> None:
         )
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
-    model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
+    model = _open(config, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
     _choose_input_size(config, model.info.get("input_size"), log)
@@ -43,6 +45,20 @@ def main(config: "DictConfig", folder: Path) -> None:
         batch_size=config.batch_size,
     )
     closing_table(log, record)
+
+
+def _open(config: "DictConfig", resources: "Resources") -> "DepthNet | RuntimeNetwork":
+    """What ``checkpoint`` names: a model for torch, or an exported file under ``engine``."""
+    import eldenet
+    from eldenet import runtimes
+    from eldenet.runtimes.scored import RuntimeNetwork
+
+    if Path(str(config.checkpoint)).suffix in runtimes.READS:
+        network = runtimes.load(config.checkpoint, config.engine, config.precision, threads=resources.threads)
+        return RuntimeNetwork(network)
+    if (config.engine, config.precision) != ("auto", None):
+        raise ValueError("engine and precision are for exported files (python -m eldenet.export)")
+    return eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
 
 
 def _choose_input_size(config: "DictConfig", trained_at: Sequence[int] | None, log: "RunLog") -> None:

@@ -13,6 +13,7 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.loading import collate, evaluation_loader
 from eldenet.metrics import METRICS, DepthMetrics, EvalProtocol
 from eldenet.modes import eval_mode
+from eldenet.profiling import device_of
 
 Progress = Callable[[int], None]
 
@@ -108,7 +109,7 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
     """Picture ``(H, W, 3)`` uint8 of fixed frames: image, ground truth, prediction, relative error."""
     from eldenet.pictures import PANELS, depth_row, stack_rows
 
-    device = next(model.parameters()).device
+    device = device_of(model)
     pictures = []
     with eval_mode(model):
         for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:

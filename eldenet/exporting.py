@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from eldenet import __version__
 from eldenet.folding import fold
 from eldenet.model import DepthNet
+from eldenet.profiling import count_macs, count_params
 
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
@@ -114,6 +115,8 @@ def describe(
         "data": str(model.info.get("data", "none: freshly initialised")),
         "protocol": str(model.info.get("protocol", "not stated")),
         "precision": "fp32",
+        "params": str(count_params(model)),
+        "gmacs": f"{count_macs(model, size) / 1e9:.6g}",
     }
     return facts
 

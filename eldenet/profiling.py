@@ -75,10 +75,11 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
 
 
 def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
-    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(_device_of(model))
+    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device_of(model))
 
 
-def _device_of(model: nn.Module) -> torch.device:
+def device_of(model: nn.Module) -> torch.device:
+    """Where a model is; the CPU if it has neither parameters nor buffers."""
     tensors = itertools.chain(model.parameters(), model.buffers())
     return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
@@ -148,7 +149,7 @@ def measure_cost(
         batch: for the throughput.
         seconds: to spend on each of the two timings; the device is synchronised and warmed up.
     """
-    device = _device_of(model)
+    device = device_of(model)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
     model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight

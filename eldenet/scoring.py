@@ -10,7 +10,7 @@ from eldenet.checkpoint import Progress
 from eldenet.evaluation import PER_IMAGE_HEADER, evaluate, fit_constant_predictor, sample_rows
 from eldenet.metrics import EvalProtocol
 from eldenet.model import DepthNet
-from eldenet.profiling import measure_cost
+from eldenet.profiling import CostReport, measure_cost
 from eldenet.record import RUN_FILE, environment, write_json, write_rows
 from eldenet.resources import Resources
 from eldenet.runlog import RunLog
@@ -18,10 +18,12 @@ from eldenet.runlog import RunLog
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.runtimes.scored import RuntimeNetwork
+
 
 def score_and_record(
     config: "DictConfig",
-    model: DepthNet,
+    model: "DepthNet | RuntimeNetwork",
     protocol: EvalProtocol,
     resources: Resources,
     folder: Path,
@@ -38,7 +40,7 @@ def score_and_record(
 
     Args:
         config: the whole config; its data set is scored, and it is stored.
-        model: to score, moved to the device of ``resources``.
+        model: to score, moved to the device of ``resources``; or an exported file as a module.
         protocol: the rules.
         resources: device, threads, workers.
         folder: of the run.
@@ -93,10 +95,12 @@ def score_and_record(
         "errors_by_class": result.classes or None,
         "constant_predictor": baseline.metrics,
         "normalisation": {
-            "mean": [round(value, 6) for value in model.mean.flatten().tolist()],
-            "std": [round(value, 6) for value in model.std.flatten().tolist()],
-        },
-        "cost": measure_cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
+            name: [round(value, 6) for value in getattr(model, name).flatten().tolist()]
+            for name in ("mean", "std")
+        }
+        if isinstance(model, DepthNet)
+        else None,
+        "cost": _cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),
         "training": None if progress is None else asdict(progress),
@@ -105,3 +109,11 @@ def score_and_record(
     }
     write_json(folder / RUN_FILE, record)
     return record
+
+
+def _cost(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> CostReport:
+    if isinstance(model, DepthNet):
+        return measure_cost(model, size)
+    from eldenet.runtimes.scored import measure_runtime_cost
+
+    return measure_runtime_cost(model.network, size)

@@ -151,6 +151,29 @@ def test_evaluate_at_another_size(trained, run_command, choice, size):
     assert [cost["height"], cost["width"]] == size
 
 
+def test_evaluate_scores_exported_files(trained, run_command):
+    pytest.importorskip("onnxruntime")
+    exported = trained.parent / "exported.onnx"
+    finished = run_command(
+        *("export", f"checkpoint={trained}", f"output={exported}", "checks=1", "format=onnx"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    finished = run_command(
+        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:3], "run_dir=of_the_file"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    first = json.loads((trained / "run.json").read_text())
+    second = json.loads((trained.parent / "of_the_file" / "run.json").read_text())
+    assert second["metrics"] == pytest.approx(first["metrics"], rel=1e-3)
+    assert second["cost"]["runtime"] == "onnxruntime"
+    assert [second["cost"][name] for name in ("params", "gmacs")] == pytest.approx(
+        [first["cost"][name] for name in ("params", "gmacs")], rel=1e-5
+    )
+    assert "eldenet_s" in finished.stdout
+
+
 def test_a_sweep_goes_on_after_a_job_that_failed(run_command, tmp_path):
     finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "hydra.sweep.dir=sweep")
     assert finished.returncode == 1

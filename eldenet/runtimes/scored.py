@@ -1,0 +1,61 @@
+"""An exported file where a torch module is wanted: to score it as any model, and to say what it costs."""
+
+import resource
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from eldenet.profiling import CostReport, median_ms, percentile_ms, time_interleaved
+from eldenet.runtimes.base import Runtime
+
+
+class RuntimeNetwork(nn.Module):
+    """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime; no parameters, no gradient.
+
+    Raises:
+        ValueError: the file takes camera frames, or another size than the images have.
+    """
+
+    def __init__(self, network: Runtime) -> None:
+        super().__init__()
+        if network.takes_frames:
+            raise ValueError("this file takes camera frames: to score it, export it without camera=")
+        self.network = network
+        self.info = network.info
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Metres, on the image's device."""
+        if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
+            raise ValueError(
+                f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
+                f"{tuple(image.shape[-2:])}: leave input_size=model, or export it at their size"
+            )
+        return self.network(image.float())
+
+
+def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
+    """As :func:`eldenet.profiling.measure_cost`; the counts are those that the file states."""
+    calls = {}
+    for name, number in (("one", 1), ("many", batch)):
+        images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
+        calls[name] = lambda images=images: network.run_prepared(images)
+    with torch.inference_mode():
+        times = time_interleaved(calls, synchronise=network.synchronise)
+    gmacs = float(network.metadata.get("gmacs", "nan"))
+    return CostReport(
+        params=int(network.metadata.get("params", 0)),
+        gmacs=gmacs,
+        gflops=2 * gmacs,
+        latency_ms_p50=median_ms(times["one"]),
+        latency_ms_p95=percentile_ms(times["one"], 95),
+        throughput_img_s=1e3 * batch / median_ms(times["many"]),
+        peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        height=size[0],
+        width=size[1],
+        batch=batch,
+        runtime=network.runtime,
+        precision=network.precision,
+        threads=network.threads,
+        device=network.device,
+    )
