@@ -39,7 +39,10 @@ class EncoderDecoder(Configurable, nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
-        return self.decoder(self.backbone(image))
+        raw = self.decoder(self.backbone(image))
+        rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
+        # a map finer than the finest feature may reach beyond an image of odd size, which no decoder sees
+        return raw if raw.shape[-2:] == (rows, cols) else raw[..., :rows, :cols]
 
 
 class DepthNet(Configurable, nn.Module):

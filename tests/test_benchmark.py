@@ -102,10 +102,10 @@ def test_it_goes_on_where_it_stopped(output: Path, capsys: pytest.CaptureFixture
 def test_pictures(output: Path, tmp_path: Path) -> None:
     assert (output / "results.png").stat().st_size > 5000
     run_file = tmp_path / "run.json"
-    run_file.write_text(json.dumps({"model": "eldenet_s", "metrics": {"delta1": 0.8}}))
+    run_file.write_text(json.dumps({"model": "eldenet_s", "metrics": {"delta1": 0.8}, "protocol": {}}))
     config = compose("benchmark", [f"accuracies=['{run_file}']"])
     assert draw(config, rows_of(output), tmp_path / "accuracy.png")
-    run_file.write_text(json.dumps({"model": "another", "metrics": {"delta1": 0.8}}))
+    run_file.write_text(json.dumps({"model": "another", "metrics": {"delta1": 0.8}, "protocol": {}}))
     assert not draw(config, rows_of(output), tmp_path / "none.png")
 
 

@@ -25,7 +25,7 @@ STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sw
 TINY = """
 overrides:
   - data=rooms
-  - "data.cache='{cache}'"
+  - "data.root='{cache}'"
   - "data.size=[32,40]"
   - "data.input_size=[32,40]"
   - "data.frames={{train: 16, val: 4, test: 6}}"

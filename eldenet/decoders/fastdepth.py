@@ -25,14 +25,14 @@ class FastDepthDecoder(Decoder):
     3,960,930 parameters (the published code).
 
     Convention: the published network ends in batch normalisation and ReLU; the ReLU is left out here, as the
-    head needs both signs. Rows and columns beyond the image are dropped after every doubling but the
-    last: where the image's size is odd, the map is one longer.
+    head needs both signs. Rows and columns beyond the image are dropped after every doubling.
 
     Args:
         feature_info: of the backbone; a deepest feature that has not 1024 channels first goes through a 1x1
             convolution, as the published ResNets do.
         operator: ``"nnconv5_dw"``, ``"nnconv5"`` or ``"upconv"`` (unpool, then a 5x5 convolution).
-        skips: add the features of strides 8, 4 and 2; they need 256, 128 and 64 channels.
+        skips: add the features of strides 8, 4 and 2, where the backbone has them; MobileNetV1's as they are,
+            others through a 1x1 convolution to 256, 128 and 64 channels.
         fast: compute ``"upconv"`` in its fast form (same weights, same output).
 
     Raises:
@@ -57,14 +57,12 @@ class FastDepthDecoder(Decoder):
             )
         self.stride = self.deepest_stride // 32
         self.interpolate = operator != "upconv"
-        self.skip_strides = SKIP_STRIDES if skips else ()
-        needed = {self.deepest_stride // 2**step: width for step, width in enumerate(CHANNELS)}
-        for stride in self.skip_strides:
-            if self.channels_at.get(stride) != needed.get(stride):
-                raise ValueError(
-                    f"the feature of stride {stride} has {self.channels_at.get(stride)} channels, and "
-                    f"{needed.get(stride)} are added to it: take mobilenet_v1, or skips=false"
-                )
+        widths = {self.deepest_stride // 2**step: width for step, width in enumerate(CHANNELS)}
+        self.lateral = nn.ModuleDict()  # by stride
+        for stride in SKIP_STRIDES:
+            if skips and stride in self.channels_at and stride in widths:
+                own, width = self.channels_at[stride], widths[stride]
+                self.lateral[str(stride)] = nn.Identity() if own == width else nn.Conv2d(own, width, 1)
         width = self.channels_at[self.deepest_stride]
         self.widen = nn.Identity() if width == CHANNELS[0] else nn.Conv2d(width, CHANNELS[0], 1)
         self.steps = nn.ModuleList()
@@ -89,6 +87,6 @@ class FastDepthDecoder(Decoder):
             if stride in self.index_of:
                 feature = features[self.index_of[stride]]
                 x = crop_or_pad(x, feature)
-                if stride in self.skip_strides:
-                    x = x + feature
+                if str(stride) in self.lateral:
+                    x = x + self.lateral[str(stride)](feature)
         return self.within_image(self.predict(x), features)

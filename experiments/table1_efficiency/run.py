@@ -1,4 +1,4 @@
-"""Table 1: what each network costs. Measures what sweep.yaml lists and writes results.md, .csv, .tex, .png.
+"""Table 1: what each network costs. Measures what networks.yaml lists, writes results.md, .csv, .tex, .png.
 
 python experiments/table1_efficiency/run.py                # all of it, on an idle machine
 python experiments/table1_efficiency/run.py rounds=1 seconds=0.05 memory=false   # a quick look
@@ -23,18 +23,18 @@ def main() -> None:
     overrides = sys.argv[1:]
     work = next((word[7:] for word in overrides if word.startswith("output=")), "runs/table1_efficiency")
     overrides = [word for word in overrides if not word.startswith("output=")]
-    sweep = yaml.safe_load((HERE / "sweep.yaml").read_text())
+    listed = yaml.safe_load((HERE / "networks.yaml").read_text())
     there = eldenet.list_models()
     rows, configs = {}, []
-    for part in sweep["parts"].values():
-        settings = {"models": sweep["models"], **sweep["settings"], **part}
+    for part in listed["parts"].values():
+        settings = {"models": listed["models"], **listed["settings"], **part}
         settings["models"] = [name for name in settings["models"] if name in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
         config = compose("benchmark", [*words, *overrides, f"output='{work}'"])
         configs.append(config)
         rows |= {tuple(row["key"]): row for row in benchmark(config)}
-    missing = [name for name in sweep["models"] if name not in there]
-    write(list(rows.values()), missing, sweep["no_code"], Path(work), configs[0])
+    missing = [name for name in listed["models"] if name not in there]
+    write(list(rows.values()), missing, listed["no_code"], Path(work), configs[0])
 
 
 def write(rows: list[dict], missing: list[str], no_code: list[str], folder: Path, config) -> None:
