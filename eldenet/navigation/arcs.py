@@ -58,8 +58,10 @@ class ArcTable:
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Cell numbers ``(M,)`` of points in the robot's frame [m], all within :data:`REACH`."""
-        rows = ((x + np.float32(REACH)) * np.float32(1 / CELL)).astype(np.int32)
-        columns = ((y + np.float32(REACH)) * np.float32(1 / CELL)).astype(np.int32)
+        rows, columns = (
+            np.minimum(((axis + np.float32(REACH)) * np.float32(1 / CELL)).astype(np.int32), _SIDE - 1)
+            for axis in (x, y)
+        )
         out: np.ndarray = rows * _SIDE + columns
         return out
 

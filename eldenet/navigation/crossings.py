@@ -88,13 +88,21 @@ class Crossings:
         bearing = np.arctan2(dy, dx) - self.poses[:, 2]
         return np.stack([np.hypot(dx, dy), np.arctan2(np.sin(bearing), np.cos(bearing))], axis=1)
 
-    def sense(self, slots: Sequence[int] | None = None) -> Senses:
-        """What the robots sense now; slots that are not named keep what they saw last."""
-        for slot in range(self.count) if slots is None else slots:
+    def look(self, slots: Sequence[int]) -> None:
+        """Let the cameras of some slots look."""
+        for slot in slots:
             self.sights[slot] = self._eyes[slot].look()  # type: ignore[union-attr]
+
+    def senses(self) -> Senses:
+        """What the robots sensed when they looked last, with odometry and goals as they are now."""
         ranges = np.stack([sight.ranges for sight in self.sights if sight is not None])
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
         return Senses(ranges, odometry, self.goals())
+
+    def sense(self, slots: Sequence[int] | None = None) -> Senses:
+        """Look and sense: all slots, or new looks of some and the last ones of the others."""
+        self.look(range(self.count) if slots is None else slots)
+        return self.senses()
 
     def step(self, commands: np.ndarray, slots: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Drive every robot (or those of ``slots``) for one control period.
