@@ -204,3 +204,25 @@ class _CameraEye:
             ranges = np.where(covered, faces, ranges)
             fed_by[covered] = FED_BY.index("boxes")
         return Sight(ranges, fed_by, frame, depth, footprints)
+
+
+def camera(
+    checkpoint: str | None = None,
+    *,
+    size: tuple[int, int] = (120, 160),
+    light: float = 1.0,
+    drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+) -> Camera:
+    """A :class:`Camera` with the depth network of a run folder, model folder or Hub id; None: true depth."""
+    predictor = None
+    if checkpoint is not None:
+        from pathlib import Path
+
+        from eldenet.model import DepthNet
+        from eldenet.predictor import DepthPredictor
+
+        inner = Path(checkpoint) / "model"
+        folder = inner if (inner / "config.json").is_file() else checkpoint
+        predictor = DepthPredictor(DepthNet.from_pretrained(folder))
+    drift = Drift(**drift) if isinstance(drift, dict) else drift
+    return Camera(predictor, size=(int(size[0]), int(size[1])), light=light, drift=drift)

@@ -16,6 +16,7 @@ SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
 COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
+TURNING_GAP = 0.03  # that is left between the corners and all points while it turns on the spot [m]
 STOPPING_TIME = 0.6  # an arc must stay free at least this long, and longer the faster it is [s]
 
 
@@ -26,6 +27,7 @@ class DynamicWindow:
         clearance: weight of the distance kept from obstacles, against progress to the target [1/m].
         room: clearance that every arc keeps [m]; 0.10 lets the robot turn on the spot wherever it gets to (its
             corners stick out), which a driver without a map needs; a planned path is worth passing closer.
+        margin: added to the footprint on all sides [m].
         enough: clearance beyond which more is worth nothing [m].
         acceleration: bounds of the window [m/s2].
         turn_acceleration: bounds of the window [rad/s2].
@@ -36,13 +38,14 @@ class DynamicWindow:
         *,
         clearance: float = 0.8,
         room: float = 0.0,
+        margin: float = 0.05,
         enough: float = 0.30,
         acceleration: float = 2.5,
         turn_acceleration: float = 6.0,
     ) -> None:
         self.clearance, self.room, self.enough = clearance, room, enough
         self.acceleration, self.turn_acceleration = acceleration, turn_acceleration
-        self.table = arc_table(COMMANDS, HORIZON, 0.05)
+        self.table = arc_table(COMMANDS, HORIZON, margin)
         speed, turn = self.table.commands.T
         self.speed, self.turn = speed, turn
         half = turn * HORIZON / 2
@@ -85,14 +88,14 @@ class DynamicWindow:
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))
             return float(self.speed[best]), float(self.turn[best])
-        return 0.0, self._turn_on_the_spot(free, y, last)
+        return 0.0, self._turn_on_the_spot(gap, y, last)
 
-    def _turn_on_the_spot(self, free: np.ndarray, y: float, last: tuple[float, float]) -> float:
+    def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
         """No way ahead is safe: turn, towards the target at first, and then on the same way round."""
         side = np.sign(last[1]) if last[0] == 0 and last[1] != 0 else (1.0 if y >= 0 else -1.0)
         for turn in (0.8 * side, -0.8 * side):
             command = int(np.flatnonzero((self.speed == 0) & (np.abs(self.turn - turn) < 1e-6))[0])
-            if free[command] >= STOPPING_TIME:
+            if gap[command] >= TURNING_GAP:
                 return float(turn)
         return 0.0
 
