@@ -21,7 +21,9 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.runlog import RunLog
 
     one_of("mode", str(config.mode), MODES)
-    densities = [int(value) for value in cfg.plain(config.density)] if _is_list(config) else [int(config.density)]
+    densities = (
+        [int(value) for value in cfg.plain(config.density)] if _is_list(config) else [int(config.density)]
+    )
     choose_resources(**cfg.plain(config.runtime))
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
@@ -101,7 +103,11 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
 def _cells(summary: dict[str, Any]) -> list[str]:
     s = summary
     return [
-        *(f"{s['success']:.1f}", f"{s['success_low']:.1f} to {s['success_high']:.1f}", f"{s['collision']:.1f}"),
+        *(
+            f"{s['success']:.1f}",
+            f"{s['success_low']:.1f} to {s['success_high']:.1f}",
+            f"{s['collision']:.1f}",
+        ),
         *(f"{s['timeout']:.1f}", f"{s['seconds']:.1f}", f"{s['spl']:.3f}"),
     ]
 

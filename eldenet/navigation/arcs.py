@@ -32,7 +32,9 @@ class ArcTable:
         count: number of poses.
     """
 
-    def __init__(self, commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04) -> None:
+    def __init__(
+        self, commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04
+    ) -> None:
         self.commands = np.array(commands, dtype=np.float64)
         self.horizon, self.count = horizon, round(horizon / STEP)
         middle = ((np.arange(_SIDE) + 0.5) * CELL - REACH).astype(np.float32)
@@ -81,8 +83,6 @@ def _pose(speed: float, turn: float, time: float) -> tuple[float, float, float]:
 
 
 @functools.lru_cache(maxsize=8)
-def arc_table(
-    commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04
-) -> ArcTable:
+def arc_table(commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04) -> ArcTable:
     """The table of some commands, made once a process."""
     return ArcTable(commands, horizon, margin)

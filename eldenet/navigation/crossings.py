@@ -112,7 +112,9 @@ class Crossings:
         """
         progress, events = np.zeros(self.count), np.zeros(self.count, np.intp)
         for slot in range(self.count) if slots is None else slots:
-            progress[slot], events[slot] = self._drive(slot, float(commands[slot, 0]), float(commands[slot, 1]))
+            progress[slot], events[slot] = self._drive(
+                slot, float(commands[slot, 0]), float(commands[slot, 1])
+            )
         return progress, events
 
     def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:

@@ -1,8 +1,8 @@
 """Deep Q-learning for the arena environment, as the paper's Algorithm 2 names it, in one file.
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
-``target_every`` set, this is Algorithm 2 as written: replay, mean squared error, Adam, and a hard copy into the
-target network. The default takes five-step returns, double targets and a soft update: one-step targets hardly
+``target_every`` set, this is Algorithm 2 as written: replay, mean squared error, Adam, and a hard copy into
+the target network. The default takes five-step returns, double targets and a soft update: one-step targets hardly
 learn at five decisions a second, as neighbouring actions differ by so little.
 """
 
@@ -48,7 +48,9 @@ class Replay:
         """Transitions drawn evenly, with replacement."""
         rows = torch.from_numpy(rng.integers(0, len(self), count))
         columns = (self.obs, self.action, self.value, self.next_obs, self.discount)
-        return tuple(column[rows].float() if column.is_floating_point() else column[rows] for column in columns)
+        return tuple(
+            column[rows].float() if column.is_floating_point() else column[rows] for column in columns
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """What has been written so far."""
@@ -63,7 +65,7 @@ class Replay:
 
 
 class Windows:
-    """The last ``n`` steps of every robot: turns steps into n-step transitions, never across an episode's end."""
+    """The last ``n`` steps of every robot, made n-step transitions that never cross an episode's end."""
 
     def __init__(self, n: int, robots: int, gamma: float, replay: Replay) -> None:
         self.n, self.gamma, self.replay = n, gamma, replay
@@ -80,7 +82,9 @@ class Windows:
         ended: np.ndarray,
     ) -> None:
         """Add a step; ``next_obs`` is the episode's own last observation where it ended."""
-        self.steps = [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
+        self.steps = (
+            [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
+        )
         self.length = np.minimum(self.length + 1, self.n)
         value = np.zeros(len(action))
         for back in range(1, len(self.steps) + 1):  # windows that begin `back` steps ago
@@ -90,7 +94,9 @@ class Windows:
             whole = (self.length >= back) & (ended | (back == self.n))
             if whole.any():
                 discount = self.gamma**back * ~terminated[whole]
-                self.replay.add(first_obs[whole], first_action[whole], value[whole], next_obs[whole], discount)
+                self.replay.add(
+                    first_obs[whole], first_action[whole], value[whole], next_obs[whole], discount
+                )
         self.length[ended] = 0
 
 
@@ -128,7 +134,7 @@ class DQN:
         self,
         env: Any,
         *,
-        steps: int = 1_000_000,
+        steps: int = 600_000,
         n_step: int = 5,
         double: bool = True,
         tau: float = 0.005,
@@ -146,21 +152,29 @@ class DQN:
         leg: int = 100_000,
         seed: int = 0,
     ) -> None:
-        if min(steps, n_step, batch_size, replay, gradient_every, leg) < 1 or not 0 < gamma < 1 or target_every < 0:
+        if (
+            min(steps, n_step, batch_size, replay, gradient_every, leg) < 1
+            or not 0 < gamma < 1
+            or target_every < 0
+        ):
             raise ValueError(
                 f"steps={steps}, n_step={n_step}, batch_size={batch_size}, replay={replay}, leg={leg}, "
-                f"gradient_every={gradient_every}, gamma={gamma}: give whole numbers from 1, and gamma in (0, 1)"
+                f"gradient_every={gradient_every}, gamma={gamma}: give 1 or more, and gamma in (0, 1)"
             )
         self.env, self.steps, self.n_step, self.double, self.tau = env, steps, n_step, double, tau
         self.target_every, self.gamma, self.learning_rate = target_every, gamma, learning_rate
         self.batch_size, self.warmup, self.gradient_every = batch_size, warmup, gradient_every
-        self.exploration, self.exploration_end, self.gradient_clip = exploration, exploration_end, gradient_clip
+        self.exploration, self.exploration_end, self.gradient_clip = (
+            exploration,
+            exploration_end,
+            gradient_clip,
+        )
         self.leg, self.seed = leg, seed
         inputs, actions = env.single_observation_space.shape[0], int(env.single_action_space.n)
         torch.manual_seed(seed)
         self.policy_dqn = QNetwork(inputs, actions, tuple(hidden))
         self.target_dqn = copy.deepcopy(self.policy_dqn)
-        self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=learning_rate)
+        self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=learning_rate, fused=True)
         self.replay = Replay(replay, inputs)
         self.done = 0  # environment steps
         self.updates = 0  # gradient steps
@@ -217,7 +231,9 @@ class DQN:
     @property
     def epsilon(self) -> float:
         """Share of random actions now."""
-        return max(self.exploration_end, 1 - (1 - self.exploration_end) * self.done / (self.exploration * self.steps))
+        return max(
+            self.exploration_end, 1 - (1 - self.exploration_end) * self.done / (self.exploration * self.steps)
+        )
 
     @torch.inference_mode()
     def act(self, obs: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -176,7 +176,7 @@ class ArenaNavEnv(gym.Env):
         info = {"event": event.name.lower(), "is_success": event is Event.GOAL}
         return observation, value, event in (Event.GOAL, Event.COLLISION), event is Event.TIMEOUT, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail begins with the first call."""
         from eldenet.navigation.pictures import Scene
 

@@ -121,7 +121,9 @@ def summarise(rows: Sequence[Crossing]) -> dict[str, Any]:
     success = outcomes == "success"
     low, high = wilson_interval(int(success.sum()), len(rows))
     seconds = np.array([row.seconds for row in rows])
-    travelled, shortest = (np.array([getattr(row, name) for row in rows]) for name in ("travelled", "shortest"))
+    travelled, shortest = (
+        np.array([getattr(row, name) for row in rows]) for name in ("travelled", "shortest")
+    )
     return {
         "worlds": len(rows),
         "success": 100 * float(success.mean()),

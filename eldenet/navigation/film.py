@@ -55,7 +55,12 @@ def film_crossing(
         while True:
             senses = crossings.sense()
             scene.trail.append(tuple(crossings.poses[0]))
-            ended = {Event.NONE: "", Event.GOAL: "  goal", Event.COLLISION: "  COLLISION", Event.TIMEOUT: "  time-out"}
+            ended = {
+                Event.NONE: "",
+                Event.GOAL: "  goal",
+                Event.COLLISION: "  COLLISION",
+                Event.TIMEOUT: "  time-out",
+            }
             note = f"{policy.name}  {arena.name}  {crossings.seconds[0]:4.1f} s{ended[event]}"
             frame = scene.draw(crossings, 0, note, view)
             for _ in range(1 if event is Event.NONE else 8):  # stay at the end for a moment
@@ -92,5 +97,10 @@ def film_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray]
 
     yield keep
     frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=round(1000 / per_second), loop=0, optimize=False
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=round(1000 / per_second),
+        loop=0,
+        optimize=False,
     )

@@ -78,7 +78,9 @@ class Observer:
         if speed not in SPEED_LAWS:
             raise ValueError(f"speed={speed!r}: choose one of {', '.join(SPEED_LAWS)}")
         if len(turn_rates) != len(turn_factors) or not turn_rates:
-            raise ValueError(f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each")
+            raise ValueError(
+                f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
+            )
         if memory < 0 or bins < 0 or robots < 1:
             raise ValueError(f"robots={robots}, memory={memory}, bins={bins}: give at least 1, 0 and 0")
         self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs

@@ -14,8 +14,19 @@ from eldenet.pictures import colour_depth
 from eldenet.robot import ROBOT
 from eldenet.simulation.arenas import Arena, Obstacle
 
-_COLOURS = {"cylinder": (120, 144, 156), "box": (161, 136, 107), "vehicle": (84, 110, 122), "person": (239, 108, 80)}
-_FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (245, 245, 242), (60, 60, 60), (30, 100, 220), (250, 190, 20), (40, 160, 70)
+_COLOURS = {
+    "cylinder": (120, 144, 156),
+    "box": (161, 136, 107),
+    "vehicle": (84, 110, 122),
+    "person": (239, 108, 80),
+}
+_FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (
+    (245, 245, 242),
+    (60, 60, 60),
+    (30, 100, 220),
+    (250, 190, 20),
+    (40, 160, 70),
+)
 _FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "boxes": (239, 108, 80)}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -50,7 +61,9 @@ class Scene:
         x, y = obstacle.position(time)
         colour = _COLOURS[obstacle.kind]
         if obstacle.round:
-            cv2.circle(picture, self._pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA)
+            cv2.circle(
+                picture, self._pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA
+            )
         else:
             self._box(picture, (x, y, obstacle.yaw), obstacle.half, colour)
 
@@ -88,10 +101,15 @@ class Scene:
                     self._pixel(eye[0] + nearest * math.cos(a), eye[1] + nearest * math.sin(a))
                     for a in np.linspace(first, first + step, 6)
                 ]
-                cv2.polylines(picture, [np.array([self._pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA)
+                cv2.polylines(
+                    picture, [np.array([self._pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA
+                )
             for angle, distance in zip(ROBOT.column_angles, sight.ranges, strict=True):
                 if distance < ROBOT.far:
-                    at = (eye[0] + distance * math.cos(yaw + angle), eye[1] + distance * math.sin(yaw + angle))
+                    at = (
+                        eye[0] + distance * math.cos(yaw + angle),
+                        eye[1] + distance * math.sin(yaw + angle),
+                    )
                     cv2.circle(picture, self._pixel(*at), 1, (200, 30, 30), -1)
         for before, after in zip(self.trail, self.trail[1:], strict=False):
             cv2.line(picture, self._pixel(*before[:2]), self._pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
@@ -128,7 +146,11 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
     width = height * 4 // 3
     near, far = (0.3, 8.0) if sight.depth is None else visible_range(sight.depth)
     empty = np.full((height, width, 3), 225, np.uint8)
-    photo = empty if sight.image is None else cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR)
+    photo = (
+        empty
+        if sight.image is None
+        else cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR)
+    )
     depth = empty
     if sight.depth is not None:
         colours = colour_depth(sight.depth, near, far, sight.depth > 0)
@@ -143,7 +165,7 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
 def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
     """Nearest range per sector, left to right as the camera sees them, coloured by what fed it."""
     height, width = size
-    picture = np.full((height, width, 3), 255, np.uint8)
+    picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
     ranges = sight.ranges.reshape(SECTORS, -1)
     fed_by = sight.fed_by.reshape(SECTORS, -1)
     for number in range(SECTORS):

@@ -44,7 +44,7 @@ class Navigator:
         self.observer = Observer(robots, **observer)
         if network.inputs != self.observer.size or network.actions != self.observer.actions:
             raise ValueError(
-                f"the network takes {network.inputs} inputs and values {network.actions} actions; the observer "
+                f"the network takes {network.inputs} inputs and values {network.actions} actions; its observer "
                 f"gives {self.observer.size} and {self.observer.actions}: they were not trained together"
             )
         # float64, so that a robot drives alike alone and among others: no tie is broken by rounding
@@ -62,8 +62,8 @@ class Navigator:
         path = DEFAULT_WEIGHTS if path is None else Path(path)
         if not path.is_file():
             raise FileNotFoundError(
-                f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file that "
-                "it wrote"
+                f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file "
+                "that it wrote"
             )
         with safe_open(str(path), framework="pt") as file:
             notes = (file.metadata() or {}).get("navigator")
@@ -125,7 +125,9 @@ class Navigator:
             ValueError: the sight has none of these shapes, or a depth map came without intrinsics.
         """
         ranges = as_ranges(np.asarray(sight, dtype=np.float64), intrinsics)
-        senses = Senses(ranges[None], np.array([odometry], dtype=np.float64), np.array([goal], dtype=np.float64))
+        senses = Senses(
+            ranges[None], np.array([odometry], dtype=np.float64), np.array([goal], dtype=np.float64)
+        )
         speed, turn = self.commands(senses)[0].tolist()
         return speed, turn
 

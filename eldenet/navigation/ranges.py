@@ -30,7 +30,8 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
     above_floor = ROBOT.camera_height - down * depth
     counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
-    ranges = np.where(counts, depth * np.sqrt(1 + right * right), np.inf)
+    ranges = np.where(known, depth * np.sqrt(1 + right * right), ROBOT.near)
+    ranges = np.where(counts, ranges, np.inf)
     step = ROBOT.field_of_view / ROBOT.columns
     column = np.floor((-np.arctan(right) + ROBOT.field_of_view / 2) / step).astype(int)
     out = np.full(ROBOT.columns, ROBOT.far)
@@ -45,10 +46,11 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
 
 
 def footprints_to_ranges(footprints: np.ndarray) -> np.ndarray:
-    """Range to the near face of the nearest box in each column ``(columns,)`` [m]; ``far`` where there is none.
+    """Range to the near face of the nearest box in each column ``(columns,)`` [m]; ``far`` without one.
 
     Args:
-        footprints: ``(K, 5)`` middle ahead of and left of the camera [m], yaw [rad], half length, half width [m].
+        footprints: ``(K, 5)`` middle ahead of and left of the camera [m], yaw [rad], half length, half width
+            [m].
     """
     angles = np.array(ROBOT.column_angles)
     out = np.full(ROBOT.columns, ROBOT.far)

@@ -72,7 +72,9 @@ def train(
             leg: dict[str, Any] = {"steps": learner.done}
             if arenas:
                 rows = cross(arenas, lambda robots: as_navigator(learner, robots), sensor)
-                leg |= {name: summarise(rows)[name] for name in ("success", "collision", "timeout", "seconds")}
+                leg |= {
+                    name: summarise(rows)[name] for name in ("success", "collision", "timeout", "seconds")
+                }
                 log.scalars(learner.done, {f"validation/{name}": value for name, value in leg.items()})
                 log.say(
                     f"step {learner.done:,}: {leg['success']:.1f} % of {len(arenas)} validation arenas at "

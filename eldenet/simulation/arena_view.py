@@ -75,7 +75,11 @@ class ArenaView:
             self._surfaces = Surfaces(self.model, self.data)
         x, y, yaw = pose
         eye = np.array(
-            [x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw), ROBOT.camera_height]
+            [
+                x + ROBOT.camera_ahead * math.cos(yaw),
+                y + ROBOT.camera_ahead * math.sin(yaw),
+                ROBOT.camera_height,
+            ]
         )
         hits = self.camera.cast(self.model, self.data, eye, camera_rotation(yaw))
         focal = float(self.intrinsics[0, 0])

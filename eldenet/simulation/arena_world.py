@@ -14,6 +14,8 @@ from eldenet.simulation.arenas import Arena
 from eldenet.simulation.culling import SEEN_GROUPS
 
 PHYSICS = ("kinematic", "wheels")
+#: Of the kinematic robot, as the wheels' motors give it [m/s2], [rad/s2].
+ACCELERATION, TURN_ACCELERATION = 3.5, 12.0
 
 
 class ArenaWorld:
@@ -21,8 +23,8 @@ class ArenaWorld:
 
     Args:
         arena: the world.
-        physics: "kinematic" writes the pose along exact arcs and looks for contacts (about 4 us a look);
-            "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
+        physics: "kinematic" writes the pose along arcs, at bounded acceleration, and looks for contacts (about
+            4 us a look); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
 
     Raises:
         ValueError: unknown physics.
@@ -44,6 +46,7 @@ class ArenaWorld:
         self._geom = np.empty(ROBOT.columns, np.int32)
         self._angles = np.array(ROBOT.column_angles)
         self.time = 0.0
+        self.speed = self.turn = 0.0  # of the kinematic robot [m/s], [rad/s]
         self.place(arena.start)
 
     def place(self, pose: tuple[float, float, float]) -> None:
@@ -51,7 +54,7 @@ class ArenaWorld:
         import mujoco
 
         mujoco.mj_resetData(self.model, self.data)
-        self.time = 0.0
+        self.time = self.speed = self.turn = 0.0
         self._move_people()
         x, y, yaw = pose
         if self.physics == "kinematic":
@@ -81,7 +84,11 @@ class ArenaWorld:
         if self.physics == "wheels":
             return self._drive(speed, turn, round(seconds / TIMESTEP))
         x, y, yaw = self.pose
-        self.data.qpos[:] = arc(x, y, yaw, speed, turn, seconds)
+        before = self.speed, self.turn
+        self.speed += min(max(speed - self.speed, -ACCELERATION * seconds), ACCELERATION * seconds)
+        self.turn += min(max(turn - self.turn, -TURN_ACCELERATION * seconds), TURN_ACCELERATION * seconds)
+        mean = (before[0] + self.speed) / 2, (before[1] + self.turn) / 2
+        self.data.qpos[:] = arc(x, y, yaw, *mean, seconds)
         self.time += seconds
         self._move_people()
         self._kinematics(self.model, self.data)
@@ -110,7 +117,11 @@ class ArenaWorld:
         """
         x, y, yaw = self.pose
         origin = np.array(
-            [x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw), ROBOT.camera_height]
+            [
+                x + ROBOT.camera_ahead * math.cos(yaw),
+                y + ROBOT.camera_ahead * math.sin(yaw),
+                ROBOT.camera_height,
+            ]
         )
         rays = np.zeros((ROBOT.columns, 3))
         np.cos(self._angles + yaw, out=rays[:, 0])
@@ -124,7 +135,9 @@ class ArenaWorld:
         return np.clip(distance, ROBOT.near, ROBOT.far)
 
 
-def arc(x: float, y: float, yaw: float, speed: float, turn: float, seconds: float) -> tuple[float, float, float]:
+def arc(
+    x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
+) -> tuple[float, float, float]:
     """Pose after driving at constant speed and turn rate: exact, for straight lines too."""
     half = turn * seconds / 2
     chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)

@@ -188,7 +188,8 @@ def draw_walker(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
     while True:
         count = 2 if crossing else draw.integer(3, 5)
         path = tuple(
-            (round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4)) for _ in range(count)
+            (round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4))
+            for _ in range(count)
         )
         x, y = path[0]
         lengths = [math.dist(a, b) for a, b in zip(path, (*path[1:], path[0]), strict=True)]
@@ -280,4 +281,4 @@ def triangle_course(obstacles: Sequence[Obstacle] = (), side_length: float = 6.0
     return Arena("", len(obstacles), 0, tuple(obstacles), (*c, 0.0), (a, b, c))
 
 
-assert INFLATION > ROBOT.radius
+assert ROBOT.radius < INFLATION

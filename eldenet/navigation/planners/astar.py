@@ -5,6 +5,8 @@ search is scikit-image's ``MCP_Geometric``, which settles cells in the order of 
 costs what A*'s costs.
 """
 
+import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -62,7 +64,7 @@ def optimal_length(arena: Arena) -> float:
     cost = inflated_cost(clearance_map(arena.obstacles, arena.side))
     points = [arena.start[:2], *arena.waypoints]
     length = 0.0
-    for start, goal in zip(points, points[1:], strict=False):
+    for start, goal in pairwise(points):
         path = shortest_path(cost, start, goal, arena.side)
         length += np.nan if path is None else path_length(path)
     return length
@@ -105,7 +107,8 @@ class AStarDWA:
             world = self._worlds[robot]
             pose = np.array(world.pose)
             goal = _goal_in_world(pose, senses.goal[robot])
-            if self._goals[robot] is None or np.hypot(*np.subtract(goal, self._goals[robot])) > 0.1:
+            before = self._goals[robot]
+            if before is None or math.dist(goal, before) > 0.1:
                 self._goals[robot] = goal
                 cost = inflated_cost(clearance_map(world.arena.obstacles, world.arena.side))
                 self._paths[robot] = shortest_path(cost, tuple(pose[:2]), goal, world.arena.side)
@@ -122,8 +125,8 @@ class AStarDWA:
 class AStarOnlineDWA:
     """A* on a map that is built from the robot's own ranges and odometry, then the dynamic window.
 
-    A cell is taken where more rays ended than passed, of late; what nobody has seen counts as free. The path is
-    searched anew every second. Where nothing is free at full inflation, the search may pass closer by.
+    A cell is taken where more rays ended than passed, of late; what nobody has seen counts as free. The path
+    is searched anew every second. Where nothing is free at full inflation, the search may pass closer by.
 
     Args:
         carrot: how far ahead on the path the target lies [m].

@@ -16,8 +16,8 @@ SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
 COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
-TURNING_GAP = 0.03  # that is left between the corners and all points while it turns on the spot [m]
-STOPPING_TIME = 0.6  # an arc must stay free at least this long, and longer the faster it is [s]
+TURNING_GAP = 0.03  # between corners and points while it turns on the spot [m]
+STOPPING_TIME = 0.6  # that an arc must stay free, and longer the faster it is [s]
 
 
 class DynamicWindow:
@@ -48,6 +48,7 @@ class DynamicWindow:
         self.table = arc_table(COMMANDS, HORIZON, margin)
         speed, turn = self.table.commands.T
         self.speed, self.turn = speed, turn
+        self._standing = int(np.flatnonzero((speed == 0) & (turn == 0))[0])
         half = turn * HORIZON / 2
         chord = speed * HORIZON * np.sinc(half / np.pi)
         self.end = np.stack([chord * np.cos(half), chord * np.sin(half), 2 * half], axis=1)
@@ -84,7 +85,9 @@ class DynamicWindow:
         score = (before - reached) - 0.35 * turned + self.clearance * np.minimum(gap, self.enough)
         score += 0.15 * self.speed
         safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
-        allowed = safe & window & (self.speed > 0) & (gap >= self.room)
+        # where it has less room already, no arc may take any more of it
+        room = min(self.room, float(gap[self._standing]))
+        allowed = safe & window & (self.speed > 0) & (gap >= room)
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))
             return float(self.speed[best]), float(self.turn[best])
