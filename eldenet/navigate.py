@@ -58,7 +58,8 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
     with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:
         event, seconds = film_crossing(
             arena, policy, cfg.instantiate(config.sensor), path,
-            physics=config.physics, time_limit=float(config.time_limit), seed=int(config.seed), advance=bar.advance,
+            physics=config.physics, time_limit=float(config.time_limit), seed=int(config.seed),
+            advance=bar.advance,
         )  # fmt: skip
     log.say(f"{policy.name} in {arena.name}: {event.name.lower()} after {seconds:.1f} s; film in {path}")
     return path

@@ -81,7 +81,7 @@ class RunLog:
 
     @contextmanager
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> Iterator["Bar"]:
-        """A progress bar over ``total`` images (or whatever ``unit`` says), of which ``done`` are behind us."""
+        """A progress bar over ``total`` images (or what ``unit`` says), of which ``done`` are behind us."""
         if self.quiet or not self.console.is_terminal:
             yield Bar(self, title, total, done, None, unit)
             return

@@ -45,7 +45,7 @@ def outline(obstacle: Obstacle, count: int = 400) -> np.ndarray:
         local = np.stack([np.interp(at, range(5), corners[:, k]) for k in (0, 1)], axis=1)
         c, s = math.cos(obstacle.yaw), math.sin(obstacle.yaw)
         local = local @ np.array([[c, s], [-s, c]])
-    return local + (obstacle.x, obstacle.y)
+    return local + np.array([obstacle.x, obstacle.y])
 
 
 @pytest.mark.parametrize("density", [5, 20, 40, 80])
@@ -216,7 +216,7 @@ def test_driving_into_something_is_a_collision(physics):
     arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
     world = ArenaWorld(arena, physics)
     hit = next(step for step in range(50) if world.advance(0.5, 0.0, 0.1))
-    # the box's corner before the robot lies at 2 - 0.3 (cos 0.3 + sin 0.3); the front is 0.30 m ahead of the axle
+    # the box's corner before the robot lies at 2 - 0.3 (cos 0.3 + sin 0.3); the front is 0.30 m ahead
     assert world.pose[0] == pytest.approx(2 - 0.3 * (math.cos(0.3) + math.sin(0.3)) - 0.30, abs=0.06)
     assert hit > 20
 

@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +128,9 @@ def test_near_the_table_s_edge_nothing_breaks():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"speed": "fast"}, "speed='fast'"), ({"turn_rates": (1.0,)}, "give one each"), ({"memory": -1}, "memory=-1"),
+    ({"speed": "fast"}, "speed='fast'"),
+    ({"turn_rates": (1.0,)}, "give one each"),
+    ({"memory": -1}, "memory=-1"),
 ])  # fmt: skip
 def test_wrong_observers_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
@@ -206,7 +209,7 @@ def test_odometry_drifts_by_what_it_says():
     ends = []
     for seed in range(400):
         odometry = Odometry(Drift(0.02, math.radians(1)), np.random.default_rng(seed), poses[0])
-        for before, after in zip(poses, poses[1:], strict=False):
+        for before, after in pairwise(poses):
             odometry.move(before, after)
         ends.append(odometry.pose)
     ends = np.array(ends)

@@ -2,8 +2,8 @@
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
 ``target_every`` set, this is Algorithm 2 as written: replay, mean squared error, Adam, and a hard copy into
-the target network. The default takes five-step returns, double targets and a soft update: one-step targets hardly
-learn at five decisions a second, as neighbouring actions differ by so little.
+the target network. The default takes five-step returns, double targets and a soft update: one-step
+targets hardly learned at five decisions a second.
 """
 
 import copy

@@ -154,7 +154,7 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
     depth = empty
     if sight.depth is not None:
         colours = colour_depth(sight.depth, near, far, sight.depth > 0)
-        depth = cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST)
+        depth = np.asarray(cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
     bars = sector_bars(sight, (size - 2 * height, width))
     for picture, title in ((photo, "camera"), (depth, f"depth {near:.1f} to {far:.1f} m"), (bars, "")):
         cv2.putText(picture, title, (5, 14), _FONT, 0.42, (255, 255, 255), 2, cv2.LINE_AA)

@@ -44,7 +44,7 @@ class Navigator:
         self.observer = Observer(robots, **observer)
         if network.inputs != self.observer.size or network.actions != self.observer.actions:
             raise ValueError(
-                f"the network takes {network.inputs} inputs and values {network.actions} actions; its observer "
+                f"the network takes {network.inputs} inputs, values {network.actions} actions; its observer "
                 f"gives {self.observer.size} and {self.observer.actions}: they were not trained together"
             )
         # float64, so that a robot drives alike alone and among others: no tie is broken by rounding

@@ -29,8 +29,8 @@ def train(
 ) -> dict[str, Any]:
     """Train in ``folder`` to the end; a folder that holds a checkpoint of the same settings is gone on with.
 
-    After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is kept is
-    the last one: the validation is for people to see, and chooses nothing.
+    After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is
+    kept is the last one: the validation is for people to see, and chooses nothing.
 
     Args:
         make_learner: builds the learner with its environment.

@@ -19,7 +19,10 @@ WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
 TIMESTEP = 0.005  # of the wheels' physics [s]
 
 # The chassis reaches down to 6 cm, so that nothing slips under it; it turns about the middle of the axle.
-_CHASSIS = '<geom name="chassis" type="box" pos="0 0 {z}" size="{half}" contype="0" conaffinity="1" group="5" mass="6"/>'
+_CHASSIS = (
+    '<geom name="chassis" type="box" pos="0 0 {z}" size="{half}" '
+    'contype="0" conaffinity="1" group="5" mass="6"/>'
+)
 
 
 def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> str:
@@ -144,7 +147,10 @@ def _wheels() -> str:
         f'<geom name="caster" type="sphere" pos="-0.22 0 0.05" size="0.05" condim="1" {shared} mass="0.5"/>'
     )
     # the weight lies low and between axle and caster: it neither noses over when it brakes nor rears up
-    battery = '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" contype="0" conaffinity="0" mass="14" group="5"/>'
+    battery = (
+        '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" '
+        'contype="0" conaffinity="0" group="5" mass="14"/>'
+    )
     return f'<body name="robot"><freejoint/>{_chassis(0.06)}{battery}{caster}{wheels}</body>'
 
 

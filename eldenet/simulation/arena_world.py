@@ -23,8 +23,8 @@ class ArenaWorld:
 
     Args:
         arena: the world.
-        physics: "kinematic" writes the pose along arcs, at bounded acceleration, and looks for contacts (about
-            4 us a look); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
+        physics: "kinematic" writes the pose along arcs, at bounded acceleration, and looks for contacts
+            (about 4 us a look); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
 
     Raises:
         ValueError: unknown physics.

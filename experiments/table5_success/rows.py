@@ -95,11 +95,10 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
 
 
 def measure(row: Row, given: Namespace) -> list[Crossing]:
-    """The crossings of a row: read, if they were made of the same arenas with the same policy, or made now."""
+    """The crossings of a row: read, if made of the same arenas with the same policy, or made now."""
     arenas = frozen_arenas(row.density, given.worlds)
     weights = policy_file(row, given)
     digest = None if weights is None else hashlib.sha256(weights.read_bytes()).hexdigest()
-    # a part of the depth network's path names what the camera's rows rest on
     key = {
         "arenas": arenas_hash(arenas),
         "policy": digest,

@@ -3,8 +3,8 @@
 python experiments/table5_success/run.py                                      500 worlds, 3 trainings
 python experiments/table5_success/run.py --worlds 100 --packaged --methods dqn,,astar_dwa,,dwa
 
-Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results.md, results.csv
-and results.png. A killed command goes on where it stopped.
+Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results.md,
+results.csv and results.png. A killed command goes on where it stopped.
 """
 
 from collections import defaultdict
@@ -35,9 +35,10 @@ def write_results(tables: Tables, worlds: int) -> None:
     lines = [
         "# Success of crossing an arena (Table 5)",
         "",
-        f"{worlds} frozen test arenas per density (20 x 20 m, start to goal at least 10 m, start heading uniform), "
+        f"{worlds} frozen test arenas per density (20 x 20 m, start to goal 10 m or more, any start heading), "
         f"time limit 60 s, goal within 0.5 m, robot {ROBOT.length} x {ROBOT.width} m, camera 69.4 degrees. "
-        "Success [%] with its 95 % Wilson interval over worlds (mean over trainings), then collision / time-out [%], SPL.",
+        "Success [%] with its 95 % Wilson interval over worlds (mean over trainings), "
+        "then collision / time-out [%], SPL.",
         "",
     ]
     cells = []
@@ -59,7 +60,8 @@ def write_results(tables: Tables, worlds: int) -> None:
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), ""]
     lines += [
-        f"{where['hardware']['processor']}, torch {where['versions']['torch']}, mujoco {where['versions']['mujoco']}, "
+        f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
+        f"mujoco {where['versions']['mujoco']}, "
         f"{where['date']}, commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table5_success/{where['command']}`.",
     ]

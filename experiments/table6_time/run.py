@@ -3,8 +3,8 @@
 python experiments/table6_time/run.py            takes the same options as table5_success/run.py, and its rows
 
 A method that fails often fails on the long ways; its mean time over its own successes flatters it. So the
-first figure counts the worlds alone that all methods of the table solved, and the ratio those that A* with the
-full map and the method both solved.
+first figure counts the worlds alone that all methods of the table solved, and the ratio those that A* with
+the full map and the method both solved.
 """
 
 import sys
@@ -34,8 +34,9 @@ def main() -> None:
     lines = [
         "# Time of crossing an arena (Table 6)",
         "",
-        f"The worlds and rows of table5_success, {given.worlds} test arenas per density, first training of learnt "
-        "methods. Mean time [s] on the worlds that all methods of the table solved (their number in the last row); "
+        f"The worlds and rows of table5_success, {given.worlds} test arenas per density, first training of "
+        "learnt methods. Mean time [s] on the worlds that all methods of the table solved (how many: last "
+        "row); "
         f"in brackets the ratio to {REFERENCE} over the worlds that both solved.",
         "",
     ]
@@ -60,7 +61,8 @@ def main() -> None:
         counts = " | ".join(str(int(common[density].sum())) for density in DENSITIES)
         lines += [f"| worlds that all solved | {counts} |", ""]
     lines += [
-        f"mujoco {where['versions']['mujoco']}, {where['date']}, commit {(where['git'] or {}).get('commit')}.",
+        f"mujoco {where['versions']['mujoco']}, {where['date']}, "
+        f"commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
