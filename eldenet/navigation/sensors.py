@@ -161,8 +161,8 @@ class Camera:
         predictor: frame ``(H, W, 3)`` uint8 RGB -> depth ``(H, W)`` [m], such as
             :class:`eldenet.predictor.DepthPredictor`; None: the renderer's own depth (what a perfect network
             would give).
-        boxes: ``(frame, depth, intrinsics) -> footprints (K, 5)``: middle ahead of and left of the
-            camera [m], yaw [rad], half length, half width [m] of every detected object. Where given, an object's columns
+        boxes: ``(frame, depth, intrinsics) -> footprints (K, 5)``, a row for every detected object: middle
+            ahead of and left of the camera [m], yaw [rad], half length, half width [m]. An object's columns
             are its near face, and the other columns come from depth.
         size: of the frame, ``(height, width)`` [px].
         light: brightness of the lamps, as a share of a normal day's.

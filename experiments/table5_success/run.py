@@ -35,7 +35,7 @@ def write_results(tables: Tables, worlds: int) -> None:
     lines = [
         "# Success of crossing an arena (Table 5)",
         "",
-        f"{worlds} frozen test arenas per density (20 x 20 m, start to goal 10 m or more, any start heading), "
+        f"{worlds} frozen test arenas per density (20 x 20 m, start to goal 10 m or more, any heading), "
         f"time limit 60 s, goal within 0.5 m, robot {ROBOT.length} x {ROBOT.width} m, camera 69.4 degrees. "
         "Success [%] with its 95 % Wilson interval over worlds (mean over trainings), "
         "then collision / time-out [%], SPL.",

@@ -26,7 +26,7 @@ class DynamicWindow:
     Args:
         clearance: weight of the distance kept from obstacles, against progress to the target [1/m].
         room: clearance that every arc keeps [m]; 0.10 lets the robot turn on the spot wherever it gets
-            to (its corners stick out), which a driver without a map needs; a planned path is worth passing closer.
+            to (its corners stick out), as a driver without a map must; a planned path may pass closer.
         margin: added to the footprint on all sides [m].
         enough: clearance beyond which more is worth nothing [m].
         acceleration: bounds of the window [m/s2].
