@@ -54,7 +54,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
     else:
         arena = generate_arena(config.split, density, int(config.world), movers=int(config.movers))
     policy = cfg.instantiate(config.policy)(robots=1)
-    path = folder / f"{policy.name}-{arena.name or config.course}.{config.film}"
+    path = folder / f"{policy.name}-{arena.name}.{config.film}"
     with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:
         event, seconds = film_crossing(
             arena, policy, cfg.instantiate(config.sensor), path,

@@ -114,7 +114,7 @@ class Arena:
     def name(self) -> str:
         """Unique over splits and densities."""
         moving = f"+{len(self.movers)}" if self.movers else ""
-        return f"{self.split}-{self.density}{moving}-{self.index}"
+        return f"{self.split or 'course'}-{self.density}{moving}-{self.index}"
 
 
 def generate_arena(
