@@ -97,6 +97,11 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
 def measure(row: Row, given: Namespace) -> list[Crossing]:
     """The crossings of a row: read, if made of the same arenas with the same policy, or made now."""
     arenas = frozen_arenas(row.density, given.worlds)
+    frozen = json.loads((HERE / "arenas.json").read_text()).get(str(given.worlds), {}).get(str(row.density))
+    if frozen is not None and arenas_hash(arenas) != frozen:
+        raise ValueError(
+            f"the test arenas of density {row.density} are not those that were frozen (arenas.json)"
+        )
     weights = policy_file(row, given)
     digest = None if weights is None else hashlib.sha256(weights.read_bytes()).hexdigest()
     key = {

@@ -11,7 +11,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from rows import DENSITIES, all_rows, arguments, measure
+from rows import DENSITIES, LEARNT, all_rows, arguments, measure
 
 from eldenet.navigation.evaluation import Crossing, summarise
 from eldenet.navigation.statistics import mcnemar
@@ -56,7 +56,7 @@ def write_results(tables: Tables, worlds: int) -> None:
                 shown.append(cell(seeds))
                 for number, crossings in enumerate(seeds):
                     cells.append([physics, sensor, method, number, density, *summarise(crossings).values()])
-            trainings = len(tables[physics, sensor, method, DENSITIES[0]])
+            trainings = len(tables[physics, sensor, method, DENSITIES[0]]) if method in LEARNT else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), ""]
     lines += [

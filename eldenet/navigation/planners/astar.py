@@ -137,7 +137,7 @@ class AStarOnlineDWA:
 
     def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
         self.carrot = carrot
-        self.window = DynamicWindow(room=0.05)
+        self.window = DynamicWindow()
         self.side = 2 * SIDE + _MARGIN  # the start is its middle, the goal up to a side away
         self.cells = round(self.side / RESOLUTION)
         self.last = np.zeros((robots, 2))

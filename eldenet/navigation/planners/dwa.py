@@ -25,8 +25,8 @@ class DynamicWindow:
 
     Args:
         clearance: weight of the distance kept from obstacles, against progress to the target [1/m].
-        room: clearance that every arc keeps [m]; 0.10 lets the robot turn on the spot wherever it gets
-            to (its corners stick out), as a driver without a map must; a planned path may pass closer.
+        room: clearance that every arc keeps [m]; with 0.10 the robot can turn on the spot wherever it gets to
+            (its corners stick out).
         margin: added to the footprint on all sides [m].
         enough: clearance beyond which more is worth nothing [m].
         acceleration: bounds of the window [m/s2].
@@ -37,7 +37,7 @@ class DynamicWindow:
         self,
         *,
         clearance: float = 0.8,
-        room: float = 0.0,
+        room: float = 0.10,
         margin: float = 0.05,
         enough: float = 0.30,
         acceleration: float = 2.5,
@@ -118,7 +118,7 @@ class LocalDWA:
         if sight not in ("sectors", "columns"):
             raise ValueError(f"sight={sight!r}: choose sectors or columns")
         self.sight = sight
-        self.window = DynamicWindow(room=0.10)
+        self.window = DynamicWindow()
         self.observer = Observer(robots, memory=memory, bins=1, arcs=False)
         self.last = np.zeros((robots, 2))
 
