@@ -567,7 +567,7 @@ def test_a_star_goes_round_a_wall_that_a_local_planner_does_not():
 
 
 def test_the_dynamic_window_avoids_what_is_ahead():
-    window = DynamicWindow(room=0.10)
+    window = DynamicWindow()
     wall = np.stack([np.full(41, 0.9), np.linspace(-1.0, 0.2, 41)], axis=1)
     pose, command = (0.0, 0.0, 0.0), (0.5, 0.0)
     for _ in range(100):
