@@ -80,10 +80,10 @@ class RunLog:
         self.console.print(table)
 
     @contextmanager
-    def bar(self, title: str, total: int, done: int = 0) -> Iterator["Bar"]:
-        """A progress bar over ``total`` images, of which ``done`` are behind us."""
+    def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> Iterator["Bar"]:
+        """A progress bar over ``total`` images (or what ``unit`` says), of which ``done`` are behind us."""
         if self.quiet or not self.console.is_terminal:
-            yield Bar(self, title, total, done, None)
+            yield Bar(self, title, total, done, None, unit)
             return
         columns = (
             TextColumn("{task.description}"),
@@ -93,7 +93,7 @@ class RunLog:
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=self.console, transient=True) as progress:
-            yield Bar(self, title, total, done, progress)
+            yield Bar(self, title, total, done, progress, unit)
 
     def close(self) -> None:
         """Flush what is open."""
@@ -102,10 +102,12 @@ class RunLog:
 
 
 class Bar:
-    """Counts images; shows their rate and a note."""
+    """Counts images (or another unit); shows their rate and a note."""
 
-    def __init__(self, log: RunLog, title: str, total: int, done: int, progress: Progress | None) -> None:
-        self.log, self.title, self.total, self.done = log, title, total, done
+    def __init__(
+        self, log: RunLog, title: str, total: int, done: int, progress: Progress | None, unit: str = "img"
+    ) -> None:
+        self.log, self.title, self.total, self.done, self.unit = log, title, total, done, unit
         self.progress = progress
         self.started = self.last_line = time.monotonic()
         self.first = done
@@ -121,7 +123,7 @@ class Bar:
     def advance(self, images: int, note: str = "") -> None:
         """Count ``images`` more."""
         self.done += images
-        text = f"{self.rate:.0f} img/s  {note}"
+        text = f"{self.rate:.0f} {self.unit}/s  {note}"
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, completed=self.done, note=text)
         elif time.monotonic() - self.last_line > LINE_EVERY_S:

@@ -32,6 +32,9 @@ GROUPS = [
 ]
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 
+# Groups of other commands than train.
+COMMAND_OF = dict.fromkeys(("policy", "sensor", "observer", "learner"), "navigate")
+
 # Arguments that are no user's choice: the code that builds the object supplies them.
 SUPPLIED: dict[str, set[str]] = {
     "eldenet.trainer.Trainer": {"optimizer", "scheduler", "seed"},
@@ -41,6 +44,9 @@ SUPPLIED: dict[str, set[str]] = {
     "eldenet.schedules.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.data.": {"transform", "resize_depth", "seed"},  # build_split gives these to every data set
     "torch.optim.": {"params"},
+    "eldenet.navigation.policy.": {"robots"},
+    "eldenet.navigation.planners.": {"robots"},
+    "eldenet.navigation.dqn.DQN": {"env", "seed"},
 }
 # Options that a YAML leaves out on purpose.
 HIDDEN: dict[str, set[str]] = {
@@ -82,7 +88,7 @@ GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw"
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    config = compose("train", [f"{group}={choice}", *GIVEN.get(choice, [])])
+    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *GIVEN.get(choice, [])])
     if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config

@@ -1,0 +1,143 @@
+"""``python -m eldenet.navigate``: watch a driver cross an arena, evaluate drivers, train one."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from eldenet.runlog import RunLog
+
+MODES = ("watch", "evaluate", "train")
+
+
+@cfg.entry_point("navigate")
+def main(config: "DictConfig", folder: Path) -> None:
+    """Do what ``mode`` says; results go to the run folder."""
+    from eldenet.data.roots import one_of
+    from eldenet.resources import choose_resources
+    from eldenet.runlog import RunLog
+
+    one_of("mode", str(config.mode), MODES)
+    densities = (
+        [int(value) for value in cfg.plain(config.density)] if _is_list(config) else [int(config.density)]
+    )
+    choose_resources(**cfg.plain(config.runtime))
+    folder.mkdir(parents=True, exist_ok=True)
+    log = RunLog(folder)
+    if config.mode == "train":
+        train(config, folder, log)
+    elif config.mode == "evaluate":
+        evaluate(config, densities, folder, log)
+    else:
+        watch(config, densities[0], folder, log)
+    log.close()
+
+
+def _is_list(config: "DictConfig") -> bool:
+    return isinstance(cfg.plain(config.density), list)
+
+
+def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Path:
+    """Film one crossing."""
+    from eldenet.data.roots import one_of
+    from eldenet.navigation.film import FORMATS, film_crossing
+    from eldenet.robot import ROBOT
+    from eldenet.simulation.arenas import generate_arena, triangle_course
+
+    one_of("film", str(config.film), FORMATS)
+    if config.course is not None:
+        one_of("course", str(config.course), ("triangle",))
+        arena = triangle_course()
+    else:
+        arena = generate_arena(config.split, density, int(config.world), movers=int(config.movers))
+    policy = cfg.instantiate(config.policy)(robots=1)
+    path = folder / f"{policy.name}-{arena.name}.{config.film}"
+    with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:
+        event, seconds = film_crossing(
+            arena, policy, cfg.instantiate(config.sensor), path,
+            physics=config.physics, time_limit=float(config.time_limit), seed=int(config.seed),
+            advance=bar.advance,
+        )  # fmt: skip
+    log.say(f"{policy.name} in {arena.name}: {event.name.lower()} after {seconds:.1f} s; film in {path}")
+    return path
+
+
+def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
+    """Cross frozen arenas; write one CSV row per world and ``run.json``."""
+    from eldenet.navigation.evaluation import as_rows, cross, summarise
+    from eldenet.navigation.tasks import frozen_arenas
+    from eldenet.record import RUN_FILE, environment, write_json, write_rows
+    from eldenet.simulation.arenas import arenas_hash
+
+    make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
+    name = make_policy(robots=1).name
+    metrics, hashes, table = {}, {}, []
+    for density in densities:
+        arenas = frozen_arenas(density, int(config.worlds), split=config.split, movers=int(config.movers))
+        hashes[str(density)] = arenas_hash(arenas)
+        with log.bar(f"{density} obstacles", len(arenas), unit="worlds") as bar:
+            rows = cross(
+                arenas, lambda robots: make_policy(robots=robots), sensor,
+                physics=config.physics, robots=int(config.robots), seed=int(config.seed),
+                time_limit=float(config.time_limit), advance=bar.advance,
+            )  # fmt: skip
+        write_rows(folder / f"worlds_{density}.csv", *as_rows(rows))
+        metrics[str(density)] = summarise(rows)
+        table.append([str(density), *_cells(metrics[str(density)])])
+    record = {
+        "policy": name,
+        "metrics": metrics,
+        "arenas": hashes,
+        "seed": int(config.seed),
+        "config": cfg.plain(config),
+        **environment(),
+    }
+    write_json(folder / RUN_FILE, record)
+    title = f"{name}, {config.physics}, {config.worlds} {config.split} arenas a density: {folder / RUN_FILE}"
+    log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
+    return record
+
+
+def _cells(summary: dict[str, Any]) -> list[str]:
+    s = summary
+    return [
+        *(
+            f"{s['success']:.1f}",
+            f"{s['success_low']:.1f} to {s['success_high']:.1f}",
+            f"{s['collision']:.1f}",
+        ),
+        *(f"{s['timeout']:.1f}", f"{s['seconds']:.1f}", f"{s['spl']:.3f}"),
+    ]
+
+
+def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
+    """Train a driver in ``folder``; goes on where a killed run stopped."""
+    from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.training import POLICY
+    from eldenet.navigation.training import train as train_driver
+    from eldenet.record import environment, write_json
+
+    sensor = cfg.instantiate(config.sensor)
+    names = ("seed", "sensor", "observer", "learner", "training", "time_limit")
+    settings = {name: cfg.plain(config[name]) for name in names}
+
+    def make_learner() -> Any:
+        env = ArenaNavVectorEnv(
+            int(config.training.robots), sensor=sensor, arenas=cfg.instantiate(config.training.arenas),
+            time_limit=float(config.time_limit), **cfg.plain(config.observer),
+        )  # fmt: skip
+        return cfg.instantiate(config.learner)(env, seed=int(config.seed))
+
+    note = train_driver(
+        make_learner, sensor, folder, log, validate=int(config.training.validate), settings=settings
+    )
+    write_json(folder / "training.json", {**note, "config": cfg.plain(config), **environment()})
+    log.say(f"policy in {folder / POLICY}; {note['cpu_seconds']:.0f} s of processor time")
+    return note
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""``eldenet/ArenaNav-v0``: a Gymnasium environment, for one robot and for many."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from eldenet.navigation.crossings import TIME_LIMIT, Crossings, Event
+from eldenet.navigation.observer import Observer
+from eldenet.navigation.sensors import NoisyRanges, Ranges, Sensor
+from eldenet.navigation.tasks import TrainingArenas
+from eldenet.simulation.arenas import Arena
+
+GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0.01
+
+
+def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
+    """Algorithm 1: what brings the robot nearer is rewarded, the goal most, a collision punished.
+
+    Args:
+        progress: towards the way-point [m].
+        events: :class:`~eldenet.navigation.crossings.Event` numbers.
+    """
+    out: np.ndarray = PROGRESS_REWARD * progress + STEP_REWARD
+    out = out + GOAL_REWARD * (events == Event.GOAL) + COLLISION_REWARD * (events == Event.COLLISION)
+    return out
+
+
+def make_sensor(sensor: str | Sensor) -> Sensor:
+    """A sensor by name: "ranges" or "noisy"; or one that was built already."""
+    if not isinstance(sensor, str):
+        return sensor
+    if sensor not in ("ranges", "noisy"):
+        raise ValueError(f"sensor={sensor!r}: choose ranges or noisy, or give a Camera with its network")
+    return Ranges() if sensor == "ranges" else NoisyRanges()
+
+
+class ArenaNavVectorEnv(VectorEnv):
+    """``num_envs`` robots in arenas of their own.
+
+    Convention: an episode that ends is followed by the next within the same step
+    (``AutoresetMode.SAME_STEP``): the observation returned is the new episode's first, and
+    ``info["final_obs"]`` (with the mask ``info["_final_obs"]``) holds the last of the one that ended. A
+    collision and the goal terminate; the time limit truncates.
+
+    Args:
+        num_envs: robots.
+        sensor: "ranges", "noisy" or a :class:`~eldenet.navigation.sensors.Sensor`.
+        physics: "kinematic" or "wheels".
+        arenas: where to train; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
+        time_limit: of an episode [s].
+        observer: options of :class:`~eldenet.navigation.observer.Observer`.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 64,
+        *,
+        sensor: str | Sensor = "ranges",
+        physics: str = "kinematic",
+        arenas: TrainingArenas | None = None,
+        time_limit: float = TIME_LIMIT,
+        **observer: Any,
+    ) -> None:
+        self.num_envs = num_envs
+        self.observer = Observer(num_envs, **observer)
+        self.crossings = Crossings(num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self._arenas = arenas or TrainingArenas()
+        self._tasks: list[TrainingArenas] = []
+        self._rngs: list[np.random.Generator] = []
+        self.single_observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
+        self.single_action_space = gym.spaces.Discrete(self.observer.actions)
+        self.observation_space = gym.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gym.vector.utils.batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode in every slot."""
+        if seed is not None or not self._rngs:
+            seeds = seed if isinstance(seed, list) else [seed]
+            entropy = np.random.SeedSequence([s for s in seeds if s is not None] or None)
+            self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in entropy.spawn(self.num_envs)]
+            self._tasks = [self._arenas.fresh() for _ in range(self.num_envs)]
+        for slot in range(self.num_envs):
+            self._begin(slot)
+        return self.observer.observe(self.crossings.sense()), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control period of every robot."""
+        progress, events = self.crossings.step(self.observer.commands(np.asarray(actions)))
+        observation = self.observer.observe(self.crossings.sense())
+        terminated = (events == Event.GOAL) | (events == Event.COLLISION)
+        truncated = events == Event.TIMEOUT
+        ended = np.flatnonzero(terminated | truncated)
+        info: dict[str, Any] = {"event": events}
+        if len(ended):
+            info["final_obs"] = observation.copy()
+            info["_final_obs"] = terminated | truncated
+            info["seconds"] = self.crossings.seconds.copy()
+            for slot in ended.tolist():
+                self._begin(slot)
+            senses = self.crossings.sense(ended.tolist())
+            observation[ended] = self.observer.observe(senses, ended)
+        return observation, reward(progress, events), terminated, truncated, info
+
+    def _begin(self, slot: int) -> None:
+        rng = self._rngs[slot]
+        self.crossings.start(slot, self._tasks[slot].draw(rng), (int(rng.integers(2**31)),))
+        self.observer.reset(slot)
+
+
+class ArenaNavEnv(gym.Env):
+    """One robot: what ``gymnasium.make("eldenet/ArenaNav-v0")`` returns.
+
+    Args:
+        arena: always this one, such as :func:`~eldenet.simulation.arenas.triangle_course`; None: a new one
+            every episode.
+        arenas: where those come from.
+        sensor: as of :class:`ArenaNavVectorEnv`.
+        physics: "kinematic" or "wheels".
+        time_limit: of an episode [s].
+        render_mode: None or "rgb_array": a top view, with the camera's view beside it.
+        observer: options of :class:`~eldenet.navigation.observer.Observer`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        arena: Arena | None = None,
+        arenas: TrainingArenas | None = None,
+        sensor: str | Sensor = "ranges",
+        physics: str = "kinematic",
+        time_limit: float = TIME_LIMIT,
+        render_mode: str | None = None,
+        **observer: Any,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
+        self.render_mode = render_mode
+        self.observer = Observer(1, **observer)
+        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
+        self.action_space = gym.spaces.Discrete(self.observer.actions)
+        self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()
+        self._scene: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; a seed starts the stream of arenas anew."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._arenas = self._arenas.fresh()
+        arena = self._arena or self._arenas.draw(self.np_random)
+        self.crossings.start(0, arena, (int(self.np_random.integers(2**31)),))
+        self.observer.reset()
+        self._scene = None
+        return self.observer.observe(self.crossings.sense())[0], {"arena": arena.name}
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control period."""
+        progress, events = self.crossings.step(self.observer.commands(np.array([int(action)])))
+        observation = self.observer.observe(self.crossings.sense())[0]
+        event = Event(int(events[0]))
+        if self._scene is not None:
+            self._scene.trail.append(tuple(self.crossings.poses[0]))
+        value = float(reward(progress, events)[0])
+        info = {"event": event.name.lower(), "is_success": event is Event.GOAL}
+        return observation, value, event in (Event.GOAL, Event.COLLISION), event is Event.TIMEOUT, info
+
+    def render(self) -> np.ndarray | None:
+        """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail begins with the first call."""
+        from eldenet.navigation.pictures import Scene
+
+        if self.render_mode is None or self.crossings.worlds[0] is None:
+            return None
+        if self._scene is None:
+            self._scene = Scene(self.crossings.worlds[0].arena)
+            self._scene.trail.append(tuple(self.crossings.poses[0]))
+        return self._scene.draw(self.crossings, 0)

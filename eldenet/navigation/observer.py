@@ -1,0 +1,212 @@
+"""What a learnt driver knows: five camera sectors, the goal, its last command, and what it has seen before.
+
+Works on ``N`` robots at once with NumPy alone; nothing here knows a simulator. The observation is
+``(N, size)`` float32:
+
+======================  ==============================================  =======================
+columns                 what                                            range
+======================  ==============================================  =======================
+0-4                     nearest range per sector, right to left         sqrt(r / 10), 0.17 to 1
+5                       goal distance                                   min(d / 20, 1)
+6, 7                    sine and cosine of the goal's bearing           -1 to 1
+8                       last turn rate over the greatest                -1 to 1
+9                       last speed over the greatest                    -1 to 1
+then ``bins``           memory: least distance to a remembered point    min(d, 3) / 3
+then one per action     free time along the action's arc                t / 1.8 s, 0 to 1
+======================  ==============================================  =======================
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from eldenet.navigation.arcs import REACH, STEP, ArcTable, arc_table
+from eldenet.robot import ROBOT
+
+SECTORS = 5
+MEMORY_REACH = 3.0  # [m]
+HORIZON = 1.8  # of the arcs [s]
+SPEED_LAWS = ("paper", "turn", "prox")
+_LEVELS = 20  # of speed, in the table of arcs
+_NOWHERE = np.float32(1e6)
+
+
+class Senses(NamedTuple):
+    """What ``N`` robots sense at one moment.
+
+    Attributes:
+        ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`eldenet.robot.Robot`.
+        odometry: ``(N, 3)`` x, y [m], heading [rad] by the wheels: drifts.
+        goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
+    """
+
+    ranges: np.ndarray
+    odometry: np.ndarray
+    goal: np.ndarray
+
+
+class Observer:
+    """Turns senses into observations and action numbers into commands.
+
+    Args:
+        robots: how many at once.
+        turn_rates: of the actions [rad/s].
+        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up.
+        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter);
+            "turn": times the action's factor; "prox": and slower near obstacles.
+        memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
+        bins: bearings into which the memory is divided; 0: no memory columns.
+        arcs: add the free time along each action's arc.
+
+    Raises:
+        ValueError: an argument is out of its range.
+    """
+
+    def __init__(
+        self,
+        robots: int = 1,
+        *,
+        turn_rates: Sequence[float] = (1.2, 0.5, 0.0, -0.5, -1.2),
+        turn_factors: Sequence[float] = (0.35, 0.75, 1.0, 0.75, 0.35),
+        speed: str = "prox",
+        memory: int = 60,
+        bins: int = 24,
+        arcs: bool = True,
+    ) -> None:
+        if speed not in SPEED_LAWS:
+            raise ValueError(f"speed={speed!r}: choose one of {', '.join(SPEED_LAWS)}")
+        if len(turn_rates) != len(turn_factors) or not turn_rates:
+            raise ValueError(
+                f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
+            )
+        if memory < 0 or bins < 0 or robots < 1:
+            raise ValueError(f"robots={robots}, memory={memory}, bins={bins}: give at least 1, 0 and 0")
+        self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs
+        self.options = {
+            "turn_rates": [float(rate) for rate in turn_rates],
+            "turn_factors": [float(factor) for factor in turn_factors],
+            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs},
+        }
+        self.turn_rates = np.array(turn_rates, dtype=np.float64)
+        self.turn_factors = np.array(turn_factors, dtype=np.float64)
+        self.actions = len(self.turn_rates)
+        self.size = 10 + bins + (self.actions if arcs else 0)
+        self._angles = np.array(ROBOT.column_angles)
+        self._points = np.full((robots, memory // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
+        self._looks = np.zeros(robots, np.intp)  # frames seen so far
+        self.last = np.zeros((robots, 2))  # command that was carried out: speed [m/s], turn rate [rad/s]
+        self.speeds = np.zeros((robots, self.actions))
+
+    def reset(self, robot: int | slice = slice(None)) -> None:
+        """Forget what one robot (or all) saw and did."""
+        self._points[robot] = _NOWHERE
+        self._looks[robot] = 0
+        self.last[robot] = 0.0
+
+    def commands(self, actions: np.ndarray) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)`` of the actions chosen on the last observation.
+
+        They are noted as carried out; who overrides them writes what was done to :attr:`last`.
+        """
+        self.last = np.stack([self.speeds[np.arange(self.robots), actions], self.turn_rates[actions]], axis=1)
+        return self.last
+
+    def observe(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Remember the frame and return observations ``(N, size)`` float32.
+
+        Args:
+            senses: of all robots.
+            robots: numbers of those that look; None: all of them, and a row for each.
+        """
+        who = np.arange(self.robots) if robots is None else robots
+        ranges, odometry = senses.ranges[who], senses.odometry[who]
+        distance, bearing = senses.goal[who].T
+        nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
+        self.speeds[who] = self._speeds(distance, nearest.min(axis=1))
+        self._remember(who, ranges, odometry)
+        columns = [
+            np.sqrt(nearest / ROBOT.far),
+            np.minimum(distance / 20.0, 1.0)[:, None],
+            np.stack([np.sin(bearing), np.cos(bearing)], axis=1),
+            self.last[who, 1:] / ROBOT.max_turn,
+            self.last[who, :1] / ROBOT.max_speed,
+        ]
+        if self.bins or self.arcs:
+            row, x, y, away = self.near_points(odometry, robots)
+            if self.bins:
+                columns.append(self._by_bearing(len(who), row, x, y, away))
+            if self.arcs:
+                columns.append(self._free_times(who, row, x, y))
+        return np.concatenate(columns, axis=1).astype(np.float32)
+
+    def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+        """Speed of every action ``(N, actions)`` [m/s]."""
+        speed = ROBOT.max_speed * np.clip(distance / 3.0, 0.25, 1.0)[:, None] * np.ones(self.actions)
+        if self.speed != "paper":
+            speed = speed * self.turn_factors
+        if self.speed == "prox":
+            speed = speed * np.clip((nearest - ROBOT.near) / 1.2, 0.15, 1.0)[:, None]
+        return speed
+
+    def _remember(self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray) -> None:
+        """Write the frame's points, in the odometry's frame, over the oldest ones or the odd frame before."""
+        x, y, yaw = odometry.T
+        angles = yaw[:, None] + self._angles
+        frame = np.stack(
+            [
+                (x + ROBOT.camera_ahead * np.cos(yaw))[:, None] + ranges * np.cos(angles),
+                (y + ROBOT.camera_ahead * np.sin(yaw))[:, None] + ranges * np.sin(angles),
+            ],
+            axis=2,
+        )
+        frame[ranges >= ROBOT.far] = _NOWHERE
+        self._points[who, self._looks[who] // 2 % self._points.shape[1]] = frame
+        self._looks[who] += 1
+
+    def near_points(
+        self, odometry: np.ndarray, robots: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Remembered points within 3 m: row of ``odometry``, x ahead, y left, distance; ``(M,)``, by row."""
+        place = odometry.astype(np.float32)
+        points = self._points if robots is None else self._points[robots]
+        points = points.reshape(len(place), -1, 2)
+        dx, dy = points[..., 0] - place[:, 0, None], points[..., 1] - place[:, 1, None]
+        squared = dx * dx + dy * dy
+        row, number = np.nonzero(squared < np.float32(MEMORY_REACH**2))
+        dx, dy, away = dx[row, number], dy[row, number], np.sqrt(squared[row, number])
+        c, s = np.cos(place[:, 2])[row], np.sin(place[:, 2])[row]
+        return row, c * dx + s * dy, c * dy - s * dx, away
+
+    def _by_bearing(
+        self, count: int, row: np.ndarray, x: np.ndarray, y: np.ndarray, away: np.ndarray
+    ) -> np.ndarray:
+        """Least distance in every bearing, over 3 m ``(count, bins)``; the first bin begins right behind."""
+        width = np.float32(2 * math.pi / self.bins)
+        bearing = np.arctan2(y, x) + np.float32(math.pi)
+        bins = np.minimum((bearing / width).astype(np.intp), self.bins - 1)
+        out = np.full(count * self.bins, MEMORY_REACH, np.float32)
+        np.minimum.at(out, row * self.bins + bins, away)
+        return out.reshape(count, self.bins) / np.float32(MEMORY_REACH)
+
+    def _free_times(self, who: np.ndarray, row: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Share of the horizon that each action's arc stays free ``(len(who), actions)``."""
+        table = _action_arcs(tuple(self.turn_rates.tolist()))
+        inside = (np.abs(x) < REACH) & (np.abs(y) < REACH)
+        row, cells = row[inside], table.cells(x[inside], y[inside])
+        level = np.clip(np.rint(self.speeds[who] * _LEVELS), -_LEVELS, _LEVELS).astype(np.intp) + _LEVELS
+        command = level * self.actions + np.arange(self.actions)
+        out = np.full((len(who), self.actions), table.count, np.uint8)
+        if len(row):
+            first = np.flatnonzero(np.diff(row, prepend=-1))
+            cells = cells * table.time.shape[1]
+            for action in range(self.actions):
+                times = table.time.ravel().take(cells + command[:, action].take(row))
+                out[row[first], action] = np.minimum.reduceat(times, first)
+        return out * np.float32(STEP / HORIZON)
+
+
+def _action_arcs(turn_rates: tuple[float, ...]) -> ArcTable:
+    speeds = [level / _LEVELS for level in range(-_LEVELS, _LEVELS + 1)]
+    return arc_table(tuple((speed, rate) for speed in speeds for rate in turn_rates), HORIZON)

@@ -1,0 +1,179 @@
+"""A crossing for people: top view with the trail, beside what the camera sees and what the sectors say."""
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+
+from eldenet.legend import visible_range
+from eldenet.navigation.crossings import GOAL_RADIUS, Crossings
+from eldenet.navigation.observer import SECTORS
+from eldenet.navigation.sensors import FED_BY, Sight
+from eldenet.pictures import colour_depth
+from eldenet.robot import ROBOT
+from eldenet.simulation.arenas import Arena, Obstacle
+
+_COLOURS = {
+    "cylinder": (120, 144, 156),
+    "box": (161, 136, 107),
+    "vehicle": (84, 110, 122),
+    "person": (239, 108, 80),
+}
+_FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (
+    (245, 245, 242),
+    (60, 60, 60),
+    (30, 100, 220),
+    (250, 190, 20),
+    (40, 160, 70),
+)
+_FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "boxes": (239, 108, 80)}
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+class Scene:
+    """Draws one crossing.
+
+    Args:
+        arena: the world.
+        size: of the top view [px].
+
+    Attributes:
+        trail: poses so far; append to it.
+    """
+
+    def __init__(self, arena: Arena, size: int = 480) -> None:
+        self.arena, self.size = arena, size
+        self.scale = size / (arena.side + 0.6)
+        self.trail: list[tuple[float, float, float]] = []
+        self._standing = np.full((size, size, 3), _FLOOR, np.uint8)
+        half = arena.side / 2
+        corners = (self._pixel(-half, half), self._pixel(half, -half))
+        cv2.rectangle(self._standing, *corners, _WALL, 3)
+        for obstacle in arena.obstacles:
+            if not obstacle.path:
+                self._obstacle(self._standing, obstacle, 0.0)
+
+    def _pixel(self, x: float, y: float) -> tuple[int, int]:
+        return round(self.size / 2 + x * self.scale), round(self.size / 2 - y * self.scale)
+
+    def _obstacle(self, picture: np.ndarray, obstacle: Obstacle, time: float) -> None:
+        x, y = obstacle.position(time)
+        colour = _COLOURS[obstacle.kind]
+        if obstacle.round:
+            cv2.circle(
+                picture, self._pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA
+            )
+        else:
+            self._box(picture, (x, y, obstacle.yaw), obstacle.half, colour)
+
+    def _box(
+        self,
+        picture: np.ndarray,
+        pose: tuple[float, float, float],
+        half: tuple[float, float],
+        colour: tuple[int, int, int],
+    ) -> None:
+        x, y, yaw = pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        corners = [
+            self._pixel(x + c * a * half[0] - s * b * half[1], y + s * a * half[0] + c * b * half[1])
+            for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        ]
+        cv2.fillConvexPoly(picture, np.array(corners), colour, cv2.LINE_AA)
+
+    def top_view(self, crossings: Crossings, slot: int) -> np.ndarray:
+        """``(size, size, 3)`` uint8 RGB: obstacles, way-points, what was seen, trail, robot."""
+        picture = self._standing.copy()
+        world = crossings.worlds[slot]
+        for obstacle in self.arena.movers:
+            self._obstacle(picture, obstacle, 0.0 if world is None else world.time)
+        for x, y in self.arena.waypoints:
+            cv2.circle(picture, self._pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
+        x, y, yaw = (float(value) for value in crossings.poses[slot])
+        sight = crossings.sights[slot]
+        eye = (x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw))
+        if sight is not None:
+            for number, nearest in enumerate(sight.ranges.reshape(SECTORS, -1).min(axis=1)):
+                step = ROBOT.field_of_view / SECTORS
+                first = yaw - ROBOT.field_of_view / 2 + number * step
+                edges = [
+                    self._pixel(eye[0] + nearest * math.cos(a), eye[1] + nearest * math.sin(a))
+                    for a in np.linspace(first, first + step, 6)
+                ]
+                cv2.polylines(
+                    picture, [np.array([self._pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA
+                )
+            for angle, distance in zip(ROBOT.column_angles, sight.ranges, strict=True):
+                if distance < ROBOT.far:
+                    at = (
+                        eye[0] + distance * math.cos(yaw + angle),
+                        eye[1] + distance * math.sin(yaw + angle),
+                    )
+                    cv2.circle(picture, self._pixel(*at), 1, (200, 30, 30), -1)
+        for before, after in zip(self.trail, self.trail[1:], strict=False):
+            cv2.line(picture, self._pixel(*before[:2]), self._pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
+        self._box(picture, (x, y, yaw), (ROBOT.length / 2, ROBOT.width / 2), _ROBOT)
+        cv2.line(picture, self._pixel(x, y), self._pixel(*eye), (0, 0, 0), 2)
+        return picture
+
+    def draw(self, crossings: Crossings, slot: int, note: str = "", view: Any = None) -> np.ndarray:
+        """Camera, depth and sectors beside the top view ``(size, 4/3 * size / 2 + size, 3)`` uint8 RGB.
+
+        Args:
+            crossings: under way.
+            slot: which robot.
+            note: a line above the top view.
+            view: :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without pictures; None: their
+                panels stay empty.
+        """
+        top = self.top_view(crossings, slot)
+        cv2.rectangle(top, (0, 0), (self.size, 18), (255, 255, 255), -1)
+        cv2.putText(top, note, (6, 13), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+        sight = crossings.sights[slot]
+        if sight is None:
+            return top
+        if sight.image is None and view is not None:
+            world = crossings.worlds[slot]
+            image, depth = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
+            sight = sight._replace(image=image, depth=depth)
+        return np.concatenate([camera_panels(sight, self.size), top], axis=1)
+
+
+def camera_panels(sight: Sight, size: int) -> np.ndarray:
+    """Photo, depth and sector bars below each other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
+    height = size * 2 // 5
+    width = height * 4 // 3
+    near, far = (0.3, 8.0) if sight.depth is None else visible_range(sight.depth)
+    empty = np.full((height, width, 3), 225, np.uint8)
+    photo = (
+        empty
+        if sight.image is None
+        else cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR)
+    )
+    depth = empty
+    if sight.depth is not None:
+        colours = colour_depth(sight.depth, near, far, sight.depth > 0)
+        depth = np.asarray(cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
+    bars = sector_bars(sight, (size - 2 * height, width))
+    for picture, title in ((photo, "camera"), (depth, f"depth {near:.1f} to {far:.1f} m"), (bars, "")):
+        cv2.putText(picture, title, (5, 14), _FONT, 0.42, (255, 255, 255), 2, cv2.LINE_AA)
+        cv2.putText(picture, title, (5, 14), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([photo, depth, bars], axis=0)
+
+
+def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
+    """Nearest range per sector, left to right as the camera sees them, coloured by what fed it."""
+    height, width = size
+    picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
+    ranges = sight.ranges.reshape(SECTORS, -1)
+    fed_by = sight.fed_by.reshape(SECTORS, -1)
+    for number in range(SECTORS):
+        nearest = int(ranges[number].argmin())
+        distance, source = float(ranges[number, nearest]), FED_BY[int(fed_by[number, nearest])]
+        left = (SECTORS - 1 - number) * width // SECTORS
+        right = (SECTORS - number) * width // SECTORS
+        top = height - 2 - round((height - 22) * math.sqrt(distance / ROBOT.far))
+        cv2.rectangle(picture, (left + 3, top), (right - 3, height - 2), _FED[source], -1)
+        cv2.putText(picture, f"{distance:.1f}", (left + 8, top - 4), _FONT, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
+    return picture

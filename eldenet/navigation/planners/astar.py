@@ -1,0 +1,237 @@
+"""A* on a grid, followed by the dynamic window: with the true map, or with one that is built on the way.
+
+Hart, Nilsson, Raphael, "A formal basis for the heuristic determination of minimum cost paths", 1968. The
+search is scikit-image's ``MCP_Geometric``, which settles cells in the order of their cost alone: the path
+costs what A*'s costs.
+"""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from eldenet.navigation.observer import Senses
+from eldenet.navigation.planners.dwa import DynamicWindow
+from eldenet.robot import ROBOT
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, SIDE, Arena, clearance_map
+
+CARROT = 1.3  # how far ahead on the path the target lies [m]; nearer is safer and slower
+REPLAN_EVERY = 5  # control periods, on a map that grows
+_MARGIN = 2.0  # of a map that is built: odometry may drift out of the arena [m]
+
+
+def shortest_path(
+    cost: np.ndarray, start: tuple[float, float], goal: tuple[float, float], side: float = SIDE
+) -> np.ndarray | None:
+    """Way points ``(n, 2)`` [m] of the cheapest path over a grid, eight neighbours; None where there is none.
+
+    Args:
+        cost: of every cell ``(n, n)``, rows along y; infinite where a robot must not be.
+        start: x, y [m].
+        goal: x, y [m].
+        side: of the grid [m]; its middle is the origin.
+    """
+    from skimage.graph import MCP_Geometric
+
+    resolution = side / len(cost)
+    ends = [
+        tuple(np.clip(((np.array(point[::-1]) + side / 2) / resolution).astype(int), 0, len(cost) - 1))
+        for point in (start, goal)
+    ]
+    cost = cost.copy()
+    cost[ends[0]] = 1.0 if not np.isfinite(cost[ends[0]]) else cost[ends[0]]
+    search = MCP_Geometric(cost)
+    costs, _ = search.find_costs([ends[0]], [ends[1]])
+    if not np.isfinite(costs[ends[1]]):
+        return None
+    cells = np.array(search.traceback(ends[1]))
+    return (cells[:, ::-1] + 0.5) * resolution - side / 2
+
+
+def path_length(path: np.ndarray) -> float:
+    """[m]."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+def inflated_cost(clearance: np.ndarray) -> np.ndarray:
+    """1 where a robot may be, infinite where it may not."""
+    return np.where(clearance >= INFLATION, 1.0, np.inf)
+
+
+def optimal_length(arena: Arena) -> float:
+    """Shortest way from the start over all way-points on the inflated grid [m]; nan where there is none."""
+    cost = inflated_cost(clearance_map(arena.obstacles, arena.side))
+    points = [arena.start[:2], *arena.waypoints]
+    length = 0.0
+    for start, goal in pairwise(points):
+        path = shortest_path(cost, start, goal, arena.side)
+        length += np.nan if path is None else path_length(path)
+    return length
+
+
+class AStarDWA:
+    """A* once on the full map and from the true pose, then the dynamic window along the path.
+
+    The map holds what stands; people who walk are in neither map nor points, but in view.
+
+    Args:
+        carrot: how far ahead on the path the target lies [m].
+        robots: how many.
+    """
+
+    name = "astar_dwa"
+
+    def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
+        self.carrot = carrot
+        self.window = DynamicWindow()
+        self.last = np.zeros((robots, 2))
+        self._worlds: list[Any] = [None] * robots
+        self._paths: list[np.ndarray | None] = [None] * robots
+        self._points: list[np.ndarray] = [np.empty((0, 2))] * robots
+        self._goals: list[tuple[float, float] | None] = [None] * robots
+
+    def reset(self, robot: int, world: Any = None) -> None:
+        """Take the map of a new crossing; ``world`` is its :class:`ArenaWorld`."""
+        self.last[robot] = 0.0
+        self._worlds[robot] = world
+        self._goals[robot] = None
+        fine = 0.05
+        clearance = clearance_map(world.arena.obstacles, world.arena.side, fine)
+        edge = np.argwhere(clearance < fine / 2)
+        self._points[robot] = (edge[:, ::-1] + 0.5) * fine - world.arena.side / 2
+
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
+        for robot in range(len(self.last)) if robots is None else robots:
+            world = self._worlds[robot]
+            pose = np.array(world.pose)
+            goal = _goal_in_world(pose, senses.goal[robot])
+            before = self._goals[robot]
+            if before is None or math.dist(goal, before) > 0.1:
+                self._goals[robot] = goal
+                cost = inflated_cost(clearance_map(world.arena.obstacles, world.arena.side))
+                self._paths[robot] = shortest_path(cost, tuple(pose[:2]), goal, world.arena.side)
+            points = _to_robot(self._points[robot], pose)
+            points = np.concatenate([points, seen_points(senses.ranges[robot])])
+            path = self._paths[robot]
+            target = goal if path is None else carrot(path, pose, self.carrot)
+            self.last[robot] = self.window.choose(
+                points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
+            )
+        return self.last.copy()
+
+
+class AStarOnlineDWA:
+    """A* on a map that is built from the robot's own ranges and odometry, then the dynamic window.
+
+    A cell is taken where more rays ended than passed, of late; what nobody has seen counts as free. The path
+    is searched anew every second. Where nothing is free at full inflation, the search may pass closer by.
+
+    Args:
+        carrot: how far ahead on the path the target lies [m].
+        robots: how many.
+    """
+
+    name = "astar_online_dwa"
+
+    def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
+        self.carrot = carrot
+        self.window = DynamicWindow()
+        self.side = 2 * SIDE + _MARGIN  # the start is its middle, the goal up to a side away
+        self.cells = round(self.side / RESOLUTION)
+        self.last = np.zeros((robots, 2))
+        self._evidence = np.zeros((robots, self.cells, self.cells), np.int8)
+        self._origin = np.zeros((robots, 2))
+        self._paths: list[np.ndarray | None] = [None] * robots
+        self._looks = np.zeros(robots, np.intp)
+
+    def reset(self, robot: int, world: Any = None) -> None:
+        """Forget the map."""
+        self.last[robot] = 0.0
+        self._evidence[robot] = 0
+        self._paths[robot] = None
+        self._looks[robot] = 0
+
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
+        for robot in range(len(self.last)) if robots is None else robots:
+            if self._looks[robot] == 0:
+                self._origin[robot] = senses.odometry[robot, :2]
+            pose = senses.odometry[robot].copy()
+            pose[:2] -= self._origin[robot]
+            self._map(robot, pose, senses.ranges[robot])
+            taken = np.argwhere(self._evidence[robot] > 0)
+            walls = (taken[:, ::-1] + 0.5) * RESOLUTION - self.side / 2
+            goal = _goal_in_world(pose, senses.goal[robot])
+            if self._looks[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
+                self._paths[robot] = self._plan(robot, pose, goal)
+            self._looks[robot] += 1
+            path = self._paths[robot]
+            target = goal if path is None else carrot(path, pose, self.carrot)
+            near = np.hypot(*(walls - pose[:2]).T) < 3.0
+            points = np.concatenate([_to_robot(walls[near], pose), seen_points(senses.ranges[robot])])
+            self.last[robot] = self.window.choose(
+                points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
+            )
+        return self.last.copy()
+
+    def _map(self, robot: int, pose: np.ndarray, ranges: np.ndarray) -> None:
+        """Count rays: those that end in a cell for it, those that pass through against it."""
+        angles = np.array(ROBOT.column_angles) + pose[2]
+        eye = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        grid = self._evidence[robot]
+        steps = np.arange(0.0, ROBOT.far, RESOLUTION)
+        passed = steps[None, :] < ranges[:, None] - 0.15
+        cells = self._cells((eye + steps[None, :, None] * rays[:, None])[passed])
+        grid[cells] = np.maximum(grid[cells] - 1, -2)
+        ends = ranges < ROBOT.far
+        cells = self._cells(eye + ranges[ends, None] * rays[ends])
+        grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        numbers = np.clip(((points + self.side / 2) / RESOLUTION).astype(int), 0, self.cells - 1)
+        return numbers[:, 1], numbers[:, 0]
+
+    def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
+        from scipy.ndimage import distance_transform_edt
+
+        clearance = distance_transform_edt(self._evidence[robot] <= 0) * RESOLUTION
+        for inflation, weight in ((INFLATION, 1.0), (0.30, 6.0)):
+            cost = np.where(clearance >= INFLATION, 1.0, np.where(clearance >= inflation, weight, np.inf))
+            path = shortest_path(cost, tuple(pose[:2]), goal, self.side)
+            if path is not None:
+                return path
+        return None
+
+
+def seen_points(ranges: np.ndarray) -> np.ndarray:
+    """What is in view, in the robot's frame ``(M, 2)`` [m]."""
+    seen = ranges < ROBOT.far
+    angles = np.array(ROBOT.column_angles)[seen]
+    return np.stack(
+        [ROBOT.camera_ahead + ranges[seen] * np.cos(angles), ranges[seen] * np.sin(angles)], axis=1
+    )
+
+
+def carrot(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, float]:
+    """The point of a path that lies ``ahead`` [m] beyond the point nearest to the robot."""
+    nearest = int(np.hypot(*(path - pose[:2]).T).argmin())
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[nearest:], axis=0).T))])
+    index = nearest + int(np.searchsorted(along, ahead).clip(0, len(along) - 1))
+    return float(path[index, 0]), float(path[index, 1])
+
+
+def _goal_in_world(pose: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
+    distance, bearing = goal
+    return (
+        float(pose[0] + distance * np.cos(pose[2] + bearing)),
+        float(pose[1] + distance * np.sin(pose[2] + bearing)),
+    )
+
+
+def _to_robot(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    dx, dy = (points - pose[:2]).T
+    return np.stack([c * dx + s * dy, c * dy - s * dx], axis=1)

@@ -1,0 +1,27 @@
+"""Drive at the goal and look at nothing: the floor that any driver must beat."""
+
+from typing import Any
+
+import numpy as np
+
+from eldenet.navigation.observer import Senses
+from eldenet.robot import ROBOT
+
+
+class Straight:
+    """Turns to the goal and drives there, slower while it turns."""
+
+    name = "straight"
+
+    def __init__(self, *, robots: int = 1) -> None:
+        self.robots = robots
+
+    def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
+        """Nothing is remembered."""
+
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
+        distance, bearing = senses.goal.T
+        turn = np.clip(bearing / ROBOT.period / 2, -ROBOT.max_turn, ROBOT.max_turn)
+        speed = ROBOT.max_speed * np.clip(np.cos(bearing), 0.05, 1.0) * np.clip(distance / 3, 0.25, 1.0)
+        return np.stack([speed, turn], axis=1)

@@ -1,0 +1,169 @@
+"""The trained driver without a simulator: what a robot runs.
+
+``navigator = Navigator.load(); speed, turn = navigator.step(depth, goal, odometry)``, five times a second.
+Needs torch, NumPy and safetensors; neither MuJoCo nor Gymnasium is imported.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.robot import ROBOT
+
+DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
+
+
+class Navigator:
+    """A Q-network with the observer it was trained with, for one robot or many.
+
+    Args:
+        network: trained.
+        observer: options of :class:`~eldenet.navigation.observer.Observer`.
+        robots: how many drive at once.
+        info: what is known of the training.
+    """
+
+    name = "dqn"
+
+    def __init__(
+        self,
+        network: QNetwork,
+        observer: dict[str, Any],
+        *,
+        robots: int = 1,
+        info: dict[str, Any] | None = None,
+    ) -> None:
+        self.observer = Observer(robots, **observer)
+        if network.inputs != self.observer.size or network.actions != self.observer.actions:
+            raise ValueError(
+                f"the network takes {network.inputs} inputs, values {network.actions} actions; its observer "
+                f"gives {self.observer.size} and {self.observer.actions}: they were not trained together"
+            )
+        # float64, so that a robot drives alike alone and among others: no tie is broken by rounding
+        self.network = network.double().eval()
+        self.info = info or {}
+
+    @classmethod
+    def load(cls, path: str | Path | None = None, *, robots: int = 1) -> Self:
+        """Read a policy; None: the one that comes with the package.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: the file is no policy.
+        """
+        path = DEFAULT_WEIGHTS if path is None else Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file "
+                "that it wrote"
+            )
+        with safe_open(str(path), framework="pt") as file:
+            notes = (file.metadata() or {}).get("navigator")
+            if notes is None:
+                raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
+            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        content = json.loads(notes)
+        network = QNetwork(content["inputs"], content["actions"], tuple(content["hidden"]))
+        network.load_state_dict(weights)
+        return cls(network, content["observer"], robots=robots, info=content["info"])
+
+    def save(self, path: Path) -> None:
+        """Write weights and observer into one ``.safetensors`` file."""
+        notes = {
+            "inputs": self.network.inputs,
+            "actions": self.network.actions,
+            "hidden": self.network.hidden,
+            "observer": self.observer.options,
+            "info": self.info,
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        weights = {name: tensor.float().contiguous() for name, tensor in self.network.state_dict().items()}
+        save_file(weights, str(path), metadata={"navigator": json.dumps(notes)})
+
+    def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
+        """Forget what a robot saw: call it whenever a robot starts from somewhere else."""
+        self.observer.reset(robot)
+
+    @torch.inference_mode()
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)`` of all robots; rows beyond ``robots`` are void."""
+        who = np.arange(self.observer.robots) if robots is None else robots
+        observation = self.observer.observe(senses, robots)
+        actions = np.zeros(self.observer.robots, np.intp)
+        actions[who] = self.network(torch.from_numpy(observation).double()).argmax(1).numpy()
+        return self.observer.commands(actions)
+
+    def step(
+        self,
+        sight: np.ndarray,
+        goal: tuple[float, float],
+        odometry: tuple[float, float, float],
+        *,
+        intrinsics: np.ndarray | None = None,
+    ) -> tuple[float, float]:
+        """One decision of one robot; call it every 0.2 s.
+
+        Args:
+            sight: depth ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)`` [m],
+                equal in angle over the field of view, right to left; or the five sectors' ``(5,)``.
+            goal: distance [m] and bearing [rad, counter-clockwise from ahead].
+            odometry: x, y [m] and heading [rad] in any frame that stays.
+            intrinsics: ``(3, 3)`` of the depth map [px].
+
+        Returns:
+            Speed [m/s] and turn rate [rad/s, counter-clockwise].
+
+        Raises:
+            ValueError: the sight has none of these shapes, or a depth map came without intrinsics.
+        """
+        ranges = as_ranges(np.asarray(sight, dtype=np.float64), intrinsics)
+        senses = Senses(
+            ranges[None], np.array([odometry], dtype=np.float64), np.array([goal], dtype=np.float64)
+        )
+        speed, turn = self.commands(senses)[0].tolist()
+        return speed, turn
+
+
+def as_ranges(sight: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
+    """Ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    if sight.ndim == 2:
+        if intrinsics is None:
+            raise ValueError("a depth map needs its camera's intrinsics=(3, 3) [px]")
+        return depth_to_ranges(sight, intrinsics)
+    if sight.ndim != 1 or not sight.size or ROBOT.columns % sight.size:
+        raise ValueError(
+            f"sight has shape {sight.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
+        )
+    # unknown (0, nan) reads as near: a camera that is blind close up must not drive on
+    known = np.isfinite(sight) & (sight > 0)
+    ranges = np.where(known, np.clip(sight, ROBOT.near, ROBOT.far), ROBOT.near)
+    return np.repeat(ranges, ROBOT.columns // sight.size)
+
+
+def export_onnx(navigator: Navigator, path: Path) -> None:
+    """Write the network (observation ``(N, inputs)`` float32 -> values ``(N, actions)``) as ONNX.
+
+    The observer's options stand in the file's metadata under "navigator".
+    """
+    import onnx
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    network = QNetwork(navigator.network.inputs, navigator.network.actions, navigator.network.hidden)
+    network.load_state_dict({name: t.float() for name, t in navigator.network.state_dict().items()})
+    rows = torch.export.Dim("robots", min=1)
+    torch.onnx.export(
+        network.eval(), (torch.zeros(2, network.inputs),), str(path), input_names=["observation"],
+        output_names=["values"], dynamic_shapes=({0: rows},), dynamo=True, external_data=False, verbose=False,
+    )  # fmt: skip
+    model = onnx.load(str(path))
+    notes = model.metadata_props.add()
+    notes.key, notes.value = "navigator", json.dumps(navigator.observer.options)
+    onnx.save(model, str(path))

@@ -1,0 +1,26 @@
+"""The network that values actions."""
+
+from torch import Tensor, nn
+
+
+class QNetwork(nn.Module):
+    """Observation ``(N, inputs)`` -> value of every action ``(N, actions)``.
+
+    Args:
+        inputs: columns of the observation.
+        actions: to choose from.
+        hidden: widths of the layers between.
+    """
+
+    def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...] = (128, 128)) -> None:
+        super().__init__()
+        self.inputs, self.actions, self.hidden = inputs, actions, tuple(hidden)
+        layers: list[nn.Module] = []
+        for width_in, width_out in zip((inputs, *hidden), hidden, strict=False):
+            layers += [nn.Linear(width_in, width_out), nn.ReLU()]
+        self.layers = nn.Sequential(*layers, nn.Linear((inputs, *hidden)[-1], actions))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Values, the greater the better."""
+        out: Tensor = self.layers(observation)
+        return out

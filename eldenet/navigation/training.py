@@ -1,0 +1,97 @@
+"""Train a driver: legs, validation on arenas of their own, TensorBoard, the policy file."""
+
+import copy
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from eldenet.navigation.dqn import CHECKPOINT, DQN
+from eldenet.navigation.evaluation import cross, summarise
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.sensors import Sensor
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.record import write_json
+from eldenet.runlog import RunLog
+
+POLICY, PROGRESS = "policy.safetensors", "progress.json"
+VALIDATION_DENSITY = 80
+
+
+def train(
+    make_learner: Callable[[], DQN],
+    sensor: Sensor,
+    folder: Path,
+    log: RunLog,
+    *,
+    validate: int = 100,
+    settings: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Train in ``folder`` to the end; a folder that holds a checkpoint of the same settings is gone on with.
+
+    After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is
+    kept is the last one: the validation is for people to see, and chooses nothing.
+
+    Args:
+        make_learner: builds the learner with its environment.
+        sensor: of the validation.
+        folder: of the run.
+        log: bar, TensorBoard.
+        validate: number of arenas; 0: none.
+        settings: what must agree for a checkpoint to fit.
+
+    Returns:
+        Steps, seconds spent by the processor and on the clock, and the validation after every leg.
+
+    Raises:
+        ValueError: the folder holds a run with other settings.
+    """
+    import json
+
+    learner = make_learner()
+    note: dict[str, Any] = {"settings": settings or {}, "legs": [], "cpu_seconds": 0.0, "wall_seconds": 0.0}
+    if (folder / CHECKPOINT).is_file() and (folder / PROGRESS).is_file():
+        before = json.loads((folder / PROGRESS).read_text())
+        if before["settings"] != json.loads(json.dumps(note["settings"])):
+            raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
+        learner.restore(folder / CHECKPOINT)
+        note = before
+        note["legs"] = [leg for leg in note["legs"] if leg["steps"] <= learner.done]
+        log.say(f"going on at step {learner.done:,} of {learner.steps:,}")
+    arenas = frozen_arenas(VALIDATION_DENSITY, validate, split="val")
+    clocks = time.process_time(), time.perf_counter()
+    spent = note["cpu_seconds"], note["wall_seconds"]
+    with log.bar("training", learner.steps, learner.done, "steps") as bar:
+
+        def report(step: int, values: dict[str, float]) -> None:
+            log.scalars(step, {f"training/{name}": value for name, value in values.items()})
+            shown = f"success {values['success']:.0%}  loss {values['loss']:.3f}"
+            bar.advance(step - bar.done, shown)
+
+        def after_leg(learner: DQN) -> None:
+            leg: dict[str, Any] = {"steps": learner.done}
+            if arenas:
+                rows = cross(arenas, lambda robots: as_navigator(learner, robots), sensor)
+                leg |= {
+                    name: summarise(rows)[name] for name in ("success", "collision", "timeout", "seconds")
+                }
+                log.scalars(learner.done, {f"validation/{name}": value for name, value in leg.items()})
+                log.say(
+                    f"step {learner.done:,}: {leg['success']:.1f} % of {len(arenas)} validation arenas at "
+                    f"{VALIDATION_DENSITY} obstacles crossed"
+                )
+            note["legs"].append(leg)
+            note["cpu_seconds"] = round(spent[0] + time.process_time() - clocks[0], 1)
+            note["wall_seconds"] = round(spent[1] + time.perf_counter() - clocks[1], 1)
+            write_json(folder / PROGRESS, note)
+
+        learner.learn(folder=folder, report=report, after_leg=after_leg)
+    navigator = as_navigator(learner, 1)
+    navigator.info = {"steps": learner.done, "seed": learner.seed}
+    navigator.save(folder / POLICY)
+    return note
+
+
+def as_navigator(learner: DQN, robots: int) -> Navigator:
+    """The learner's present policy."""
+    return Navigator(copy.deepcopy(learner.policy_dqn), learner.env.observer.options, robots=robots)

@@ -1,0 +1,52 @@
+"""Measures of the mobile robot, shared by its simulation and its navigation: no project imports here."""
+
+import math
+from typing import NamedTuple
+
+
+class Robot(NamedTuple):
+    """A three-wheeled differential-drive robot with one forward RGB-D camera (the paper's Fig. 13).
+
+    The frame has x ahead, y to the left, its origin in the middle of the footprint, on the wheels' axle.
+
+    Attributes:
+        length: of the footprint along x [m].
+        width: of the footprint along y [m].
+        height: of its top [m].
+        camera_ahead: optical centre in front of the axle [m].
+        camera_height: optical centre above the floor [m].
+        field_of_view: of the camera, horizontal [rad].
+        columns: into which the field of view is divided, equal in angle, right to left.
+        near: least range that the camera measures [m]; what is nearer reads as this.
+        far: greatest range [m]; no return reads as this.
+        max_speed: [m/s].
+        max_turn: [rad/s].
+        period: of control [s].
+    """
+
+    length: float = 0.60
+    width: float = 0.50
+    height: float = 0.50
+    camera_ahead: float = 0.20
+    camera_height: float = 0.40
+    field_of_view: float = math.radians(69.4)
+    columns: int = 40
+    near: float = 0.3
+    far: float = 10.0
+    max_speed: float = 1.0
+    max_turn: float = 1.2
+    period: float = 0.2
+
+    @property
+    def radius(self) -> float:
+        """Of the circle around the footprint [m]."""
+        return math.hypot(self.length, self.width) / 2
+
+    @property
+    def column_angles(self) -> tuple[float, ...]:
+        """Bearing of each column's middle, counter-clockwise from straight ahead, right to left [rad]."""
+        step = self.field_of_view / self.columns
+        return tuple((number + 0.5) * step - self.field_of_view / 2 for number in range(self.columns))
+
+
+ROBOT = Robot()

@@ -1,0 +1,161 @@
+"""An arena as MJCF: the same walls and obstacles for physics, for ranges and for the camera.
+
+Contacts: obstacles and walls have ``contype`` 1, the floor has 2; the robot's chassis meets obstacles only,
+its wheels meet both.
+"""
+
+from typing import TYPE_CHECKING
+
+from eldenet.robot import ROBOT
+from eldenet.simulation.arenas import SPLITS, Arena, Obstacle
+from eldenet.simulation.mjcf import Body, Draw, number, numbers
+
+if TYPE_CHECKING:
+    from eldenet.simulation.materials import Materials
+
+WALL_HEIGHT, CEILING = 2.0, 4.0  # [m]
+ROBOTS = ("none", "planar", "wheels")
+WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
+TIMESTEP = 0.005  # of the wheels' physics [s]
+
+# The chassis reaches down to 6 cm, so that nothing slips under it; it turns about the middle of the axle.
+_CHASSIS = (
+    '<geom name="chassis" type="box" pos="0 0 {z}" size="{half}" '
+    'contype="0" conaffinity="1" group="5" mass="6"/>'
+)
+
+
+def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> str:
+    """MJCF text of an arena.
+
+    Args:
+        arena: the world.
+        robot: "planar" (two slides and a hinge, moved by writing its pose), "wheels" (free body, two driven
+            wheels and a caster on the floor) or "none" (for the camera's model).
+        look: add materials, a ceiling and a floor pattern for :mod:`eldenet.simulation.arena_view`.
+
+    Raises:
+        ValueError: unknown robot.
+    """
+    if robot not in ROBOTS:
+        raise ValueError(f"robot={robot!r}: choose one of {', '.join(ROBOTS)}")
+    materials = None
+    if look:
+        from eldenet.simulation.materials import Materials
+
+        materials = Materials(Draw((SPLITS.get(arena.split, 0), arena.density, arena.index, 1)))
+    walls = _walls(arena, materials)
+    bodies = [_geoms(o, materials, n, collide=True) for n, o in enumerate(arena.obstacles) if not o.path]
+    bodies += [
+        f'<body mocap="true" pos="{number(o.x)} {number(o.y)} 0">'
+        f"{_geoms(o, materials, n, collide=True, here=True)}</body>"
+        for n, o in enumerate(arena.obstacles)
+        if o.path
+    ]
+    assets = materials.palette.assets() if materials is not None else ""
+    inner = "\n".join([*walls, *bodies, {"none": "", "planar": _planar(), "wheels": _wheels()}[robot]])
+    return (
+        '<mujoco model="arena">\n<compiler angle="radian"/>\n'
+        f'<option timestep="{TIMESTEP}" integrator="implicitfast"/>\n<size memory="256K"/>\n'
+        f"{assets}\n<worldbody>\n{inner}\n</worldbody>\n{_MOTORS if robot == 'wheels' else ''}\n</mujoco>\n"
+    )
+
+
+def _walls(arena: Arena, materials: "Materials | None") -> list[str]:
+    """Floor, four walls, and a ceiling where it can be seen."""
+    floor = "" if materials is None else f' material="m{materials.floor}"'
+    wall = "" if materials is None else f' material="m{materials.walls[0]}"'
+    lines = [f'<geom name="floor" type="plane" size="0 0 1" contype="2" conaffinity="0" condim="1"{floor}/>']
+    half, thick = arena.side / 2, 0.05
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        centre = (x * (half + thick), y * (half + thick), WALL_HEIGHT / 2)
+        size = (thick if x else half + 2 * thick, thick if y else half + 2 * thick, WALL_HEIGHT / 2)
+        lines.append(_geom("box", centre, size, 0.0, wall, collide=True))
+    if materials is not None:
+        sky = Body()
+        sky.plane((0, 0, CEILING), (0, 0, -1), materials.ceiling)
+        beyond = [(1, 0), (-1, 0), (0, 1), (0, -1)]
+        for x, y in beyond:  # the hall goes on behind the walls
+            sky.plane((x * (half + 1), y * (half + 1), 0), (-x, -y, 0), materials.walls[1])
+        lines += [line.replace("/>", ' contype="0" conaffinity="0"/>') for line in sky.geoms]
+    return lines
+
+
+def _geoms(
+    obstacle: Obstacle, materials: "Materials | None", order: int, *, collide: bool, here: bool = False
+) -> str:
+    """Geoms of an obstacle: its footprint as one solid, and what only the eye sees, within it."""
+    x, y = (0.0, 0.0) if here else (obstacle.x, obstacle.y)
+    hx, hy = obstacle.half
+    main = cap = ""
+    if materials is not None:
+        cloth = materials.clothes[order % len(materials.clothes)]
+        colour = materials.colors[order % len(materials.colors)]
+        front = materials.fronts[order % len(materials.fronts)]
+        main = f' material="m{ {"person": cloth, "box": front}.get(obstacle.kind, colour) }"'
+        cap = f' material="m{materials.skin if obstacle.kind == "person" else materials.dark}"'
+    tall = obstacle.height
+    if obstacle.kind == "person":
+        body = _geom("cylinder", (x, y, (tall - 0.3) / 2), (hx, (tall - 0.3) / 2), 0.0, main, collide=collide)
+        return body + _geom("ellipsoid", (x, y, tall - 0.17), (0.1, 0.1, 0.14), 0.0, cap)
+    if obstacle.kind == "cylinder":
+        return _geom("cylinder", (x, y, tall / 2), (hx, tall / 2), 0.0, main, collide=collide)
+    solid = _geom("box", (x, y, tall / 2), (hx, hy, tall / 2), obstacle.yaw, main, collide=collide)
+    if obstacle.kind == "vehicle":
+        solid += _geom("box", (x, y, tall + 0.15), (0.55 * hx, 0.85 * hy, 0.15), obstacle.yaw, cap)
+    return solid
+
+
+def _geom(
+    kind: str,
+    centre: tuple[float, float, float],
+    size: tuple[float, ...],
+    yaw: float,
+    material: str,
+    *,
+    collide: bool = False,
+) -> str:
+    turn = f' euler="0 0 {number(yaw)}"' if yaw else ""
+    bits = 'contype="1" conaffinity="0"' if collide else 'contype="0" conaffinity="0"'
+    return f'<geom type="{kind}" pos="{numbers(centre)}" size="{numbers(size)}"{turn} {bits}{material}/>'
+
+
+def _chassis(low: float) -> str:
+    half = (ROBOT.length / 2, ROBOT.width / 2, (ROBOT.height - low) / 2)
+    return _CHASSIS.format(z=number((ROBOT.height + low) / 2), half=numbers(half))
+
+
+def _planar() -> str:
+    """Two slides and a hinge: ``qpos`` is the pose."""
+    return (
+        '<body name="robot"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+        f'<joint type="hinge" axis="0 0 1"/>{_chassis(0.06)}</body>'
+    )
+
+
+def _wheels() -> str:
+    """A free body on two driven wheels and a frictionless caster behind them."""
+    shared = 'contype="0" conaffinity="3" group="5"'
+    wheels = "".join(
+        f'<body name="{name}" pos="0 {number(y)} {WHEEL_RADIUS}">'
+        f'<joint name="{name}" type="hinge" axis="0 1 0" damping="0.05" armature="0.02"/>'
+        f'<geom type="cylinder" size="{WHEEL_RADIUS} 0.02" euler="1.5708 0 0" condim="3" friction="1.1" '
+        f'{shared} mass="1"/></body>'
+        for name, y in (("left", WHEEL_TRACK / 2), ("right", -WHEEL_TRACK / 2))
+    )
+    caster = (
+        f'<geom name="caster" type="sphere" pos="-0.22 0 0.05" size="0.05" condim="1" {shared} mass="0.5"/>'
+    )
+    # the weight lies low and between axle and caster: it neither noses over when it brakes nor rears up
+    battery = (
+        '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" '
+        'contype="0" conaffinity="0" group="5" mass="14"/>'
+    )
+    return f'<body name="robot"><freejoint/>{_chassis(0.06)}{battery}{caster}{wheels}</body>'
+
+
+# A speed controller on each wheel, with the torque of a 90 W motor behind a gear [N m].
+_MOTORS = (
+    '<actuator><velocity joint="left" kv="40" ctrlrange="-20 20" forcerange="-6 6"/>'
+    '<velocity joint="right" kv="40" ctrlrange="-20 20" forcerange="-6 6"/></actuator>'
+)

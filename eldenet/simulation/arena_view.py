@@ -1,0 +1,88 @@
+"""What the robot's camera sees of an arena: rays, the rooms' light and surfaces, a cheap camera's picture."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eldenet.geometry import pinhole
+from eldenet.robot import ROBOT
+from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
+from eldenet.simulation.arenas import SPLITS, Arena
+from eldenet.simulation.camera import RayCamera, camera_rotation
+from eldenet.simulation.mjcf import Draw
+from eldenet.simulation.rooms import Room
+from eldenet.simulation.sensor import develop
+from eldenet.simulation.shading import Surfaces, shade
+
+
+class ArenaView:
+    """A level RGB-D camera on the robot, in a model of the arena that has looks but no robot.
+
+    Args:
+        arena: the world.
+        size: of the picture, ``(height, width)`` [px].
+        light: brightness of the lamps, as a share of a normal day's: 0.05 is dusk, 3 is glaring.
+
+    Attributes:
+        intrinsics: ``(3, 3)`` [px], of the robot's field of view.
+    """
+
+    def __init__(self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0) -> None:
+        import mujoco
+
+        if light <= 0:
+            raise ValueError(f"light={light}: give a share above 0")
+        height, width = size
+        focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
+        self.intrinsics = pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2)
+        self.camera = RayCamera(size, self.intrinsics)
+        self.arena, self.size = arena, size
+        self.model: Any = mujoco.MjModel.from_xml_string(arena_mjcf(arena, "none", look=True))
+        self.data: Any = mujoco.MjData(self.model)
+        self._kinematics = mujoco.mj_kinematics
+        self._kinematics(self.model, self.data)
+        self._surfaces: Surfaces | None = None
+        self._seed = (SPLITS.get(arena.split, 0), arena.density, arena.index, 2)
+        draw = Draw((*self._seed, 0))
+        tone = draw.pick(((1.0, 0.96, 0.9), (1.0, 0.88, 0.72), (0.92, 0.97, 1.0)))
+        lamps = [(x, y) for x in (-6.0, 0.0, 6.0) for y in (-6.0, 0.0, 6.0)]
+        power = light * draw.uniform(0.8, 1.2)
+        outer = arena.side + 2.0
+        self.room = Room(
+            "arena",
+            (outer, outer, CEILING),
+            lights=[(x, y, CEILING - 0.4, *(power * t for t in tone), 4.0) for x, y in lamps],
+            ambient=light * draw.uniform(0.15, 0.4),
+        )
+
+    def photo(
+        self, pose: tuple[float, float, float], time: float = 0.0, noise: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Image ``(H, W, 3)`` uint8 RGB and its true depth ``(H, W)`` float32 [m].
+
+        The camera's settings (exposure, tone, blur) are the arena's, so that a film does not flicker.
+
+        Args:
+            pose: of the robot: x, y [m], heading [rad].
+            time: at which walking people are shown [s].
+            noise: seed of the pixel noise.
+        """
+        for number, obstacle in enumerate(self.arena.movers):
+            self.data.mocap_pos[number, :2] = obstacle.position(time)
+        if self.arena.movers or self._surfaces is None:
+            self._kinematics(self.model, self.data)
+            self._surfaces = Surfaces(self.model, self.data)
+        x, y, yaw = pose
+        eye = np.array(
+            [
+                x + ROBOT.camera_ahead * math.cos(yaw),
+                y + ROBOT.camera_ahead * math.sin(yaw),
+                ROBOT.camera_height,
+            ]
+        )
+        hits = self.camera.cast(self.model, self.data, eye, camera_rotation(yaw))
+        focal = float(self.intrinsics[0, 0])
+        linear = shade(self.room, self.model, self.data, self._surfaces, hits, self.size, eye, focal)
+        image = develop(linear, Draw((*self._seed, 1)), (*self._seed, noise))
+        return image, hits.depth.astype(np.float32).reshape(self.size)

@@ -1,0 +1,144 @@
+"""A robot in an arena, in MuJoCo: moved by its pose (to train in) or by its wheels (to report in).
+
+Both ways share one world: collisions are MuJoCo's contacts, ranges are MuJoCo's rays.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eldenet.robot import ROBOT
+from eldenet.simulation.arena_mjcf import TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.culling import SEEN_GROUPS
+
+PHYSICS = ("kinematic", "wheels")
+#: Of the kinematic robot, as the wheels' motors give it [m/s2], [rad/s2].
+ACCELERATION, TURN_ACCELERATION = 3.5, 12.0
+
+
+class ArenaWorld:
+    """One robot in one arena.
+
+    Args:
+        arena: the world.
+        physics: "kinematic" writes the pose along arcs, at bounded acceleration, and looks for contacts
+            (about 4 us a look); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
+
+    Raises:
+        ValueError: unknown physics.
+    """
+
+    def __init__(self, arena: Arena, physics: str = "kinematic") -> None:
+        import mujoco
+
+        if physics not in PHYSICS:
+            raise ValueError(f"physics={physics!r}: choose one of {', '.join(PHYSICS)}")
+        self.arena, self.physics = arena, physics
+        text = arena_mjcf(arena, "planar" if physics == "kinematic" else "wheels")
+        self.model: Any = mujoco.MjModel.from_xml_string(text)
+        self.data: Any = mujoco.MjData(self.model)
+        self._kinematics, self._collide = mujoco.mj_kinematics, mujoco.mj_collision
+        self._step, self._rays = mujoco.mj_step, mujoco.mj_multiRay
+        self._movers = arena.movers
+        self._solid = self.model.geom_contype == 1  # obstacles and walls
+        self._geom = np.empty(ROBOT.columns, np.int32)
+        self._angles = np.array(ROBOT.column_angles)
+        self.time = 0.0
+        self.speed = self.turn = 0.0  # of the kinematic robot [m/s], [rad/s]
+        self.place(arena.start)
+
+    def place(self, pose: tuple[float, float, float]) -> None:
+        """Put the robot somewhere, at rest; time starts anew."""
+        import mujoco
+
+        mujoco.mj_resetData(self.model, self.data)
+        self.time = self.speed = self.turn = 0.0
+        self._move_people()
+        x, y, yaw = pose
+        if self.physics == "kinematic":
+            self.data.qpos[:] = pose
+            self._kinematics(self.model, self.data)
+        else:
+            self.data.qpos[:7] = (x, y, 0.0, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+            mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x, y [m] and heading [rad] of the middle of the axle."""
+        if self.physics == "kinematic":
+            x, y, yaw = self.data.qpos.tolist()
+            return x, y, yaw
+        x, y, _, w, i, j, k = self.data.qpos[:7].tolist()
+        return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+
+    def advance(self, speed: float, turn: float, seconds: float) -> bool:
+        """Drive for a while; returns whether the robot touched an obstacle or a wall.
+
+        Args:
+            speed: ahead [m/s].
+            turn: counter-clockwise [rad/s].
+            seconds: whole time steps of 5 ms when on wheels.
+        """
+        if self.physics == "wheels":
+            return self._drive(speed, turn, round(seconds / TIMESTEP))
+        x, y, yaw = self.pose
+        before = self.speed, self.turn
+        self.speed += min(max(speed - self.speed, -ACCELERATION * seconds), ACCELERATION * seconds)
+        self.turn += min(max(turn - self.turn, -TURN_ACCELERATION * seconds), TURN_ACCELERATION * seconds)
+        mean = (before[0] + self.speed) / 2, (before[1] + self.turn) / 2
+        self.data.qpos[:] = arc(x, y, yaw, *mean, seconds)
+        self.time += seconds
+        self._move_people()
+        self._kinematics(self.model, self.data)
+        self._collide(self.model, self.data)
+        return bool(self.data.ncon > 0)
+
+    def _drive(self, speed: float, turn: float, steps: int) -> bool:
+        difference = turn * WHEEL_TRACK / 2
+        self.data.ctrl[:] = (speed - difference) / WHEEL_RADIUS, (speed + difference) / WHEEL_RADIUS
+        for _ in range(steps):
+            self.time += TIMESTEP
+            self._move_people()
+            self._step(self.model, self.data)
+            if self.data.ncon > 3 and self._solid[self.data.contact.geom].any():
+                return True
+        return False
+
+    def _move_people(self) -> None:
+        for number, obstacle in enumerate(self._movers):
+            self.data.mocap_pos[number, :2] = obstacle.position(self.time)
+
+    def ranges(self) -> np.ndarray:
+        """Distance from the camera to what each column's middle ray meets ``(columns,)`` [m].
+
+        Convention: horizontal rays; nearer than ``near`` reads ``near``, no return reads ``far``.
+        """
+        x, y, yaw = self.pose
+        origin = np.array(
+            [
+                x + ROBOT.camera_ahead * math.cos(yaw),
+                y + ROBOT.camera_ahead * math.sin(yaw),
+                ROBOT.camera_height,
+            ]
+        )
+        rays = np.zeros((ROBOT.columns, 3))
+        np.cos(self._angles + yaw, out=rays[:, 0])
+        np.sin(self._angles + yaw, out=rays[:, 1])
+        distance = np.empty(ROBOT.columns)
+        self._rays(
+            self.model, self.data, origin, rays.ravel(), SEEN_GROUPS, 1, -1, self._geom, distance, None,
+            ROBOT.columns, ROBOT.far,
+        )  # fmt: skip
+        distance[self._geom < 0] = ROBOT.far
+        return np.clip(distance, ROBOT.near, ROBOT.far)
+
+
+def arc(
+    x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
+) -> tuple[float, float, float]:
+    """Pose after driving at constant speed and turn rate: exact, for straight lines too."""
+    half = turn * seconds / 2
+    chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn * seconds

@@ -1,0 +1,284 @@
+"""One walled arena from one seed: cylinders, boxes, vehicles, people, a start and a goal that can be reached.
+
+An arena depends on ``(split, density, index)`` alone and is the same on every machine
+(:class:`~eldenet.simulation.mjcf.Draw`, four decimals). Seed streams: the layout comes from
+``(SPLITS[split], density, movers, index)``; the splits share no stream, so no arena is in two of them.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from eldenet.robot import ROBOT
+from eldenet.simulation.mjcf import Draw
+
+#: First number of the seed of every split: no other stream of this package starts with these.
+SPLITS = {"train": 100, "val": 101, "test": 102}
+SIDE = 20.0  # of the arena [m]
+RESOLUTION = 0.1  # of the grid that decides whether an arena can be crossed [m]
+INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
+START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
+REACH = 1.6  # clearances are not told apart beyond this [m]
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """An upright thing on the floor.
+
+    Attributes:
+        kind: "cylinder", "person" (both round), "box" or "vehicle".
+        x: of its middle [m].
+        y: of its middle [m].
+        yaw: counter-clockwise [rad].
+        half: half extents along its own axes [m]; of a round one its radius, twice.
+        height: [m].
+        path: corners of the closed line along which it walks; empty: it stands.
+        speed: along the path [m/s].
+    """
+
+    kind: str
+    x: float
+    y: float
+    yaw: float
+    half: Point
+    height: float
+    path: tuple[Point, ...] = ()
+    speed: float = 0.0
+
+    @property
+    def round(self) -> bool:
+        """Whether the footprint is a circle."""
+        return self.kind in ("cylinder", "person")
+
+    @property
+    def radius(self) -> float:
+        """Of the circle around the footprint [m]."""
+        return self.half[0] if self.round else math.hypot(*self.half)
+
+    def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Distance from points on the floor to the footprint [m]; 0 inside."""
+        dx, dy = x - self.x, y - self.y
+        if self.round:
+            return np.maximum(np.hypot(dx, dy) - self.half[0], 0.0)
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        along, across = np.abs(c * dx + s * dy) - self.half[0], np.abs(c * dy - s * dx) - self.half[1]
+        return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+
+    def position(self, time: float) -> Point:
+        """Where its middle is after ``time`` [s]."""
+        if not self.path:
+            return self.x, self.y
+        corners = np.array([*self.path, self.path[0]])
+        lengths = np.hypot(*np.diff(corners, axis=0).T)
+        along = (time * self.speed) % float(lengths.sum())
+        leg = int(np.searchsorted(np.cumsum(lengths), along, side="right").clip(0, len(lengths) - 1))
+        share = (along - float(lengths[:leg].sum())) / float(lengths[leg])
+        x, y = corners[leg] + share * (corners[leg + 1] - corners[leg])
+        return float(x), float(y)
+
+
+@dataclass(frozen=True)
+class Arena:
+    """A world and the way to cross it.
+
+    Attributes:
+        split: whose seed stream it comes from; "" for one that was written by hand.
+        density: number of standing obstacles.
+        index: within the split and density.
+        obstacles: standing ones, then walking ones.
+        start: x, y [m] and heading [rad] of the robot.
+        waypoints: to be reached one after the other, the goal last [m].
+        side: of the square; the origin is its middle [m].
+    """
+
+    split: str
+    density: int
+    index: int
+    obstacles: tuple[Obstacle, ...]
+    start: tuple[float, float, float]
+    waypoints: tuple[Point, ...]
+    side: float = SIDE
+
+    @property
+    def movers(self) -> tuple[Obstacle, ...]:
+        """The obstacles that walk."""
+        return tuple(obstacle for obstacle in self.obstacles if obstacle.path)
+
+    @property
+    def name(self) -> str:
+        """Unique over splits and densities."""
+        moving = f"+{len(self.movers)}" if self.movers else ""
+        return f"{self.split or 'course'}-{self.density}{moving}-{self.index}"
+
+
+def generate_arena(
+    split: str, density: int, index: int, *, movers: int = 0, min_distance: float = 10.0
+) -> Arena:
+    """Generate arena ``index`` of a split.
+
+    Layouts that cannot be crossed are drawn anew from the same stream.
+
+    Args:
+        split: "train", "val" or "test".
+        density: number of standing obstacles, 0 to 120.
+        index: from 0.
+        movers: number of people who walk about.
+        min_distance: from start to goal, as the crow flies [m].
+
+    Raises:
+        ValueError: an argument is out of its range.
+    """
+    if split not in SPLITS:
+        raise ValueError(f"split={split!r}: use one of {list(SPLITS)}")
+    if index < 0 or not 0 <= density <= 120 or not 0 <= movers <= 40:
+        raise ValueError(
+            f"density={density}, movers={movers}, index={index}: give 0 to 120 obstacles, 0 to 40 movers, "
+            "and an index from 0"
+        )
+    draw = Draw((SPLITS[split], density, movers, index))
+    while True:
+        obstacles = draw_obstacles(draw, density)
+        if obstacles is None:
+            continue
+        clearance = clearance_map(obstacles)
+        crossing = draw_crossing(draw, clearance, min_distance)
+        if crossing is None:
+            continue
+        walkers = [draw_walker(draw, crossing[0]) for _ in range(movers)]
+        return Arena(split, density, index, (*obstacles, *walkers), crossing[0], (crossing[1],))
+
+
+def draw_obstacles(draw: Draw, count: int) -> tuple[Obstacle, ...] | None:
+    """Obstacles whose bounding circles do not overlap; None where no room was found for one."""
+    obstacles: list[Obstacle] = []
+    for _ in range(count):
+        share = draw.unit()
+        yaw, height = draw.uniform(-math.pi, math.pi), draw.uniform(0.6, 1.6)
+        if share < 0.4:
+            radius = round(draw.uniform(0.20, 0.45), 4)
+            kind, half = "cylinder", (radius, radius)
+        elif share < 0.5:
+            kind, half, height = "person", (0.25, 0.25), draw.uniform(1.5, 1.9)
+        elif share < 0.9:
+            kind, half = "box", (round(draw.uniform(0.2, 0.5), 4), round(draw.uniform(0.2, 0.5), 4))
+        else:
+            kind, half, height = "vehicle", (0.6, 0.35), 0.6
+        reach = half[0] if kind in ("cylinder", "person") else math.hypot(*half)
+        limit = SIDE / 2 - 0.5
+        for _ in range(100):
+            x, y = round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4)
+            if all(math.hypot(x - o.x, y - o.y) > reach + o.radius for o in obstacles):
+                obstacles.append(Obstacle(kind, x, y, round(yaw, 4), half, round(height, 4)))
+                break
+        else:
+            return None
+    return tuple(obstacles)
+
+
+def draw_walker(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
+    """A person who walks to and fro (a crossing) or round three to five corners, away from the start."""
+    limit = SIDE / 2 - 1.0
+    crossing = draw.chance(0.5)
+    while True:
+        count = 2 if crossing else draw.integer(3, 5)
+        path = tuple(
+            (round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4))
+            for _ in range(count)
+        )
+        x, y = path[0]
+        lengths = [math.dist(a, b) for a, b in zip(path, (*path[1:], path[0]), strict=True)]
+        if math.hypot(x - start[0], y - start[1]) > 3.0 and min(lengths) > 2.0:
+            break
+    speed, height = round(draw.uniform(0.3, 0.9), 4), round(draw.uniform(1.5, 1.9), 4)
+    return Obstacle("person", x, y, 0.0, (0.25, 0.25), height, path, speed)
+
+
+def draw_crossing(
+    draw: Draw, clearance: np.ndarray, min_distance: float
+) -> tuple[tuple[float, float, float], Point] | None:
+    """Start with its heading, and a goal that a robot can reach from there; None where three starts had none.
+
+    Connectivity is that of the grid inflated by :data:`INFLATION`, in four directions.
+    """
+    from skimage.measure import label
+
+    regions = label(clearance >= INFLATION, connectivity=1)
+    starts = np.argwhere((clearance >= START_CLEARANCE) & (regions > 0))
+    goals = np.argwhere((clearance >= GOAL_CLEARANCE) & (regions > 0))
+    for _ in range(3 if len(starts) else 0):
+        row, column = starts[int(draw.unit() * len(starts))]
+        away = np.hypot(*(goals - (row, column)).T) * RESOLUTION
+        same = regions[goals[:, 0], goals[:, 1]] == regions[row, column]
+        options = goals[(away >= min_distance) & same]
+        if len(options):
+            goal = cell_centre(*options[int(draw.unit() * len(options))])
+            yaw = round(draw.uniform(-math.pi, math.pi), 4)
+            return (*cell_centre(row, column), yaw), goal
+    return None
+
+
+def cell_centre(row: int, column: int, side: float = SIDE, resolution: float = RESOLUTION) -> Point:
+    """Middle of a grid cell in the world [m]: rows run along y, columns along x."""
+    x = (int(column) + 0.5) * resolution - side / 2
+    y = (int(row) + 0.5) * resolution - side / 2
+    return round(x, 4), round(y, 4)
+
+
+def clearance_map(
+    obstacles: Sequence[Obstacle], side: float = SIDE, resolution: float = RESOLUTION
+) -> np.ndarray:
+    """Distance from every cell's middle to the nearest obstacle or wall ``(n, n)`` [m], at most ``REACH``.
+
+    Exact distances to the same shapes that the physics engine gets, not to rasterised ones. Walking
+    obstacles are left out.
+    """
+    count = round(side / resolution)
+    middle = (np.arange(count) + 0.5) * resolution - side / 2
+    to_wall = np.minimum(side / 2 - np.abs(middle), REACH)
+    clearance = np.minimum(to_wall[:, None], to_wall[None, :])
+    for obstacle in obstacles:
+        if obstacle.path:
+            continue
+        window = []
+        for center in (obstacle.y, obstacle.x):
+            reach = obstacle.radius + REACH
+            first = math.floor((center - reach + side / 2) / resolution)
+            last = math.ceil((center + reach + side / 2) / resolution)
+            window.append(slice(max(first, 0), min(last, count)))
+        rows, columns = window
+        distance = obstacle.distance(middle[None, columns], middle[rows, None])
+        clearance[rows, columns] = np.minimum(clearance[rows, columns], distance)
+    return clearance
+
+
+def crossable(clearance: np.ndarray, start: Point, goal: Point, side: float = SIDE) -> bool:
+    """Whether a robot of radius ``INFLATION`` finds a way on the grid of a clearance map."""
+    from skimage.measure import label
+
+    regions = label(clearance >= INFLATION, connectivity=1)
+    resolution = side / len(clearance)
+    ends = [regions[tuple(((np.array(p[::-1]) + side / 2) / resolution).astype(int))] for p in (start, goal)]
+    return bool(ends[0] and ends[0] == ends[1])
+
+
+def arenas_hash(arenas: Sequence[Arena]) -> str:
+    """SHA-256 over all numbers of some arenas: what freezes a test set."""
+    text = json.dumps([asdict(arena) for arena in arenas], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def triangle_course(obstacles: Sequence[Obstacle] = (), side_length: float = 6.0) -> Arena:
+    """The paper's course (Fig. 14): from a corner O of a triangle ABC around it and back."""
+    height = side_length * math.sqrt(3) / 2
+    corners = ((side_length / 2, -height / 2), (0.0, height / 2), (-side_length / 2, -height / 2))
+    a, b, c = ((round(x, 4), round(y, 4)) for x, y in corners)
+    return Arena("", len(obstacles), 0, tuple(obstacles), (*c, 0.0), (a, b, c))
+
+
+assert ROBOT.radius < INFLATION

@@ -1,0 +1,90 @@
+"""Does another DQN learn the same on the same environment? Stable-Baselines3's, beside ours.
+
+python experiments/dqn_crosscheck/run.py        300,000 steps each, then 100 validation arenas per density
+
+Same observation, steps, discount, n-step returns, batch, replay and network. What differs:
+Stable-Baselines3's loss is Huber's (it takes no other), its targets are not double, and its target network
+moves once per step of all robots.
+"""
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+import numpy as np
+import torch
+from stable_baselines3 import DQN as ReferenceDQN
+from stable_baselines3.common.env_util import make_vec_env
+
+from eldenet.navigation.dqn import DQN
+from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
+from eldenet.navigation.evaluation import cross, summarise
+from eldenet.navigation.observer import Observer
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.record import environment
+
+HERE = Path(__file__).parent
+ROBOTS = 16
+
+
+def train_reference(steps: int, seed: int) -> QNetwork:
+    """Train Stable-Baselines3's DQN and take its network over."""
+    env = make_vec_env(ArenaNavEnv, n_envs=ROBOTS, seed=seed)
+    model = ReferenceDQN(
+        "MlpPolicy", env, learning_rate=lambda left: 5e-4 * (0.1 + 0.9 * left), buffer_size=400_000,
+        learning_starts=5_000, batch_size=256, tau=0.005, gamma=0.98, train_freq=1,
+        gradient_steps=ROBOTS // 8,
+        target_update_interval=1, exploration_fraction=0.3, exploration_final_eps=0.03, n_steps=5,
+        policy_kwargs={"net_arch": [128, 128]}, seed=seed, device="cpu",
+    )  # fmt: skip
+    model.learn(steps, progress_bar=False)
+    network = QNetwork(Observer().size, Observer().actions)
+    weights = model.policy.q_net.q_net.state_dict()
+    network.layers.load_state_dict(weights)
+    observation = torch.from_numpy(env.reset())
+    expected, _ = model.predict(observation.numpy(), deterministic=True)
+    assert (network(observation).argmax(1).numpy() == np.asarray(expected)).all(), "the networks differ"
+    return network
+
+
+def train_ours(steps: int, seed: int) -> QNetwork:
+    """Train ours on as many robots."""
+    learner = DQN(ArenaNavVectorEnv(ROBOTS), steps=steps, seed=seed)
+    learner.learn()
+    return learner.policy_dqn
+
+
+def main() -> None:
+    parser = ArgumentParser()
+    parser.add_argument("--steps", type=int, default=300_000)
+    parser.add_argument("--worlds", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    where = environment()
+    lines = [
+        "# Two DQNs on one environment",
+        "",
+        f"{given.steps:,} steps, seed {given.seed}, {ROBOTS} robots; success [%] on {given.worlds} "
+        "validation arenas, kinematic, sensor ranges.",
+        "",
+        "| learner | 20 obstacles | 80 obstacles |",
+        "|---|---:|---:|",
+    ]
+    for name, train in (("Stable-Baselines3", train_reference), ("ours", train_ours)):
+        network = train(given.steps, given.seed)
+        shown = []
+        for density in (20, 80):
+            arenas = frozen_arenas(density, given.worlds, split="val")
+            rows = cross(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
+            s = summarise(rows)
+            shown.append(f"{s['success']:.1f} [{s['success_low']:.1f}, {s['success_high']:.1f}]")
+        lines.append(f"| {name} | {shown[0]} | {shown[1]} |")
+        print(lines[-1], flush=True)
+    lines += ["", f"{where['date']}; `python experiments/dqn_crosscheck/{where['command']}`."]
+    (HERE / "results.md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
