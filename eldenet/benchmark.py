@@ -268,12 +268,16 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
             f"{row['runtime']}, {row['precision']}, {row['height']}x{row['width']}, batch {row['batch']}, "
         )
         series.setdefault(f"{label}{row['threads']} threads", []).append(row)
+    slowest: dict[str, tuple[float, float]] = {}  # one name for each model, right of its last point
     for label, members in series.items():
         latency = [row["latency_ms_p50"] for row in members]
         heights = [accuracy[row["model"]] if runs else row["params"] / 1e6 for row in members]
         axes.scatter(latency, heights, label=label, s=24)
         for row, x, y in zip(members, latency, heights, strict=True):
-            axes.annotate(row["model"], (x, y), fontsize=7, xytext=(3, 3), textcoords="offset points")
+            slowest[row["model"]] = max((x, y), slowest.get(row["model"], (0.0, y)))
+    for model, place in slowest.items():
+        axes.annotate(model, place, fontsize=7, xytext=(5, -2), textcoords="offset points")
+    axes.margins(x=0.18)
     axes.set(
         xscale="log",
         xlabel=f"latency [ms], {shown[0]['processor']}",

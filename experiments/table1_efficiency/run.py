@@ -51,7 +51,7 @@ def write(rows: list[dict], missing: list[str], no_code: list[str], folder: Path
     (folder / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
     draw(
         config,
-        [row for row in rows if row["batch"] == 1 and row["precision"] == "fp32"],
+        [row for row in rows if (row["batch"], row["precision"], row["threads"]) == (1, "fp32", 1)],
         folder / "results.png",
     )
     print(f"table of {len(rows)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
