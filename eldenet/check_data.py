@@ -34,11 +34,13 @@ def check(config: "DictConfig") -> bool:
             raise ValueError(f"{name}={config[name]}: give a number from {least} on, or leave it out")
     log = RunLog(Path(config.run_dir).expanduser())
     nodes = {split: cfg.plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
+    subset = cfg.plain(config.data.get("subset")) or {}
     same: dict[str, str] = {}  # test: ${data.val}, where a data set has no third part
     checks: list[SplitCheck] = []
     panels: list[tuple[str, Any]] = []
     for split, node in nodes.items():
-        original = next((other for other in nodes if nodes[other] == node), split)
+        alike = [o for o in nodes if nodes[o] == node and subset.get(o) == subset.get(split)]
+        original = alike[0]
         if original != split:
             same[split] = original
             continue
@@ -46,6 +48,8 @@ def check(config: "DictConfig") -> bool:
             # a data set without files of its own (rooms) has nothing to skip
             lenient = {"on_error": "skip"} if "on_error" in node else {}
             dataset = cfg.instantiate({**node, **lenient})
+            if subset.get(split) is not None:
+                dataset.draw_subset(subset[split], config.data.subset_seed)
         except (ValueError, OSError) as error:
             checks.append(SplitCheck(split, fault=str(error)))
             continue

@@ -235,6 +235,9 @@ def build_split(
         resize_depth=split == "train" and not score,
         seed=seed,
     )
+    if score or split != "train":  # the protocol alone says what is scored
+        protocol.check_ground_truth(dataset.ground_truth)
+        dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     places = config.data.get("subset", {}).get(split)

@@ -71,11 +71,7 @@ def evaluate(
     Raises:
         ValueError: the data set's ground truth is not of the protocol's kind or size, or a prediction is NaN.
     """
-    if dataset.ground_truth != protocol.ground_truth:
-        raise ValueError(
-            f"protocol {protocol.name} scores {protocol.ground_truth} ground truth, this data set has "
-            f"{dataset.ground_truth} ground truth: choose a protocol that fits (configs/protocol)"
-        )
+    protocol.check_ground_truth(dataset.ground_truth)
     loader: DataLoader = evaluation_loader(
         dataset, batch_size, workers=workers, rank=rank, processes=processes
     )

@@ -56,10 +56,8 @@ def write_normalisation(folder: Path, choice: str | Mapping[str, Any], chosen: M
 
 
 def _three(name: str, values: Sequence[float]) -> list[float]:
-    numbers = [float(value) for value in values]
+    numbers = [float(v) for v in values] if isinstance(values, Sequence) and None not in values else []
     low = 0.0 if name == "mean" else 1e-6
     if len(numbers) != 3 or not all(math.isfinite(v) and low <= v <= 1 for v in numbers):
-        raise ValueError(
-            f"normalisation {name}={list(values)}: give three numbers, RGB in [0, 1], std above 0"
-        )
+        raise ValueError(f"normalisation {name}={values}: give three numbers, RGB in [0, 1], std above 0")
     return numbers

@@ -86,9 +86,14 @@ class EvalProtocol:
         if self.crop is not None and self.size is None:
             raise ValueError(f"protocol {self.name}: crop={self.crop} needs size, whose pixels it speaks of")
         # YAML's lists: one form, so that protocols compare
-        for field in ("crop", "size", "frame_box", "frame_crop", "frame_size"):
+        sides = {"crop": 4, "size": 2, "frame_box": 4, "frame_crop": 2, "frame_size": 2}
+        for field, count in sides.items():
             value = getattr(self, field)
             if value is not None:
+                if len(value) != count:
+                    raise ValueError(
+                        f"protocol {self.name}: {field}={tuple(value)}, give {count} numbers [px]"
+                    )
                 object.__setattr__(self, field, tuple(int(number) for number in value))
         if isinstance(self.resize, Sequence):
             object.__setattr__(self, "resize", tuple(int(number) for number in self.resize))
@@ -124,6 +129,14 @@ class EvalProtocol:
                 "between 0 and 1, and takes the place of crop"
             )
         object.__setattr__(self, "crop_fractions", tuple(float(share) for share in fractions))
+
+    def check_ground_truth(self, kind: str) -> None:
+        """Raise ValueError if a data set's ground truth is not of the kind that is scored."""
+        if kind != self.ground_truth:
+            raise ValueError(
+                f"protocol {self.name} scores {self.ground_truth} ground truth, this data set has {kind} "
+                "ground truth: choose a protocol that fits (configs/protocol)"
+            )
 
     @property
     def changes_frames(self) -> bool:

@@ -137,6 +137,7 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
     rows = [
         [label, *(number(name, run[group][name]) for name in COLUMNS)]
         for label, group in ((str(run["model"]), "metrics"), ("constant predictor", "constant_predictor"))
+        if run[group] is not None
     ]
     log.table(protocol_line(run), names, rows)
     classes = run.get("errors_by_class") or {}
@@ -242,9 +243,10 @@ def table_of(
         [row.model, str(len(row.runs)), *(row.text(group, name) for group, name in wanted)]
         for row in group_rows(runs)
     ]
-    constant = [runs[0]["constant_predictor"].get(name) for name in columns]
-    shown = [number(name, value) for name, value in zip(columns, constant, strict=True)]
-    rows.append(["constant predictor", "-", *shown, *("-" for _ in wanted[len(columns) :])])
+    constant = next((run["constant_predictor"] for run in runs if run["constant_predictor"]), None)
+    if constant is not None:
+        shown = [number(name, constant.get(name)) for name in columns]
+        rows.append(["constant predictor", "-", *shown, *("-" for _ in wanted[len(columns) :])])
     return titles, rows
 
 

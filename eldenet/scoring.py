@@ -18,6 +18,7 @@ from eldenet.runlog import RunLog
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.data.base import DepthDataset
     from eldenet.runtimes.scored import RuntimeNetwork
 
 
@@ -56,6 +57,7 @@ def score_and_record(
         What was written to ``run.json``.
     """
     dataset = cfg.build_split(config, split, protocol, score=True)
+    train_set = _training_frames(config, protocol, log)
     model = model.to(resources.device)
 
     def score(predictor: Any, title: str) -> Any:
@@ -76,24 +78,27 @@ def score_and_record(
         "predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol)
     )
     log.close()
-    train_set = cfg.build_split(config, "train", protocol)
-    if train_set.cache == "ram":
-        train_set.cache = "none"  # each frame is read once: nothing to keep
-    constant = fit_constant_predictor(train_set).to(resources.device)
-    baseline = score(constant, "evaluating the constant predictor")
+    baseline = None
+    if train_set is not None:
+        constant = fit_constant_predictor(train_set).to(resources.device)
+        baseline = score(constant, "evaluating the constant predictor").metrics
     sample = dataset[0]["image"]
     record = {
         "model": name,
         "data": config.data.name,
         "split": split,
         "split_hash": dataset.split_hash,
-        "train_split_hash": train_set.split_hash,
+        "train_split_hash": None if train_set is None else train_set.split_hash,
         "teacher": dict(teacher or {}),
-        "skipped": {"train": train_set.skipped, **(skipped or {}), split: dataset.skipped},
+        "skipped": {
+            "train": {} if train_set is None else train_set.skipped,
+            **(skipped or {}),
+            split: dataset.skipped,
+        },
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,
         "errors_by_class": result.classes or None,
-        "constant_predictor": baseline.metrics,
+        "constant_predictor": baseline,
         "normalisation": {
             name: [round(value, 6) for value in getattr(model, name).flatten().tolist()]
             for name in ("mean", "std")
@@ -109,6 +114,18 @@ def score_and_record(
     }
     write_json(folder / RUN_FILE, record)
     return record
+
+
+def _training_frames(config: "DictConfig", protocol: EvalProtocol, log: RunLog) -> "DepthDataset | None":
+    """Whose mean depth map is the constant predictor; None where only the scored split is on disk."""
+    try:
+        train_set = cfg.build_split(config, "train", protocol)
+    except (FileNotFoundError, ValueError) as error:
+        log.say(f"no constant predictor beside the result, the training frames are not to be had: {error}")
+        return None
+    if train_set.cache == "ram":
+        train_set.cache = "none"  # each frame is read once: nothing to keep
+    return train_set
 
 
 def _cost(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> CostReport:

@@ -183,7 +183,7 @@ def test_every_adapter_names_its_settings(tmp_path: Path) -> None:
     layouts.mat(tmp_path / "mat")
     pair(lambda **o: NYUMat(tmp_path / "mat", split="all", **o), ground_truth="raw")
     layouts.cityscapes_mtan(tmp_path / "mtan")
-    pair(lambda **o: CityscapesMTAN(tmp_path / "mtan", val_frames=1, **o), baseline=0.3)
+    pair(lambda **o: CityscapesMTAN(tmp_path / "mtan", val_frames=1, **o), inverse_scale=2.5)
     layouts.kitti_raw(tmp_path / "raw")
     raw = lambda **o: KITTIRaw(tmp_path / "raw", split="all", **o)  # noqa: E731
     pair(raw, projection="eigen")

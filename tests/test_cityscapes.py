@@ -180,16 +180,18 @@ def test_mtan_refuses_what_it_is_not(tmp_path: Path) -> None:
         data[3]
 
 
-def test_mtan_errors_are_those_of_its_values(tmp_path: Path) -> None:
+@pytest.mark.parametrize("scale", [1.944383, 1.7])
+def test_mtan_errors_are_those_of_its_values(tmp_path: Path, scale: float) -> None:
     """abs err and rel err as papers compute them from v, whatever baseline and focal are taken to be."""
     root = layouts.cityscapes_mtan(tmp_path)
-    config = compose("evaluate", ["checkpoint=x", "data=cityscapes_mtan", f"data.root={root}"])
+    overrides = ["checkpoint=x", "data=cityscapes_mtan", f"data.root={root}", f"data.inverse_scale={scale}"]
+    config = compose("evaluate", overrides)
     protocol = build_protocol(config)
-    assert protocol.inverse_scale == pytest.approx(config.data.baseline * config.data.focal * 256 / 65535)
+    assert protocol.inverse_scale == scale
     sample = build_split(config, "test", protocol)[0]
     truth = torch.from_numpy(np.load(root / "val/depth/0.npy"))[..., 0].double()
     guess = torch.full_like(truth, 0.05)
-    metres = (0.22 * 2262.52 * 256 / (65535 * guess - 1)).float()
+    metres = (scale * 65535 / (65535 * guess - 1)).float()
     metrics = DepthMetrics(protocol)
     metrics.update(metres[None, None], sample["depth"][None], sample["mask"][None])
     result = metrics.compute()

@@ -146,8 +146,10 @@ def test_missing_and_wrong_labels_are_named(root: Path) -> None:
         data[0]
     file.unlink()
     with pytest.raises(FileNotFoundError, match=r"1 of 4 files are missing: .*gtFine_labelIds"):
-        Cityscapes(root, split="official_val", labels="auto")
-    assert len(Cityscapes(root, split="official_val", labels=False)) == 1
+        Cityscapes(root, split="official_val", labels=True)
+    for choice in ("auto", False):  # a depth frame is not lost for its label
+        depth_alone = Cityscapes(root, split="official_val", labels=choice)
+        assert (len(depth_alone), depth_alone.class_names) == (1, ())
     file.parent.rmdir()
     file.parent.parent.rmdir()
     with pytest.raises(FileNotFoundError, match="labels=true, but there is no gtFine/val"):

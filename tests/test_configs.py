@@ -295,6 +295,26 @@ def test_the_papers_set_ups(
         assert data[0]["image"].shape[1:] == data[0]["depth"].shape[1:] == protocol.size
 
 
+def test_the_protocol_alone_says_what_is_scored(tmp_path: Path) -> None:
+    root = layouts.kitti_depth(tmp_path)
+    pixels = []
+    for far in (80, 20):
+        config = compose("train", ["data=kitti", f"data.root={root}", f"data.max_depth={far}"])
+        protocol = build_protocol(config)
+        sample = build_split(config, "test", protocol)[0]
+        pixels.append(int(protocol.scored(sample["depth"][None], sample["mask"][None]).sum()))
+        assert build_split(config, "train", protocol)[0]["depth"].max() <= far
+    assert pixels[0] == pixels[1] > 0
+
+
+def test_test_frames_of_another_folder(tmp_path: Path) -> None:
+    root, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
+    words = ["data=folder", f"data.root={root}", f"data.test_root={other}", "data.test_split=all"]
+    config = compose("train", words)
+    test = build_split(config, "test", build_protocol(config))
+    assert (test.root, len(test)) == (other, len(list((other / "images").iterdir())))
+
+
 # One file of a training frame in each tree.
 DAMAGE = {
     "folder": "images/f003.png",
@@ -332,6 +352,7 @@ def test_skip_leaves_frames_out_and_says_so(name: str, how: str, tmp_path: Path)
 def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:
     """``load_size`` must not shrink the frames that the protocol halves and crops."""
     overrides = ["data=nyu_mat", f"data.root={mat_with_all_splits(tmp_path)}", "protocol=nyu_paper"]
+    overrides.append("data.ground_truth=inpainted")
     config = compose("train", overrides)
     protocol = build_protocol(config)
     assert config.data.train.load_size == config.data.input_size

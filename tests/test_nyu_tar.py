@@ -36,6 +36,20 @@ def test_the_same_frames_as_unpacked(root: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(a.intrinsics, b.intrinsics)
 
 
+def test_links_to_shards_keep_their_own_names(root: Path, tmp_path: Path) -> None:
+    """As the Hub's cache lays them out: another folder may call the same file differently."""
+    whole = NYUTar(root, split="trainval")
+    shards = sorted((root / "data").glob("train-*.tar"))
+    linked = tmp_path / "linked" / "data"
+    linked.mkdir(parents=True)
+    for shard, target in zip(shards, reversed(shards), strict=True):
+        (linked / shard.name).symlink_to(target.resolve())
+    again = NYUTar(linked.parent, split="trainval")
+    assert again.names == whole.names
+    for index in range(len(whole)):
+        np.testing.assert_array_equal(again.load_frame(index).depth, whole.load_frame(index).depth)
+
+
 def test_handles_stay_in_their_process(root: Path) -> None:
     data = NYUTar(root, split="trainval")
     alone = [data[i]["depth"] for i in range(2)]

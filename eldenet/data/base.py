@@ -144,7 +144,8 @@ class DepthDataset(Dataset[DepthSample]):
             return
         self.skipped |= {self.names[index]: reason for index, reason in reasons.items()}
         if len(reasons) == len(self):
-            raise ValueError(f"all {len(self)} frames were left out, such as: {next(iter(reasons.values()))}")
+            some = "; ".join(list(reasons.values())[:3])
+            raise ValueError(f"all {len(self)} frames were left out, such as: {some}")
         self._keep([index for index in range(len(self)) if index not in reasons])
 
     def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
@@ -158,8 +159,8 @@ class DepthDataset(Dataset[DepthSample]):
         Raises:
             ValueError: there are fewer.
         """
-        first, end = (0, places) if isinstance(places, int) else places
-        if not 0 <= first < end <= len(self):
+        first, end = (0, places) if isinstance(places, int) else (*places, 0, 0)[:2]
+        if (not isinstance(places, int) and len(places) != 2) or not 0 <= first < end <= len(self):
             raise ValueError(
                 f"subset={places}: {type(self).__name__} found {len(self)} frames in this split, give 1 to "
                 f"{len(self)}, a range [first, end] within 0 to {len(self)}, or null"

@@ -5,6 +5,7 @@ stereo (SGM): it has holes, and it grows coarse with distance, as disparity does
 """
 
 import json
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
@@ -15,7 +16,7 @@ from eldenet.data.arrays import read_array, read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
-from eldenet.data.roots import find_root, one_of
+from eldenet.data.roots import find_root, missing_files, one_of
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.types import Frame
 
@@ -36,6 +37,7 @@ train/depth/0.npy ...              (128, 256, 1) float, inverse depth, 0 = unkno
 val/image/0.npy ... 499.npy, val/depth/0.npy ...
 train/label/0.npy ..., val/label/...   (optional: (128, 256), classes, -1 = none; or label_7, label_19)
 """
+_LOG = logging.getLogger("eldenet")
 KINDS = {"leftImg8bit": ".png", "disparity": ".png", "camera": ".json"}
 
 
@@ -86,6 +88,11 @@ class Cityscapes(DepthDataset):
                 for path in (self.root / places[kind]).glob(f"*/*_{kind}.png")
             }
         )
+        if not names:
+            raise FileNotFoundError(
+                f"{self.root} holds no <city>/*_leftImg8bit.png of {part!r}. Expected tree:\n"
+                f"{CITYSCAPES_TREE.strip()}"
+            )
         if split in ("train", "val"):
             cities = {name.split("/")[1] for name in names}
             unknown = sorted(set(val_cities) - cities)
@@ -97,7 +104,15 @@ class Cityscapes(DepthDataset):
         super().__init__(names, **options)
         kinds = [(places[kind], f"{kind}{ending}") for kind, ending in KINDS.items()]
         gt_fine = next((place for place in _places("gtFine", part) if (self.root / place).is_dir()), None)
-        if wanted_labels(labels, gt_fine is not None, f"gtFine/{part} in {self.root}"):
+        found = gt_fine is not None
+        if found and labels == "auto":  # some of them are no labels of this split: depth alone is scored
+            lost = missing_files(self.root, [f"{gt_fine}/{_below(n)}_gtFine_labelIds.png" for n in names])
+            found = not lost
+            if lost:
+                _LOG.warning(
+                    "labels=auto: %d labels are missing, such as %s: none is read", len(lost), lost[0]
+                )
+        if wanted_labels(labels, found, f"gtFine/{part} in {self.root}"):
             self.class_names = tuple(CLASS_IDS)
             kinds.append((str(gt_fine), "gtFine_labelIds.png"))
         self.files = [tuple(f"{place}/{_below(name)}_{kind}" for place, kind in kinds) for name in names]
@@ -192,8 +207,7 @@ class CityscapesMTAN(DepthDataset):
         split: "train" and "val", parts of their training frames, "trainval" for all of these, "official_val"
             for their 500 validation frames, on which papers report.
         val_frames: how many of the training frames are for validation: those of the highest numbers.
-        baseline: of the stereo camera, one for all frames [m].
-        focal: fx at 2048 pixels of width, one for all frames [px].
+        inverse_scale: baseline x fx x 256 / 65535 [m], with 0.22 m and 2262.52 px (at 2048 pixels of width).
         labels: read ``label`` (or ``label_19``, ``label_7``) along, for errors by class: True, False, or
             "auto" for those that are there. The set does not name its classes.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
@@ -212,14 +226,13 @@ class CityscapesMTAN(DepthDataset):
         *,
         split: str = "train",
         val_frames: int = 150,
-        baseline: float = 0.22,
-        focal: float = 2262.52,
+        inverse_scale: float = 1.944383,
         labels: bool | str = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         one_of("split", split, ("train", "val", "trainval", "official_val"))
-        if not (baseline > 0 and focal > 0):
-            raise ValueError(f"baseline={baseline} [m], focal={focal} [px]: both must be above 0")
+        if not inverse_scale > 0:
+            raise ValueError(f"inverse_scale={inverse_scale} [m]: it must be above 0")
         options.setdefault("min_depth", 1.0)
         options.setdefault("max_depth", 80.0)
         self.root = find_root(root, "cityscapes_mtan", ["train", "val"], MTAN_TREE)
@@ -240,7 +253,7 @@ class CityscapesMTAN(DepthDataset):
             self.class_names = tuple(f"class {number}" for number in range(len(CLASS_IDS)))
             kinds.append(found[0])
         self.files = [tuple(f"{part}/{kind}/{n}.npy" for kind in kinds) for n in numbers]
-        self.constant = baseline * focal * 256
+        self.constant = inverse_scale * 65535
         self.encoding = DepthEncoding("MTAN inverse depth", dtype="float", decode=self._metres)
         self.check_frames(self.root, self.files)
 

@@ -82,7 +82,10 @@ class KITTIDepth(KITTIFrames):
         folder = find_root(root, "kitti/depth", [], DEPTH_TREE)
         beside = _picture_roots(folder, raw_root)
         parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
-        maps = depth_maps(folder, depth, parts if list_file is None else ("train", "val", ""), _both(cameras))
+        chosen = _both(cameras)
+        if list_file is not None:  # a list names parts and cameras itself
+            parts, chosen = ("train", "val", ""), (2, 3)
+        maps = depth_maps(folder, depth, parts, chosen)
         if list_file is None and not maps:
             raise FileNotFoundError(
                 f"{folder} holds no {depth} maps for split={split!r}: is data.root right? Expected tree:\n"

@@ -47,13 +47,12 @@ class KITTIFrames(DepthDataset):
         self.pictures = [Path(str(pictures.get(place))) for place in places]
         self.sources = [Path(str(sources.get(place))) for place in places]
         self.intrinsics: dict[tuple[str, int], np.ndarray] = {}
-        self._check_partners(pictures, sources)
-        if frames is not None and len(self) != frames:
+        if frames is not None and len(places) != frames:
             raise ValueError(
-                f"{len(self)} frames where {frames} are expected ({len(without_depth)} without depth in the "
-                f"list, {len(self.skipped)} left out): is it the "
-                "right list, and the data set complete? For a list of your own, data.frames=null"
+                f"{len(places)} frames where {frames} are expected ({len(without_depth)} without depth in "
+                "the list): is it the right list, is all there? For a list of your own, data.frames=null"
             )
+        self._check_partners(pictures, sources)
 
     def _check_partners(
         self, pictures: Mapping[Place, Path | None], sources: Mapping[Place, Path | None]
@@ -70,7 +69,8 @@ class KITTIFrames(DepthDataset):
                 f"{len(lacks)} of {len(self)} frames are missing a file: {what}{more}. Complete the data "
                 "set (data.raw_root says where the pictures are), or leave them out with data.on_error=skip"
             )
-        self.leave_out(lacks)
+        where = "(data.raw_root says where the pictures are)"
+        self.leave_out({i: f"{self.names[i]}: {reason} {where}" for i, reason in lacks.items()})
 
     def size_group(self, index: int) -> str:
         """The date: KITTI's frames are rectified, and cut to size, once per date."""

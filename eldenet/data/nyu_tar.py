@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import logging
 import os
 import tarfile
 import uuid
@@ -145,14 +146,18 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
     try:
         known = json.loads(file.read_text())
         if known["shard"] == key:
-            return [Member(*entry) for entry in known["members"]], known["fault"]
+            # the shard's name is the one it is asked for by: it may be a link, and have others
+            return [Member(f"data/{shard.name}", *entry[1:]) for entry in known["members"]], known["fault"]
     except (OSError, ValueError, KeyError, TypeError):
         pass  # not there, or not ours: walk the shard
     members, fault = _walk(shard)
-    cache.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_name(f".{file.name}.{uuid.uuid4().hex}")  # written whole, or not at all
-    unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
-    unfinished.replace(file)
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        unfinished = file.with_name(f".{file.name}.{uuid.uuid4().hex}")  # written whole, or not at all
+        unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
+        unfinished.replace(file)
+    except OSError as error:
+        logging.getLogger("eldenet").warning("no list of %s is kept in %s: %s", shard, cache, error)
     return members, fault
 
 

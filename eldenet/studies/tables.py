@@ -179,7 +179,7 @@ def _notes(runs: Sequence[Mapping[str, Any]]) -> tuple[list[str], bool]:
 
 
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
-    values = [number(metric, run["constant_predictor"].get(metric)) for metric in study.columns]
+    values = [number(metric, (run["constant_predictor"] or {}).get(metric)) for metric in study.columns]
     return ["constant predictor", "-", "depth of the training frames", *values] + ["-"] * (
         columns - 3 - len(values)
     )
