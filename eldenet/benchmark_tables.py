@@ -63,8 +63,8 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         notes.append(f"made by `{row['command']}`")
     notes.append(
         "fps: calls per second; peak_memory_mb: added to a process by loading and running; share_of_peak: of "
-        "the best matrix product's FLOP/s in the same precision and rounds (torch); gmacs and gflops are of the "
-        "network as it is defined, gflops_per_s of its inference form (eldenet.folding)"
+        "the best matrix product's FLOP/s in the same precision and rounds (torch); gmacs and gflops are of "
+        "the network as it is defined, gflops_per_s of its inference form (eldenet.folding)"
     )
     failed = [
         f"not measured: {row['model']}, {row['runtime']}, {row['precision']}: {row['failed']}"
