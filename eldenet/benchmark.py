@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from eldenet.benchmarking import Case, Network
     from eldenet.model import DepthNet
-    from eldenet.runlog import RunLog
 
+DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml: it may be absent
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
@@ -26,15 +26,24 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     """Measure what is not there yet, write each group as it is done, then the tables of all asked for."""
-    from eldenet.benchmarking import append_rows, measure_group, read_rows
+    from eldenet.benchmark_tables import write_results
+    from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
     from eldenet.record import environment
     from eldenet.runlog import RunLog
 
     output = Path(config.output).expanduser()
     models = load_models(config)
+    check_reference(config, list(models))
     cases = list_cases(config, list(models))
     log = RunLog(output)
-    there = {} if config.overwrite else read_rows(output)
+    if str(config.reference) not in models:
+        log.say(f"reference {config.reference} is not among the models: no ratio_latency (give reference=)")
+    prints = {name: fingerprint(model) for name, model in models.items()}
+
+    def alike(row: Mapping[str, Any]) -> bool:
+        return measured_alike(row, config, prints.get(row["model"]))
+
+    there = {} if config.overwrite else read_rows(output, alike)
     facts = environment()
     groups = [list(members) for _, members in itertools.groupby(cases, key=lambda case: case.group)]
     for number, group in enumerate(groups, 1):
@@ -43,7 +52,10 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
             log.say(f"[{number}/{len(groups)}] {title}: measured before (overwrite=true measures again)")
             continue
         log.say(f"[{number}/{len(groups)}] {title}: {len(group)} rows")
-        networks = {case: prepare(case, models[case.model], config, output / "exports") for case in group}
+        networks = {
+            case: prepare(case, models[case.model], prints[case.model], config, output / "exports")
+            for case in group
+        }
         rows = measure_group(
             group,
             networks,
@@ -51,10 +63,12 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
             rounds=config.rounds,
             seconds=config.seconds,
             memory=config.memory,
+            trusted_modules=cfg.plain(config.trusted_modules),
         )
         for case, row in zip(group, rows, strict=True):
             row |= {
                 "key": list(case.key),
+                "fingerprint": prints[case.model],
                 "versions": {name: version_of(name) for name in PACKAGES},
                 "processor": facts["hardware"]["processor"],
                 "cores": facts["hardware"]["cores"],
@@ -66,12 +80,28 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
             }
             if row["failed"]:
                 log.say(f"  {case.model}, {case.precision}: {row['failed']}")
-        append_rows(output, rows)
-    rows = list(read_rows(output).values())
+        # what was measured before stays: the group ran whole, so that the missing rows took turns with it
+        append_rows(output, [row for row in rows if tuple(row["key"]) not in there])
     wanted = {case.key for case in cases}
-    rows = [row for row in rows if tuple(row["key"]) in wanted]
+    rows = [row for key, row in read_rows(output, alike).items() if key in wanted]
     write_results(config, rows, output, log)
     return rows
+
+
+def check_reference(config: "DictConfig", names: Sequence[str]) -> None:
+    """Refuse a reference that is none of the models, unless nobody asked for it.
+
+    Raises:
+        ValueError: names the models.
+    """
+    if config.reference not in names and config.reference != DEFAULT_REFERENCE:
+        raise ValueError(f"reference={config.reference}: none of the models, which are {', '.join(names)}")
+
+
+def measured_alike(row: Mapping[str, Any], config: "DictConfig", fingerprint: str | None) -> bool:
+    """Whether a stored row is of the same weights, reference, rounds and seconds as now asked for."""
+    asked = (fingerprint, str(config.reference), config.rounds, config.seconds)
+    return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
 
 
 def load_models(config: "DictConfig") -> dict[str, "DepthNet"]:
@@ -93,7 +123,9 @@ def load_models(config: "DictConfig") -> dict[str, "DepthNet"]:
         model = eldenet.load(source, trusted_modules=trusted)
         name = str(model.info.get("model_name", Path(source).name))
         if name in models:
-            raise ValueError(f"two models are called {name!r}: a table needs a name for each")
+            raise ValueError(
+                f"two models are called {name!r}, and rows are named so: train one with another model_name="
+            )
         models[name] = model
     if not models:
         raise ValueError("models is empty: give names, or folders")
@@ -127,7 +159,9 @@ def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
     ]
 
 
-def prepare(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path) -> "Network":
+def prepare(
+    case: "Case", model: "DepthNet", fingerprint: str, config: "DictConfig", folder: Path
+) -> "Network":
     """Make the file that a case runs, unless it is there."""
     from eldenet.benchmarking import Network, reason_of
     from eldenet.folding import fold
@@ -136,13 +170,13 @@ def prepare(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path)
     size = (case.height, case.width)
     params, macs, run_macs = count_params(model), count_macs(model, size), count_macs(fold(model), size)
     try:
-        source = _make(case, model, config, folder)
+        source = _make(case, model, f"{case.model}-{fingerprint}", config, folder)
     except Exception as error:  # an export that fails is the row's result
         return Network(None, params, macs, run_macs, reason_of(error))
     return Network(source, params, macs, run_macs)
 
 
-def _make(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path) -> Path:
+def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", folder: Path) -> Path:
     from eldenet.exporting import describe, write_onnx, write_openvino
     from eldenet.quantisation import quantise_onnx, quantise_openvino
     from eldenet.runtimes import TORCH, installed
@@ -150,9 +184,9 @@ def _make(case: "Case", model: "DepthNet", config: "DictConfig", folder: Path) -
     if not installed(case.runtime):
         raise ImportError(f"{case.runtime} is not installed: pip install 'eldenet[deploy]'")
     if case.runtime in TORCH:
-        return model.save_pretrained(folder / case.model)
+        return model.save_pretrained(folder / name)
     size = (case.height, case.width)
-    stem = f"{case.model}-{case.height}x{case.width}-batch{case.batch}"
+    stem = f"{name}-{case.height}x{case.width}-batch{case.batch}"
     graph, facts = folder / f"{stem}.onnx", describe(model, case.model, size)
     if config.overwrite or not graph.is_file():
         write_onnx(model, graph, size, batch=case.batch, metadata=facts)
@@ -180,115 +214,6 @@ def version_of(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-# --- what is written ----------------------------------------------------------------------------------------
-
-
-def write_results(
-    config: "DictConfig", rows: Sequence[Mapping[str, Any]], output: Path, log: "RunLog"
-) -> None:
-    """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded), ``.png``, and the terminal."""
-    from eldenet.benchmarking import COLUMNS, KEY
-    from eldenet.record import write_rows
-    from eldenet.report import to_latex, to_markdown
-
-    write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
-    cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
-    notes = notes_of(rows)
-    (output / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
-    (output / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
-    # a terminal is narrow: what all rows share is said once
-    same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
-    shown = [position for position, name in enumerate(COLUMNS) if name not in same]
-    log.table(
-        ", ".join(f"{name} {rows[0][name]}" for name in COLUMNS if name in same),
-        [COLUMNS[position] for position in shown],
-        [[line[position] for position in shown] for line in cells],
-    )
-    for note in notes:
-        log.say(note)
-    drawn = draw(config, rows, output / "results.png")
-    log.say(f"written to {output}: results.md, .csv, .tex{', .png' if drawn else ''}, rows.jsonl")
-
-
-def text_of(name: str, value: Any) -> str:
-    """A figure as a table shows it."""
-    if value is None:
-        return "-"
-    if not isinstance(value, float):
-        return f"{value:,}" if name == "params" else str(value)
-    if name in ("gmacs", "gflops", "share_of_peak", "ratio_latency"):
-        return f"{value:.3f}"
-    return f"{value:.1f}" if abs(value) >= 100 else f"{value:.2f}"
-
-
-def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What makes the figures believable: machine, versions, how they were measured, and what failed."""
-    notes = []
-    for row in rows:
-        versions = ", ".join(f"{name} {version}" for name, version in row["versions"].items() if version)
-        notes.append(f"{row['processor']}, {row['cores']} cores; {versions}")
-        notes.append(
-            f"latency: median of one call, {row['rounds']} interleaved rounds of {row['seconds']} s for each "
-            f"row; ratio_latency to {row['reference']}, fp32, in the same rounds; 1 MAC = 2 FLOPs"
-        )
-        notes.append(f"made by `{row['command']}`")
-    notes.append(
-        "fps: calls per second; peak_memory_mb: added to a process by loading and running; share_of_peak: of "
-        "a matrix product's FLOP/s in the same precision and rounds; gmacs and gflops are of the network as "
-        "it is defined, gflops_per_s of its inference form (eldenet.folding)"
-    )
-    failed = [
-        f"not measured: {row['model']}, {row['runtime']}, {row['precision']}: {row['failed']}"
-        for row in rows
-        if row["failed"]
-    ]
-    return list(dict.fromkeys(notes + failed))
-
-
-def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) -> bool:
-    """Accuracy over latency where accuracies are given, else parameters over latency."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from eldenet.report import find_runs
-
-    runs = find_runs(cfg.plain(config.accuracies)) if config.accuracies else []
-    accuracy = {str(run["model"]): run["metrics"][config.accuracy] for run in runs}
-    shown = [row for row in rows if row["latency_ms_p50"] and (not runs or row["model"] in accuracy)]
-    if not shown:
-        return False
-    figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
-    series: dict[str, list[Mapping[str, Any]]] = {}
-    for row in shown:
-        label = (
-            f"{row['runtime']}, {row['precision']}, {row['height']}x{row['width']}, batch {row['batch']}, "
-        )
-        series.setdefault(f"{label}{row['threads']} threads", []).append(row)
-    slowest: dict[str, tuple[float, float]] = {}  # one name for each model, right of its last point
-    for label, members in series.items():
-        latency = [row["latency_ms_p50"] for row in members]
-        heights = [accuracy[row["model"]] if runs else row["params"] / 1e6 for row in members]
-        axes.scatter(latency, heights, label=label, s=24)
-        for row, x, y in zip(members, latency, heights, strict=True):
-            slowest[row["model"]] = max((x, y), slowest.get(row["model"], (0.0, y)))
-    for model, place in slowest.items():
-        axes.annotate(model, place, fontsize=7, xytext=(5, -2), textcoords="offset points")
-    axes.margins(x=0.18)
-    axes.set(
-        xscale="log",
-        xlabel=f"latency [ms], {shown[0]['processor']}",
-        ylabel=str(config.accuracy) if runs else "parameters [M]",
-        yscale="linear" if runs else "log",
-    )
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7)
-    figure.savefig(path, dpi=150)
-    pyplot.close(figure)
-    return True
 
 
 if __name__ == "__main__":

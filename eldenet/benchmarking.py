@@ -1,10 +1,11 @@
 """Latency of many networks on many runtimes, measured so that the ratios can be believed."""
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import torch
 
 from eldenet import runtimes
+from eldenet.model import DepthNet
 from eldenet.profiling import median_ms, percentile_ms, time_interleaved
 
 COLUMNS = (
@@ -77,6 +79,7 @@ def measure_group(
     rounds: int = 7,
     seconds: float = 0.2,
     memory: bool = True,
+    trusted_modules: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Measure the cases of one group in interleaved rounds, with the machine's matrix product among them.
 
@@ -87,6 +90,7 @@ def measure_group(
         rounds: turns that each case gets.
         seconds: of each turn.
         memory: measure each case's memory, in a process of its own.
+        trusted_modules: packages whose classes a model folder's config may name.
 
     Returns:
         One row per case: the columns, and "failed" (a reason, or None) and "peak_gflops_per_s".
@@ -98,22 +102,22 @@ def measure_group(
         rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None}
         if network.source is not None:
             try:
-                ready[case] = call_of(case, network.source, rows[case])
+                ready[case] = call_of(case, network.source, rows[case], trusted_modules)
             except Exception as error:  # a runtime's failure is the row's result
                 rows[case]["failed"] = reason_of(error)
     if not ready:
         return list(rows.values())
-    peaks = {f"peak {precision}": peak_call(cases[0], precision) for precision in _peak_precisions(ready)}
+    peaks = {f"peak {name}": peak_call(cases[0], name) for name in _peak_precisions(ready)}
     calls = {**{str(case.key): call for case, call in ready.items()}, **peaks}
     times = time_interleaved(calls, rounds=rounds, seconds=seconds)
     for case in ready:
         network, peak = networks[case], times.get(f"peak {case.precision}")
         row = rows[case] | timed_columns(case, times[str(case.key)], network.run_macs)
         if peak is not None and row["gflops_per_s"] is not None:
-            row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / median_ms(peak) / 1e6
+            row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / min(peak) / 1e9  # the best call
             row["share_of_peak"] = row["gflops_per_s"] / row["peak_gflops_per_s"]
         if memory and network.source is not None:
-            row["peak_memory_mb"] = memory_of(case, network.source)
+            row["peak_memory_mb"] = memory_of(case, network.source, trusted_modules)
         rows[case] = row
     base = next((rows[case] for case in ready if (case.model, case.precision) == (reference, "fp32")), None)
     for case in ready if base is not None else ():
@@ -150,9 +154,9 @@ def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[
     }
 
 
-def call_of(case: Case, source: Path, row: dict[str, Any]) -> Any:
+def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequence[str] = ()) -> Any:
     """The call to time; run once, so that it works and whatever is compiled is compiled."""
-    network = runtimes.load(source, case.runtime, case.precision, threads=case.threads, device=case.device)
+    network = _load(case, source, trusted_modules)
     images = network.prepared(_images(case))
     row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"
 
@@ -164,12 +168,27 @@ def call_of(case: Case, source: Path, row: dict[str, Any]) -> Any:
     return call
 
 
+def _load(case: Case, source: Path, trusted_modules: Sequence[str]) -> runtimes.Runtime:
+    return runtimes.load(
+        source,
+        case.runtime,
+        case.precision,
+        threads=case.threads,
+        device=case.device,
+        trusted_modules=trusted_modules,
+    )
+
+
 def _images(case: Case) -> np.ndarray:
     shape = (case.batch, 3, case.height, case.width)
     return np.random.default_rng(0).random(shape, dtype=np.float32)
 
 
 def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
+    """Precisions whose peak torch can measure: none on a device that torch does not run on."""
+    device = next(iter(cases)).device
+    if device != "cpu" and not (device in ("cuda", "tensorrt") and torch.cuda.is_available()):
+        return []
     return [name for name in PEAK_DTYPES if any(case.precision == name for case in cases)]
 
 
@@ -198,14 +217,14 @@ def _megabytes(source: Path) -> float:
 # --- memory -------------------------------------------------------------------------------------------------
 
 
-def memory_of(case: Case, source: Path) -> float | None:
+def memory_of(case: Case, source: Path, trusted_modules: Sequence[str] = ()) -> float | None:
     """What loading and running a case adds to a fresh process [MB]: at its peak, torch imported before.
 
     On CUDA: what it takes of the device. None where that cannot be measured (Linux alone counts so).
     """
     code = "import sys; from eldenet.benchmarking import print_memory; print_memory(*sys.argv[1:])"
     done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(asdict(case)), str(source)],
+        [sys.executable, "-c", code, json.dumps(asdict(case)), str(source), *trusted_modules],
         capture_output=True,
         text=True,
         check=False,
@@ -214,13 +233,13 @@ def memory_of(case: Case, source: Path) -> float | None:
     return float(done.stdout.split()[-1]) if done.returncode == 0 else None
 
 
-def print_memory(case: str, source: str) -> None:
+def print_memory(case: str, source: str, *trusted_modules: str) -> None:
     """Measure in this process; :func:`memory_of` starts it."""
     this = Case(**json.loads(case))
     cuda = this.device in ("cuda", "tensorrt")
     images = _images(this)
     before = torch.cuda.mem_get_info()[0] if cuda else _resident_kib("VmRSS")
-    network = runtimes.load(source, this.runtime, this.precision, threads=this.threads, device=this.device)
+    network = _load(this, Path(source), trusted_modules)
     for _ in range(3):
         network.run(images)
     if cuda:
@@ -241,8 +260,19 @@ def _resident_kib(kind: str) -> int:
 # --- rows on disk -------------------------------------------------------------------------------------------
 
 
-def read_rows(folder: Path) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Rows measured so far by key, the newest of each; a line that a kill cut short is left out."""
+def fingerprint(model: DepthNet) -> str:
+    """What tells two networks of one name apart: 8 hex digits of the SHA-256 of config and weights."""
+    digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
+    for name, value in sorted(model.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:8]
+
+
+def read_rows(
+    folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
+) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Rows measured so far by key, the newest wanted of each; a line that a kill cut short is left out."""
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
     if (folder / ROWS_FILE).is_file():
         for line in (folder / ROWS_FILE).read_text().splitlines():
@@ -250,7 +280,8 @@ def read_rows(folder: Path) -> dict[tuple[Any, ...], dict[str, Any]]:
                 row = json.loads(line)
             except json.JSONDecodeError:
                 continue
-            rows[tuple(row["key"])] = row
+            if wanted(row):
+                rows[tuple(row["key"])] = row
     return rows
 
 

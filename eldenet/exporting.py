@@ -143,7 +143,7 @@ def write_onnx(
         metadata: from :func:`describe`.
 
     Raises:
-        ValueError: an opset, batch or size that cannot be.
+        ValueError: an opset, batch or size that cannot be, or that this network cannot be written in.
     """
     import onnx
 
@@ -159,7 +159,12 @@ def write_onnx(
         network = CameraNet(network, camera_size, size)  # type: ignore[arg-type]
         example = torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     unfinished = path.with_name(f".{path.stem}.part.onnx")
-    _torch_to_onnx(network.eval(), example, unfinished, batch is None, opset, bool(camera_size))
+    try:
+        _torch_to_onnx(network.eval(), example, unfinished, batch is None, opset, bool(camera_size))
+    except RuntimeError as error:  # the exporter's own errors are such
+        unfinished.unlink(missing_ok=True)
+        reason = (str(error).splitlines() or [""])[0]
+        raise ValueError(f"opset={opset} cannot express this network: {reason}") from error
     graph = onnx.load(unfinished)
     onnx.helper.set_model_props(
         graph, {METADATA_PREFIX + key: value for key, value in (metadata or {}).items()}

@@ -4,15 +4,20 @@ import copy
 
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torchvision.models.resnet import BasicBlock, Bottleneck
 
+from eldenet.backbones.resnet import ResNet
 from eldenet.decoders.upconv import PARITIES, UpConv2d
 from eldenet.model import DepthNet
+
+RESNET_PARTS = (ResNet, BasicBlock, Bottleneck)
 
 
 def fold(model: DepthNet) -> DepthNet:
     """A copy of ``model`` for inference, in eval mode; its depth differs by rounding alone.
 
-    - Batch normalisations that follow their convolution in an ``nn.Sequential`` are folded into it.
+    - Batch normalisations that follow their convolution in an ``nn.Sequential`` are folded into it, and
+      those of torchvision's ResNet blocks.
     - Every up-convolution, whichever form it had, becomes one 3x3 convolution on the small map, its
       activation there too, and a pixel shuffle: see :func:`merge_upconv`.
 
@@ -22,6 +27,8 @@ def fold(model: DepthNet) -> DepthNet:
     for part in list(folded.modules()):
         if isinstance(part, nn.Sequential):
             _fold_sequence(part)
+        elif isinstance(part, RESNET_PARTS):
+            _fold_numbered(part)
     for part in list(folded.modules()):
         for name, child in list(part.named_children()):
             if isinstance(child, UpConv2d):
@@ -39,6 +46,15 @@ class _Unblock(nn.Module):
 
     def forward(self, raw: Tensor) -> Tensor:
         return raw.squeeze(1).unsqueeze(1)
+
+
+def _fold_numbered(part: nn.Module) -> None:
+    """Fold ``bn1`` into ``conv1`` and so on, in place: torchvision's blocks name them so, and run them so."""
+    for number in (1, 2, 3):
+        conv, norm = getattr(part, f"conv{number}", None), getattr(part, f"bn{number}", None)
+        if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+            setattr(part, f"conv{number}", fuse_conv_bn_eval(conv, norm))
+            setattr(part, f"bn{number}", nn.Identity())
 
 
 def _fold_sequence(sequence: nn.Sequential) -> None:

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 import eldenet
-from eldenet.benchmark import benchmark, draw, list_cases
-from eldenet.benchmarking import COLUMNS, Case, read_rows
+from eldenet.benchmark import DEFAULT_REFERENCE, benchmark, list_cases
+from eldenet.benchmark_tables import draw
+from eldenet.benchmarking import COLUMNS, Case, _peak_precisions, read_rows
 from eldenet.config import compose
 from eldenet.folding import fold
 from eldenet.profiling import count_macs, count_params, time_interleaved
@@ -99,6 +101,51 @@ def test_it_goes_on_where_it_stopped(output: Path, capsys: pytest.CaptureFixture
     assert again[0]["date"] >= first["torch"]
 
 
+def named(folder: Path, scale: float) -> Path:
+    """A trained network called "mine"."""
+    model = eldenet.load("eldenet_s")
+    with torch.no_grad():
+        for weights in model.parameters():
+            weights.fill_(scale)
+    return model.save_pretrained(folder, info={"model_name": "mine"})
+
+
+def test_another_network_of_the_same_name_is_measured_itself(tmp_path: Path) -> None:
+    first, second = named(tmp_path / "a", 0.01), named(tmp_path / "b", 0.02)
+    words = ("runtimes=[onnxruntime]", "precisions=[fp32]", "reference=mine")
+    (row,) = run(tmp_path / "table", f"models=['{first}']", *words)
+    (other,) = run(tmp_path / "table", f"models=['{second}']", *words)
+    (again,) = run(tmp_path / "table", f"models=['{first}']", *words)
+    assert row["fingerprint"] != other["fingerprint"]
+    assert again == row
+    assert len(list((tmp_path / "table/exports").glob("mine-*.onnx"))) == 2
+
+
+def test_rows_measured_otherwise_do_not_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    words = ("runtimes=[torch]", "precisions=[fp32]")
+    (first,) = run(tmp_path, *words)
+    (quick,) = run(tmp_path, *words, "rounds=1")
+    assert (first["rounds"], quick["rounds"]) == (2, 1)
+    assert run(tmp_path, *words) == [first]
+    # a row that was missing takes its turns with the whole group; the one that was there stays
+    rows = run(tmp_path, "runtimes=[torch]", "precisions=[fp32,bf16]")
+    assert rows[0] == first
+    assert rows[1]["precision"] == "bf16"
+    assert rows[1]["ratio_latency"] > 0
+    capsys.readouterr()
+    assert compose("benchmark", []).reference == DEFAULT_REFERENCE
+    (row,) = run(tmp_path, *words, f"reference={DEFAULT_REFERENCE}")
+    assert row["ratio_latency"] is None
+    assert "is not among the models: no ratio_latency" in capsys.readouterr().out
+
+
+def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for device, precisions in (("cpu", ["fp32"]), ("cuda", []), ("gpu", [])):
+        case = Case("eldenet_s", 32, 48, 1, "openvino", "fp32", 1, device)
+        assert _peak_precisions({case: None}) == precisions
+
+
 def test_pictures(output: Path, tmp_path: Path) -> None:
     assert (output / "results.png").stat().st_size > 5000
     run_file = tmp_path / "run.json"
@@ -130,6 +177,8 @@ def test_a_group_is_everything_that_compares() -> None:
         (["models=[nothing]"], "unknown model 'nothing'"),
         (["models=[]"], "models is empty"),
         (["models=[eldenet_s,eldenet_s]"], "two models are called 'eldenet_s'"),
+        (["models=[eldenet_s,eldenet_s]"], "another model_name="),
+        (["reference=eldenet_x"], "reference=eldenet_x: none of the models, which are eldenet_s"),
         (["rounds=0"], "rounds=0"),
     ],
 )

@@ -23,10 +23,11 @@ from eldenet.exporting import (
     write_onnx,
     write_openvino,
 )
-from eldenet.folding import fold, merge_upconv
+from eldenet.folding import count_batch_norms, fold, merge_upconv
 from eldenet.model import DepthNet
 from eldenet.predictor import DepthPredictor
 from eldenet.quantisation import quantise_onnx, quantise_openvino
+from eldenet.runtimes.scored import RuntimeNetwork, measure_runtime_cost
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
@@ -104,6 +105,21 @@ def test_folding_changes_nothing_but_the_work(model: DepthNet, images: np.ndarra
         assert differences(folded(torch.from_numpy(images)).numpy(), reference)["max_relative"] < ROUNDING
     for name, value in model.state_dict().items():
         assert torch.equal(value, before[name]), name
+
+
+@pytest.mark.parametrize("name", ["resnet18_upconv"])
+def test_resnet_blocks_are_folded(name: str) -> None:
+    torch.manual_seed(0)
+    model = eldenet.load(name).eval()
+    for part in model.modules():
+        if isinstance(part, nn.BatchNorm2d):
+            part.running_mean.uniform_(-0.2, 0.2)
+            part.running_var.uniform_(0.5, 1.5)
+    folded = fold(model)
+    assert count_batch_norms(folded) == 0
+    image = torch.rand(1, 3, *SIZE)
+    with torch.inference_mode():
+        assert differences(folded(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
 
 
 # --- runtimes -----------------------------------------------------------------------------------------------
@@ -292,6 +308,50 @@ def test_a_static_file_of_an_old_opset(model, images, reference, tmp_path: Path)
             write_onnx(model, tmp_path / "wrong.onnx", SIZE, **wrong)
     with pytest.raises(ValueError, match="shrink one way and grow the other"):
         write_onnx(model, tmp_path / "wrong.onnx", SIZE, camera_size=(16, 128))
+
+
+@pytest.mark.parametrize("ending", [".onnx", ".xml"])
+def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
+    model, images, reference, tmp_path: Path, ending: str
+) -> None:
+    facts = describe(model, "eldenet_s", SIZE)
+    path = write_onnx(model, tmp_path / "two.onnx", SIZE, batch=2, metadata=facts)
+    if ending == ".xml":
+        path = write_openvino(path, tmp_path / "two.xml", facts)
+    network = runtimes.load(path, threads=1)
+    assert network.fixed_batch == 2
+    scored = RuntimeNetwork(network)
+    for count in (1, 2):  # the last batch of a set may be smaller
+        depth = scored(torch.from_numpy(images[:count]))
+        assert depth.shape[0] == count
+        assert differences(depth.numpy(), reference[:count])["max_relative"] < ROUNDING
+    with pytest.raises(ValueError, match="takes 2 images at once: give batch_size=2"):
+        scored(torch.from_numpy(images))
+    cost = measure_runtime_cost(network, SIZE)
+    assert cost.batch == 2
+    assert cost.throughput_img_s > 0
+
+
+def test_any_batch_is_not_fixed(model, files) -> None:
+    for source, runtime in ((files["onnx"], "onnxruntime"), (files["xml"], "openvino"), (model, "torch")):
+        assert runtimes.load(source, runtime, threads=1).fixed_batch is None
+
+
+def test_an_opset_that_cannot_express_a_network(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="opset=11 cannot express this network: "):
+        write_onnx(eldenet.load("meter_xxs"), tmp_path / "m.onnx", SIZE, batch=1, opset=11)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_foreign_classes_needs_trust(model, tmp_path: Path) -> None:
+    folder = model.save_pretrained(tmp_path / "model")
+    config = folder / "config.json"
+    config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
+    with pytest.raises(ValueError, match="trusted_modules"):
+        runtimes.load(folder, threads=1)
+    with pytest.raises(ValueError, match="tests_foreign") as error:  # it is looked for now
+        runtimes.load(folder, threads=1, trusted_modules=["tests_foreign"])
+    assert "trusted_modules" not in str(error.value)
 
 
 # --- streams ------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@
 """
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,6 +32,7 @@ def load(
     threads: int | None = None,
     device: str = "cpu",
     size: tuple[int, int] | None = None,
+    trusted_modules: Sequence[str] = (),
 ) -> Runtime:
     """A network ready to run: ``load(...)(images) -> metres``.
 
@@ -46,6 +47,7 @@ def load(
             provider's name.
         size: ``(height, width)`` [px] for a model under ONNX Runtime or OpenVINO, which is exported on the
             way; None: the size it was trained at.
+        trusted_modules: packages whose classes a folder's config may name.
 
     Raises:
         ValueError: what was asked for is not to be had here; says what is.
@@ -67,7 +69,7 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    model = source if isinstance(source, DepthNet) else _from_folder(Path(source))
+    model = source if isinstance(source, DepthNet) else _from_folder(Path(source), trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
     size = size or model.info.get("input_size")
     if runtime in TORCH:
@@ -78,7 +80,10 @@ def load(
             model, runtime, precision=precision or "fp32", threads=threads, device=device, metadata=facts
         )
     if size is None:
-        raise ValueError(f"{runtime} needs a size: give size=(height, width), the model names none")
+        raise ValueError(
+            f"{runtime} needs a size, and the model names none: give size=(height, width), on the command "
+            "line input_size=[height,width]"
+        )
     if precision == "int8":
         raise ValueError("int8 needs calibration frames: export a file (python -m eldenet.export)")
     with tempfile.TemporaryDirectory() as folder:
@@ -109,16 +114,14 @@ def fastest(
         return next(iter(able.values()))
     some = next(iter(able.values()))
     height, width = some.camera_size or some.info.get("input_size", (224, 224))
-    shape = (1, height, width, 3) if some.takes_frames else (1, 3, height, width)
+    batch = some.fixed_batch or 1
+    shape = (batch, height, width, 3) if some.takes_frames else (batch, 3, height, width)
     image = np.zeros(shape, np.uint8 if some.takes_frames else np.float32)
-    try:
-        times = time_interleaved(
-            {name: lambda network=network: network.run(image) for name, network in able.items()},  # type: ignore[misc]
-            rounds=3,
-            seconds=0.05,
-        )
-    except ValueError:  # a file of a fixed batch: any will do
-        return some
+    times = time_interleaved(
+        {name: lambda network=network: network.run(image) for name, network in able.items()},  # type: ignore[misc]
+        rounds=3,
+        seconds=0.05,
+    )
     return able[min(times, key=lambda name: median_ms(times[name]))]
 
 
@@ -139,9 +142,11 @@ def _open(path: Path, runtime: str, precision: str | None, threads: int, device:
     return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
 
 
-def _from_folder(folder: Path) -> DepthNet:
+def _from_folder(folder: Path, trusted_modules: Sequence[str]) -> DepthNet:
     inner = folder / "model"
-    return DepthNet.from_pretrained(inner if (inner / CONFIG_NAME).is_file() else folder)
+    return DepthNet.from_pretrained(
+        inner if (inner / CONFIG_NAME).is_file() else folder, trusted_modules=trusted_modules
+    )
 
 
 def _facts(model: DepthNet, size: tuple[int, int] | None) -> Mapping[str, str]:

@@ -52,6 +52,11 @@ class Runtime:
         """``(height, width)`` that the network sees [px] where it can see no other, else None."""
         return self._sizes("input_size")
 
+    @property
+    def fixed_batch(self) -> int | None:
+        """Images that it takes at once where it can take no other number, else None."""
+        return None
+
     def run(self, images: np.ndarray) -> np.ndarray:
         """Arrays in, arrays out; what :meth:`__call__` checks and wraps."""
         raise NotImplementedError

@@ -66,6 +66,12 @@ class OnnxRuntime(Runtime):
         super().__init__(own, threads, "cpu" if provider == PROVIDERS["cpu"] else device, metadata)
         self.input = self.session.get_inputs()[0].name
 
+    @property
+    def fixed_batch(self) -> int | None:
+        """From the input's shape, whose free sizes have names."""
+        batch = self.session.get_inputs()[0].shape[0]
+        return batch if isinstance(batch, int) else None
+
     def run(self, images: np.ndarray) -> np.ndarray:
         """Arrays in, arrays out."""
         try:

@@ -62,6 +62,12 @@ class OpenvinoRuntime(Runtime):
         super().__init__(precision, threads, device.lower(), metadata)
         self.request = self.compiled.create_infer_request()
 
+    @property
+    def fixed_batch(self) -> int | None:
+        """From the input's shape."""
+        batch = self.compiled.input(0).partial_shape[0]
+        return int(batch.get_length()) if batch.is_static else None
+
     def run(self, images: np.ndarray) -> np.ndarray:
         """Arrays in, arrays out."""
         from openvino import PartialShape

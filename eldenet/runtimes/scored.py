@@ -14,7 +14,7 @@ class RuntimeNetwork(nn.Module):
     """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime; no parameters, no gradient.
 
     Raises:
-        ValueError: the file takes camera frames, or another size than the images have.
+        ValueError: the file takes camera frames, or another size than the images have, or fewer at once.
     """
 
     def __init__(self, network: Runtime) -> None:
@@ -31,13 +31,23 @@ class RuntimeNetwork(nn.Module):
                 f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
                 f"{tuple(image.shape[-2:])}: leave input_size=model, or export it at their size"
             )
-        return self.network(image.float())
+        batch = self.network.fixed_batch
+        if batch is None:
+            return self.network(image.float())
+        if len(image) > batch:
+            raise ValueError(f"this file takes {batch} images at once: give batch_size={batch}")
+        filled = torch.cat([image, image[-1:].expand(batch - len(image), -1, -1, -1)])  # the last of a set
+        return self.network(filled.float())[: len(image)]
 
 
 def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
-    """As :func:`eldenet.profiling.measure_cost`; the counts are those that the file states."""
+    """As :func:`eldenet.profiling.measure_cost`; the counts are those that the file states.
+
+    A file of a fixed batch is timed at that batch alone.
+    """
+    one, batch = network.fixed_batch or 1, network.fixed_batch or batch
     calls = {}
-    for name, number in (("one", 1), ("many", batch)):
+    for name, number in (("one", one), ("many", batch)):
         images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
         calls[name] = lambda images=images: network.run_prepared(images)
     with torch.inference_mode():

@@ -11,7 +11,8 @@ from pathlib import Path
 import yaml
 
 import eldenet
-from eldenet.benchmark import benchmark, draw, notes_of, text_of
+from eldenet.benchmark import benchmark
+from eldenet.benchmark_tables import draw, notes_of, text_of
 from eldenet.benchmarking import COLUMNS
 from eldenet.config import compose
 from eldenet.report import to_latex, to_markdown
@@ -25,36 +26,44 @@ def main() -> None:
     overrides = [word for word in overrides if not word.startswith("output=")]
     listed = yaml.safe_load((HERE / "networks.yaml").read_text())
     there = eldenet.list_models()
-    rows, configs = {}, []
-    for part in listed["parts"].values():
+    tables, first = {}, None
+    for name, part in listed["parts"].items():
         settings = {"models": listed["models"], **listed["settings"], **part}
-        settings["models"] = [name for name in settings["models"] if name in there]
+        settings["models"] = [model for model in settings["models"] if model in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
-        config = compose("benchmark", [*words, *overrides, f"output='{work}'"])
-        configs.append(config)
-        rows |= {tuple(row["key"]): row for row in benchmark(config)}
+        # a folder of its own: a column compares rows that were measured in the same rounds
+        config = compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"])
+        first = first or config
+        tables[name] = benchmark(config)
     missing = [name for name in listed["models"] if name not in there]
-    write(list(rows.values()), missing, listed["no_code"], Path(work), configs[0])
+    write(tables, missing, listed["no_code"], Path(work), first)
 
 
-def write(rows: list[dict], missing: list[str], no_code: list[str], folder: Path, config) -> None:
-    """The tables of all parts; one Markdown table for each setting, so that a column compares."""
-    notes = notes_of(rows)
+def write(
+    tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, config
+) -> None:
+    """One table for each part, with a heading; a CSV of all rows, by part; the plot of the first part."""
+    every = {(name, *row["key"]): row for name, rows in tables.items() for row in rows}
+    notes = [
+        note.replace("made by `run.py", "made by `python experiments/table1_efficiency/run.py")
+        for note in notes_of(list(every.values()))
+    ]
     notes += [f"no code identified, so no figures: {', '.join(no_code)}"]
     notes += [f"not in this version: {', '.join(missing)}"] if missing else []
-    cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
     with (folder / "results.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([row[name] for name in COLUMNS] for row in rows)
-    (folder / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
-    (folder / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
-    draw(
-        config,
-        [row for row in rows if (row["batch"], row["precision"], row["threads"]) == (1, "fp32", 1)],
-        folder / "results.png",
-    )
-    print(f"table of {len(rows)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
+        writer.writerow(["part", *COLUMNS])
+        writer.writerows([key[0], *(row[name] for name in COLUMNS)] for key, row in every.items())
+    markdown, latex = [], []
+    for number, (name, rows) in enumerate(tables.items(), 1):
+        cells = [[text_of(column, row[column]) for column in COLUMNS] for row in rows]
+        below = notes if number == len(tables) else []
+        markdown.append(f"## {name}\n\n{to_markdown(COLUMNS, cells, below)}")
+        latex.append(f"% {name}\n{to_latex(COLUMNS, cells, below)}")
+    (folder / "results.md").write_text("\n".join(markdown))
+    (folder / "results.tex").write_text("\n".join(latex))
+    draw(config, next(iter(tables.values())), folder / "results.png")
+    print(f"{len(every)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ python experiments/table1_efficiency/whole_path.py
 """
 
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,8 @@ def main() -> None:
         cells = [f"{middle:.2f}", f"{percentile_ms(spent, 95):.2f}", f"{1000 / middle:.0f}"]
         rows.append([runtime, f"{size[0]} x {size[1]}", str(threads), *cells])
     found = environment()
-    versions = ", ".join(f"{name} {number}" for name, number in found["versions"].items() if "torch" in name)
+    packages = ("torch", "onnxruntime", "openvino", "opencv-python-headless")
+    versions = ", ".join(f"{name} {version(name)}" for name in packages)
     notes = [
         "eldenet, fp32, one frame at a time: resize (cv2), network, depth enlarged (cv2); median of "
         "9 interleaved rounds of 0.5 s",
