@@ -515,7 +515,8 @@ def kitti_raw(root: Path) -> list[str]:
 
 
 def kitti_selection(root: Path) -> list[str]:
-    return [f"data.selection_root={layouts.kitti_selection(root)}", "data.frames=null"]
+    selection = layouts.kitti_selection(root)
+    return [f"data.selection_root={selection}", "data.frames=null", "+data.ground_truth=improved"]
 
 
 def densedepth(root: Path) -> list[str]:
