@@ -159,13 +159,13 @@ class DepthDataset(Dataset[DepthSample]):
         Raises:
             ValueError: there are fewer.
         """
-        first, end = (0, places) if isinstance(places, int) else (*places, 0, 0)[:2]
-        if (not isinstance(places, int) and len(places) != 2) or not 0 <= first < end <= len(self):
+        span = [0, places] if isinstance(places, int) else list(places)
+        if len(span) != 2 or not 0 <= span[0] < span[1] <= len(self):
             raise ValueError(
                 f"subset={places}: {type(self).__name__} found {len(self)} frames in this split, give 1 to "
                 f"{len(self)}, a range [first, end] within 0 to {len(self)}, or null"
             )
-        self._keep(sorted(np.random.default_rng(seed).permutation(len(self))[first:end].tolist()))
+        self._keep(sorted(np.random.default_rng(seed).permutation(len(self))[slice(*span)].tolist()))
 
     def _keep(self, indices: Sequence[int]) -> None:
         for name in self.frame_lists:

@@ -32,7 +32,6 @@ from eldenet.types import Frame
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
 
-CACHES = ("none", "ram", "disk")
 VERSION = 1  # of the slots
 # stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of these and pixels
 _FIELDS, _SUM = struct.Struct("<16s4ii9d"), struct.Struct("<I")

@@ -10,6 +10,7 @@ import tempfile
 import threading
 import zlib
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
@@ -67,12 +68,12 @@ def _bmp_fault(content: bytes) -> str:
 
 def _tiff_fault(content: bytes) -> str:
     """Every strip or tile of every directory must lie within the file."""
-    order = "little" if content[:2] == b"II" else "big"
+    order: Literal["little", "big"] = "little" if content[:2] == b"II" else "big"
 
     def number(at: int, size: int) -> int:
         if at + size > len(content):
             raise EOFError
-        return int.from_bytes(content[at : at + size], "little" if order == "little" else "big")
+        return int.from_bytes(content[at : at + size], order)
 
     try:
         directory = number(4, 4)
