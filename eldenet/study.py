@@ -28,7 +28,10 @@ def main(config: "DictConfig", folder: Path) -> None:
     log = RunLog(folder, quiet=not cfg.is_main_process())
     outcomes = []
     for row in study.chosen(names):
-        outcomes += run_row(study, row, Path(config.runs), given=cfg.plain(config.given), say=log.say)
+        given = cfg.plain(config.given)
+        outcomes += run_row(
+            study, row, Path(config.runs), given=given, seeds=cfg.plain(config.seeds), say=log.say
+        )
     log.table(
         f"study {study.name}", ("run", "status"), [(outcome.run, outcome.status) for outcome in outcomes]
     )

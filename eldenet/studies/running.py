@@ -3,7 +3,7 @@
 import json
 import shutil
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,13 @@ class Outcome:
 
 
 def run_row(
-    study: Study, row: StudyRow, runs: Path, *, given: Mapping[str, Any] | None = None, say: Say = print
+    study: Study,
+    row: StudyRow,
+    runs: Path,
+    *,
+    given: Mapping[str, Any] | None = None,
+    seeds: Sequence[int] | None = None,
+    say: Say = print,
 ) -> list[Outcome]:
     """All runs of one row: the learning rate's trials, then one run per seed.
 
@@ -40,14 +46,18 @@ def run_row(
         row: of it.
         runs: folder for the run folders, ``<runs>/<study>/<row>/...``.
         given: name -> value of what rows ask for.
+        seeds: those of the row's seeds to run; None: all. A row without any of them has nothing to do.
         say: prints a line.
     """
+    chosen = [seed for seed in row.seeds if seeds is None or seed in seeds]
+    if not chosen:
+        return []
     settings = {}
     for name, setting in (row.given or {}).items():
         value = (given or {}).get(name)
         if value is None:
             say(f"{study.name}/{row.name}: {row.missing_word} (given.{name}=...)")
-            return [Outcome(f"{row.name}/seed{seed}", row.missing_word) for seed in row.seeds]
+            return [Outcome(f"{row.name}/seed{seed}", row.missing_word) for seed in chosen]
         settings[setting] = value
     folder = runs / study.name
     shared = [*study.overrides, *row.overrides, *(f"{name}='{value}'" for name, value in settings.items())]
@@ -57,7 +67,7 @@ def run_row(
         return [_failed(folder / row.name, f"{row.name}/learning rate", error, say)]
     if rate is not None:
         shared.append(f"optimizer.lr={rate}")
-    return [_run_seed(study, row, seed, shared, folder, say) for seed in row.seeds]
+    return [_run_seed(study, row, seed, shared, folder, say) for seed in chosen]
 
 
 def _run_seed(study: Study, row: StudyRow, seed: int, shared: list[str], runs: Path, say: Say) -> Outcome:
