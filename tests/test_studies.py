@@ -144,6 +144,27 @@ def report_is_right(folder: Path) -> None:
     assert (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,1,1,1,1,")
 
 
+def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
+    (tiny / "sweep.yaml").write_text(short((tiny / "sweep.yaml").read_text()))
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny, block: another}}")
+    ours, theirs = read_study(other), read_study(tiny)
+    (taken,), (row,) = ours.rows, theirs.chosen("eldenet")
+    assert (taken.block, taken.overrides) == ("another", row.overrides)
+    assert [one.status for one in run_row(ours, taken, tmp_path / "runs")] == ["done"]
+    assert [one.status for one in run_row(theirs, row, tmp_path / "runs")] == ["finished before"]
+    write_study_report(other)
+    assert cells(other)["another/eldenet"]["seeds"] == "1"
+    assert not (other / "stored").exists()
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny, seeds: [1]}}")
+    with pytest.raises(ValueError, match="row eldenet, taken from another study: unknown entries"):
+        read_study(other)
+    (other / "sweep.yaml").write_text("rows: {unknown: {from: tiny}}")
+    with pytest.raises(ValueError, match="has the rows eldenet_s, wrong"):
+        read_study(other)
+
+
 def test_a_killed_row_goes_on(tiny, tmp_path):
     """What lies in a run folder without run.json is a checkpoint to go on from."""
     study = read_study(tiny)

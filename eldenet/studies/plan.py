@@ -1,7 +1,7 @@
 """What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,8 @@ from eldenet.metrics import METRICS
 
 PLAN = "sweep.yaml"
 STORED = "stored"  # results of finished runs, small enough for git
-WORDS = {"weights": "weights", "teacher": "teacher"}  # of what a row needs: "weights not given"; else data
+# of what a row needs, by its setting: "weights not given"; else data
+WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class StudyRow:
             row to run, such as ``{kitti: data.root}``.
         learning_rate: of the optimiser; None: by the study's rule.
         rate_overrides: what its trials change beside the study's ``rate_overrides``.
+        owner: the study that the row is taken from: it is run by that study's settings, and stored there.
     """
 
     name: str
@@ -38,6 +40,7 @@ class StudyRow:
     given: Mapping[str, str] | None = None
     learning_rate: float | None = None
     rate_overrides: tuple[str, ...] = ()
+    owner: "Study | None" = None
 
     @property
     def missing_word(self) -> str:
@@ -96,7 +99,7 @@ class Study:
 
     def stored(self, row: StudyRow, seed: int) -> Path:
         """Where the results of one finished run are kept."""
-        return self.folder / STORED / row.name / f"seed{seed}"
+        return (row.owner or self).folder / STORED / row.name / f"seed{seed}"
 
 
 def read_study(folder: str | Path) -> Study:
@@ -115,15 +118,18 @@ def read_study(folder: str | Path) -> Study:
     content = cfg.read_yaml(path)
     if not isinstance(content, dict) or not content.get("rows"):
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
-    of_row = {field.name for field in fields(StudyRow)} - {"name"}
+    of_row = {field.name for field in fields(StudyRow)} - {"name", "owner"}
     of_study = {field.name for field in fields(Study)} - {"folder", "rows"}
     shared = {name: content.pop(name) for name in ("seeds", "block", "seen") if name in content}
     described = content.pop("rows")
     _refuse_unknown(path, content, of_study | {"rows", "seeds", "block", "seen"})
     rows = []
     for name, entry in described.items():
+        if entry and "from" in entry:
+            rows.append(_taken_row(path, str(name), entry))
+            continue
         entry = shared | (entry or {})
-        _refuse_unknown(path, entry, of_row, f"row {name}: ")
+        _refuse_unknown(path, entry, of_row | {"from"}, f"row {name}: ")
         rows.append(StudyRow(str(name), **{key: _frozen(value) for key, value in entry.items()}))
     study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
     unknown = [name for name in study.reference if name not in described]
@@ -133,6 +139,14 @@ def read_study(folder: str | Path) -> Study:
     if metrics:
         raise ValueError(f"{path}: {metrics} are no metrics, choose among {', '.join(METRICS)}")
     return study
+
+
+def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
+    """A row of another study beside this one: the same runs, so that no table trains them again."""
+    _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
+    owner = read_study(path.parent.parent / entry["from"])
+    (row,) = owner.chosen(name)
+    return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
 
 
 def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], where: str = "") -> None:

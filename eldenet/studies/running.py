@@ -42,13 +42,14 @@ def run_row(
     """All runs of one row: the learning rate's trials, then one run per seed.
 
     Args:
-        study: whose results are stored beside its plan.
+        study: whose results are stored beside its plan; of a row taken from another study, that one.
         row: of it.
         runs: folder for the run folders, ``<runs>/<study>/<row>/...``.
         given: name -> value of what rows ask for.
         seeds: those of the row's seeds to run; None: all. A row without any of them has nothing to do.
         say: prints a line.
     """
+    study = row.owner or study
     chosen = [seed for seed in row.seeds if seeds is None or seed in seeds]
     if not chosen:
         return []
