@@ -1,7 +1,7 @@
 """``python -m eldenet.benchmark``: models, sizes, batches, runtimes, precisions, threads -> one table."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     from eldenet.runlog import RunLog
 
     output = Path(config.output).expanduser()
-    models = load_models(config)
+    models, finish = (load_models(config), None) if config.study is None else study_models(config)
     check_reference(config, list(models))
     cases = list_cases(config, list(models))
     log = RunLog(output)
@@ -85,7 +85,30 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     wanted = {case.key for case in cases}
     rows = [row for key, row in read_rows(output, alike).items() if key in wanted]
     write_results(config, rows, output, log)
+    if finish is not None:
+        log.say(f"the study's latencies: {finish(rows)}")
     return rows
+
+
+def study_models(
+    config: "DictConfig",
+) -> tuple[dict[str, "DepthNet"], Callable[[Sequence[Mapping[str, Any]]], Path]]:
+    """The networks of a study's rows, and what writes their latencies into its folder.
+
+    Raises:
+        ValueError: more than one measurement of each is asked for: refused before measuring.
+    """
+    from eldenet.studies.costs import row_networks, write_costs
+    from eldenet.studies.plan import read_study
+
+    several = [
+        name for name in ("sizes", "batches", "runtimes", "precisions", "threads") if len(config[name]) != 1
+    ]
+    if several:
+        raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
+    study = read_study(config.study)
+    networks, network_of = row_networks(study)
+    return networks, lambda rows: write_costs(study, rows, network_of)
 
 
 def check_reference(config: "DictConfig", names: Sequence[str]) -> None:

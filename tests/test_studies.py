@@ -11,6 +11,7 @@ import pytest
 import scipy.stats
 
 from eldenet import config as cfg
+from eldenet.benchmark import benchmark
 from eldenet.studies import statistics
 from eldenet.studies.plan import read_study
 from eldenet.studies.plots import pareto_front
@@ -163,6 +164,33 @@ def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
     (other / "sweep.yaml").write_text("rows: {unknown: {from: tiny}}")
     with pytest.raises(ValueError, match="has the rows eldenet_s, wrong"):
         read_study(other)
+
+
+def test_latencies_of_a_study(tiny, tmp_path):
+    """Each different network is measured once; the table and the plot show it for every row with it."""
+    plan = re.sub(r"  elsewhere:.*\n", "", (tiny / "sweep.yaml").read_text())
+    plan += "  same: {overrides: [model=eldenet_s, loss=l1_sparse], learning_rate: 1.0e-3}\n"
+    (tiny / "sweep.yaml").write_text(short(plan) + "latency: benchmark.csv\n")
+    row = read_study(tiny).chosen("same")[0]
+    run_row(read_study(tiny), row, tmp_path / "runs")
+    options = [
+        f"study={tiny}",
+        "sizes=[[32,40]]",
+        "runtimes=[torch]",
+        "rounds=1",
+        "seconds=0.01",
+        "memory=false",
+    ]
+    rows = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
+    assert [line["model"] for line in rows] == ["eldenet_s", "eldenet"]
+    with (tiny / "benchmark.csv").open(newline="") as lines:
+        measured = {line["row"]: line for line in csv.DictReader(lines)}
+    assert measured["same"]["latency_ms_p50"] == measured["eldenet_s"]["latency_ms_p50"]
+    assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
+    write_study_report(tiny)
+    assert cells(tiny)["scratch/same"]["benchmark latency [ms] ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
+    with pytest.raises(ValueError, match="give one value of sizes, runtimes"):
+        benchmark(cfg.compose("benchmark", [f"study={tiny}", "sizes=[[32,40],[64,64]]"]))
 
 
 def test_a_killed_row_goes_on(tiny, tmp_path):

@@ -149,7 +149,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     for cost in COSTS if costs else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
-        columns.append(("benchmark latency [ms] ↓", lambda member: latencies.get(member.row.name, "-")))
+        columns.append(("benchmark latency [ms] ↓", partial(_latency, latencies)))
     if any(line[column] for line in expected for column in PUBLISHED):
         for column in (*PUBLISHED, "protocol", "source"):
             columns.append((f"published {column}", partial(Member.published, name=column)))
@@ -207,6 +207,11 @@ def _point(
         latency = member.runs[0]["cost"]["latency_ms_p50"] if costs else None
     values = member.grouped.values("metrics", study.compare)
     return (member.row.name, latency, sum(values) / len(values)) if latency and values else None
+
+
+def _latency(latencies: Mapping[str, str], member: Member) -> str:
+    text = latencies.get(member.row.name)
+    return "-" if text is None else f"{float(text):.2f}"
 
 
 def _latencies(study: Study) -> dict[str, str]:

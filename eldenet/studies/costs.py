@@ -1,0 +1,54 @@
+"""The networks of a study's rows and their latency, for its accuracy-against-latency table and plot."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+from eldenet.record import write_rows
+from eldenet.studies.plan import Study
+from eldenet.studies.running import compose_run
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
+
+COSTS_FILE = "benchmark.csv"
+COLUMNS = ("runtime", "precision", "threads", "device", "batch", "height", "width", "params", "gmacs")
+FACTS = ("processor", "date", "command")
+
+
+def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
+    """The different networks of a study, freshly initialised, and which of them each row has.
+
+    Rows that differ in weights, loss or data alone share one. Options that only some trained run can give
+    (``pretrained`` weights) are left out: they change no latency.
+
+    Returns:
+        Name of the first row with it -> network; row -> that name.
+    """
+    networks: dict[str, DepthNet] = {}
+    first: dict[str, str] = {}
+    network_of: dict[str, str] = {}
+    for row in study.rows:
+        overrides = [*(row.owner or study).overrides, *row.overrides]
+        config = compose_run(overrides, Path("unused"), Path("unused"), name=row.name, seed=0)
+        key = json.dumps(cfg.plain(config.model), sort_keys=True, default=str)
+        name = first.setdefault(key, row.name)
+        if name == row.name:
+            networks[name] = cfg.build_model(config.model).eval()
+        network_of[row.name] = name
+    return networks, network_of
+
+
+def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], network_of: Mapping[str, str]) -> Path:
+    """Write ``benchmark.csv`` of a study: a line for each row whose network was measured, once each."""
+    by_network = {line["model"]: line for line in measured}
+    path = study.folder / COSTS_FILE
+    lines = [
+        [row.name, line["latency_ms_p50"], *(line[name] for name in (*COLUMNS, *FACTS))]
+        for row in study.rows
+        if (line := by_network.get(network_of[row.name])) and line["latency_ms_p50"] is not None
+    ]
+    write_rows(path, ["row", "latency_ms_p50", *COLUMNS, *FACTS], lines)
+    return path
