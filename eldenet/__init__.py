@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from eldenet.model import DepthNet, EncoderDecoder
     from eldenet.predictor import DepthPredictor
-    from eldenet.zoo import list_models, load
+    from eldenet.zoo import list_models, list_weights, load
 
 __version__ = "0.1.0"
-__all__ = ["DepthNet", "DepthPredictor", "EncoderDecoder", "__version__", "list_models", "load"]
+__all__ = [
+    "DepthNet",
+    "DepthPredictor",
+    "EncoderDecoder",
+    "__version__",
+    "list_models",
+    "list_weights",
+    "load",
+]
 
 _HOME_OF = {
     "DepthNet": "eldenet.model",
     "DepthPredictor": "eldenet.predictor",
     "EncoderDecoder": "eldenet.model",
     "list_models": "eldenet.zoo",
+    "list_weights": "eldenet.zoo",
     "load": "eldenet.zoo",
 }
 

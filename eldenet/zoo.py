@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
+WEIGHTS = Path(__file__).resolve().parent / "weights"  # trained on rendered frames alone, so they may ship
+
 
 def list_models() -> list[str]:
     """Names that :func:`load` builds."""
@@ -15,9 +17,15 @@ def list_models() -> list[str]:
     return sorted(path.stem for path in (config_folder() / "model").glob("*.yaml"))
 
 
+def list_weights() -> list[str]:
+    """Trained weights that come with the package: ``eldenet_rooms`` is eldenet trained on rooms."""
+    return sorted(path.parent.name for path in WEIGHTS.glob("*/config.json"))
+
+
 def load(
     source: str | Path,
     *,
+    weights: str | None = None,
     overrides: Sequence[str] = (),
     trusted_modules: Sequence[str] = (),
     revision: str | None = None,
@@ -25,9 +33,11 @@ def load(
     """Build a network by name, or read a trained one.
 
     Args:
-        source: a name of :func:`list_models` (freshly initialised), a folder written by
-            ``save_pretrained``, a run folder of ``eldenet.train`` (its best epoch), or a Hub id
-            ``owner/name``.
+        source: a name of :func:`list_models` (freshly initialised) or of :func:`list_weights` (trained), a
+            folder written by ``save_pretrained``, a run folder of ``eldenet.train`` (its best epoch), or a
+            Hub id ``owner/name``.
+        weights: for a name of :func:`list_models`: what the package's weights for it were trained on
+            (``load("eldenet", weights="rooms")`` is ``load("eldenet_rooms")``).
         overrides: for a name: changes as on the command line, such as ``["model/backbone=pplcnet_x0_75"]`` or
             ``["model.head.max_depth=80"]``.
         trusted_modules: for a folder or Hub id: packages beyond eldenet whose classes its config may name.
@@ -37,12 +47,17 @@ def load(
         The network, in eval mode.
 
     Raises:
-        ValueError: an unknown name, an override that does not fit, or a config that names something
-            untrusted.
+        ValueError: an unknown name, weights that the package does not have, an override that does not fit, or
+            a config that names something untrusted.
         FileNotFoundError: no such folder, or the Hub could not be reached.
     """
     from eldenet.model import DepthNet
 
+    if weights is not None:
+        known = list_weights()
+        if f"{source}_{weights}" not in known:
+            raise ValueError(f"no weights {weights!r} of {source} in the package: it has {', '.join(known)}")
+        source = f"{source}_{weights}"
     if str(source) in list_models():
         from eldenet.config import build_model, compose
 
@@ -51,14 +66,15 @@ def load(
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides change a network built by name; {source} is read as it was saved")
-    folder = Path(source)
+    folder = WEIGHTS / source if str(source) in list_weights() else Path(source)
     if "/" not in str(source) and not folder.is_dir():
         raise ValueError(
-            f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, or give a folder or a "
-            "Hub id 'owner/name'"
+            f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, trained weights "
+            f"({', '.join(list_weights())}), or give a folder or a Hub id 'owner/name'"
         )
     if revision is not None and folder.is_dir():
         raise ValueError(f"revision={revision!r} is for Hub ids; {source} is a folder here")
     if (folder / "model" / "config.json").is_file():
         return DepthNet.from_pretrained(folder / "model", trusted_modules=trusted_modules)
-    return DepthNet.from_pretrained(source, trusted_modules=trusted_modules, revision=revision)
+    found = folder if folder.is_dir() else source
+    return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)
