@@ -42,3 +42,13 @@ def run_command(tmp_path: Path, cache: str):
         )
 
     return run
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """A saved model with every kind of part."""
+    from networks import small_net
+
+    from eldenet.refinement import JointBilateral
+
+    return small_net(refine=JointBilateral()).save_pretrained(tmp_path / "model")

@@ -1,11 +1,117 @@
-"""Weights that come with the package."""
+"""Networks by name, and the weights that come with the package."""
+
+import importlib.util
+import json
+from pathlib import Path
 
 import pytest
 import torch
+from networks import picture, small_net
 
 import eldenet
 from eldenet import config as cfg
+from eldenet.decoders.multi_kernel import MultiKernelDecoder
+from eldenet.heads import LogHead
+from eldenet.model import DepthNet
+from eldenet.profiling import count_params
+from eldenet.refinement import JointBilateral
 from eldenet.zoo import WEIGHTS
+
+NAMES = [
+    "eldenet",
+    "eldenet_l",
+    "eldenet_s",
+    "fastdepth",
+    "guidedepth",
+    "guidedepth_s",
+    "lite_mono",
+    "lite_mono_8m",
+    "lite_mono_small",
+    "lite_mono_tiny",
+    "meter_s",
+    "meter_xs",
+    "meter_xxs",
+    "mobilenet_v1_upconv",
+    "mobilenet_v2_upconv",
+    "mobilenet_v3_small_upconv",
+    "mobilenet_v3_upconv",
+    "resnet152_upconv",
+    "resnet18_upconv",
+    "resnet50_upconv",
+    "senet154_upconv",
+    "seresnet18_upconv",
+    "seresnet50_upconv",
+    "vgg16_upconv",
+]
+SMALL = {"eldenet", "eldenet_l", "eldenet_s", "mobilenet_v3_upconv", "resnet18_upconv"}
+OF_TIMM = {"senet154_upconv", "seresnet18_upconv", "seresnet50_upconv"}
+
+
+def test_public_names() -> None:
+    assert eldenet.list_models() == NAMES
+    assert dir(eldenet) == eldenet.__all__
+    assert all(getattr(eldenet, name) is not None for name in eldenet.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'Depthnet'"):
+        _ = eldenet.Depthnet
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_builds(name: str) -> None:
+    if name in OF_TIMM and importlib.util.find_spec("timm") is None:
+        pytest.skip("timm is not installed")
+    model = eldenet.load(name)
+    assert isinstance(model, DepthNet)
+    assert not model.training
+    assert (model.head.min_depth, model.head.max_depth) == (0.1, 10.0)
+    json.dumps(model.config)
+    if name in SMALL:
+        with torch.inference_mode():
+            assert model(picture(64, 96)).shape == (1, 1, 64, 96)
+
+
+def test_known_sizes() -> None:
+    sizes = {name: count_params(eldenet.load(name)) for name in ("resnet18_upconv", "eldenet", "eldenet_s")}
+    assert sizes["resnet18_upconv"] == 12_396_720
+    assert 0.03 < sizes["eldenet"] / sizes["resnet18_upconv"] < 0.05  # the paper's "0.04x"
+    assert sizes["eldenet_s"] < sizes["eldenet"]
+
+
+def test_overrides_change_what_they_name() -> None:
+    model = eldenet.load(
+        "eldenet",
+        overrides=["model/backbone=pplcnet_x0_25", "model.head.max_depth=80", "model/decoder=multi_kernel"],
+    )
+    assert model.network.backbone.scale == 0.25
+    assert model.head.max_depth == 80
+    assert isinstance(model.network.decoder, MultiKernelDecoder)
+    filtered = eldenet.load("eldenet_s", overrides=["model/refine=joint_bilateral", "model/head=log"])
+    assert isinstance(filtered.refine, JointBilateral)
+    assert isinstance(filtered.head, LogHead)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("model/backbone=pplcnet_x9", "pplcnet_x0_5"),  # the message lists what there is
+        ("model.head.max_dept=80", "max_dept"),
+        ("model.head.max_depth=0.01", "0 < min_depth < max_depth"),
+        ("=", "="),
+    ],
+)
+def test_overrides_that_do_not_fit(override: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        eldenet.load("eldenet", overrides=[override])
+
+
+def test_unknown_names_say_what_there_is() -> None:
+    with pytest.raises(ValueError, match=r"unknown model 'eldenett': choose one of eldenet, .*vgg16_upconv"):
+        eldenet.load("eldenett")
+
+
+def test_overrides_of_a_saved_model_are_refused(tmp_path: Path) -> None:
+    small_net().save_pretrained(tmp_path)
+    with pytest.raises(ValueError, match="overrides change a network built by name"):
+        eldenet.load(tmp_path, overrides=["model.head.max_depth=80"])
 
 
 @pytest.mark.parametrize("name", eldenet.list_weights())

@@ -1,0 +1,31 @@
+"""Small networks that several tests build."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.heads import LinearHead
+from eldenet.model import DepthNet
+
+
+def small_net(seed: int = 0, **options: Any) -> DepthNet:
+    torch.manual_seed(seed)
+    options = {"backbone": PPLCNet(0.25), "decoder": FastUpConvDecoder, "head": LinearHead()} | options
+    return DepthNet.from_parts(**options).eval()
+
+
+def picture(*size: int, seed: int = 0) -> Tensor:
+    return torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(seed))
+
+
+def same_model(a: DepthNet, b: DepthNet) -> bool:
+    """Same config, same tensors and the same output, bit for bit."""
+    image = picture(64, 96)
+    with torch.inference_mode():
+        same = torch.equal(a.eval()(image), b.eval()(image))
+    ours, theirs = a.state_dict(), b.state_dict()
+    same &= a.config == b.config and list(ours) == list(theirs)
+    return same and all(torch.equal(ours[name], theirs[name]) for name in ours)

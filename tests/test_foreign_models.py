@@ -1,0 +1,198 @@
+"""A config from elsewhere: nothing in it is executed, damage is named."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from networks import small_net
+
+import eldenet
+from eldenet.backbones.resnet import ResNet
+from eldenet.model import DepthNet
+
+
+@pytest.fixture
+def foreign_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A module that leaves a mark when it is imported."""
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "somebodys_parts.py").write_text(
+        "from pathlib import Path\n"
+        f"Path({str(tmp_path / 'mark')!r}).touch()\n"
+        "from eldenet.heads import LinearHead\n"
+        "class TheirHead(LinearHead):\n    pass\n"
+        "def function(**_):\n    raise SystemExit\n"
+    )
+    monkeypatch.syspath_prepend(folder)
+    yield "somebodys_parts"
+    sys.modules.pop("somebodys_parts", None)
+
+
+def rewrite(folder: Path, change: Any) -> None:
+    path = folder / "config.json"
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def nodes(value: Any) -> Iterator[dict[str, Any]]:
+    """Every mapping with a ``_target_``, outermost first."""
+    if isinstance(value, dict):
+        if "_target_" in value:
+            yield value
+        for item in value.values():
+            yield from nodes(item)
+
+
+HOSTILE = [
+    "os.system",
+    "builtins.eval",
+    "eval",
+    "",
+    "subprocess.Popen",
+    "torch.nn.Linear",
+    "torch.load",
+    "functools.partial",
+    "somebodys_parts.TheirHead",
+    "eldenet.config.instantiate",
+    "eldenet.trainer.Trainer",
+    "eldenet.data.nyu.NYULabelled",
+    "eldenet.headsX.Head",
+    "eldenet.model.json.loads",
+    "eldenet.model.json.codecs.open",
+    "eldenet.model.torch.load",
+    "eldenet.model.torch",
+    "eldenet.model.Path",
+    "eldenet.model.build",
+    "eldenet.model.DepthNet.from_pretrained",
+    "eldenet.model.DepthNet.__init__",
+    "eldenet.heads..LinearHead",
+    "eldenet.heads.nn.Linear",
+    "eldenet.backbones.nothing.Here",
+    "eldenet.backbones.weights.read_weights",
+    "eldenet.backbones.weights.download_from_hub",
+    "..heads.LinearHead",
+]
+
+
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("target", HOSTILE)
+def test_foreign_targets_are_refused_wherever_they_stand(
+    target: str, place: int, saved: Path, foreign_module: str
+) -> None:
+    def change(content: dict[str, Any]) -> None:
+        places = list(nodes(content["model"]))
+        assert len(places) == 5  # DepthNet, EncoderDecoder, backbone, decoder, head
+        places[place]["_target_"] = target
+
+    rewrite(saved, lambda content: content["model"].pop("refine"))
+    rewrite(saved, change)
+    before = set(sys.modules)
+    with pytest.raises(ValueError, match=r"refused to build|can't build"):
+        DepthNet.from_pretrained(saved)
+    assert foreign_module not in sys.modules
+    assert not (saved.parent / "mark").exists()
+    assert {name for name in set(sys.modules) - before if not name.startswith("eldenet")} == set()
+
+
+@pytest.mark.parametrize("depth", [1, 2, 30])
+def test_foreign_targets_are_refused_however_deep(depth: int, saved: Path, foreign_module: str) -> None:
+    hostile: Any = {"_target_": f"{foreign_module}.TheirHead"}
+    for level in range(depth):
+        hostile = [hostile] if level % 2 else {"deeper": hostile}
+    rewrite(saved, lambda content: content["model"]["head"].update(min_depth=hostile))
+    with pytest.raises(ValueError, match=r"refused to build 'somebodys_parts\.TheirHead'"):
+        DepthNet.from_pretrained(saved)
+    assert foreign_module not in sys.modules
+
+
+def test_a_trusted_module_is_used(saved: Path, foreign_module: str) -> None:
+    rewrite(saved, lambda content: content["model"]["head"].update(_target_="somebodys_parts.TheirHead"))
+    with pytest.raises(ValueError, match=r"name it: trusted_modules=\[\.\.\.\]"):
+        eldenet.load(saved)
+    with pytest.raises(ValueError, match="refused to build"):
+        eldenet.load(saved, trusted_modules=["somebodys", "somebodys_parts.more"])
+    with pytest.raises(ValueError, match=r"a list is needed, \['somebodys_parts'\]"):
+        eldenet.load(saved, trusted_modules="somebodys_parts")
+    assert not (saved.parent / "mark").exists()
+    model = eldenet.load(saved, trusted_modules=["somebodys_parts"])
+    assert type(model.head).__name__ == "TheirHead"
+    assert (saved.parent / "mark").exists()
+    rewrite(saved, lambda content: content["model"]["head"].update(_target_="somebodys_parts.function"))
+    with pytest.raises(ValueError, match="not a Configurable class of somebodys_parts"):
+        eldenet.load(saved, trusted_modules=["somebodys_parts"])
+
+
+@pytest.mark.parametrize("pretrained", [True, "/etc/hostname", "IMAGENET1K_V1"])
+def test_a_saved_model_fetches_nothing(
+    pretrained: bool | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("something was fetched or read")
+
+    monkeypatch.setattr("eldenet.backbones.resnet.load_torchvision_weights", never)
+    folder = small_net(backbone=ResNet(18)).save_pretrained(tmp_path)
+    rewrite(folder, lambda content: content["model"]["network"]["backbone"].update(pretrained=pretrained))
+    with pytest.raises(ValueError, match="refused pretrained="):
+        eldenet.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda content: content.pop("model"), "no entry 'model': not an eldenet model folder"),
+        (lambda content: content.update(model=None), "describes a NoneType, not a DepthNet"),
+        (
+            lambda content: content.update(model=content["model"]["head"]),
+            "describes a LinearHead, not a DepthNet",
+        ),
+        (lambda content: content["model"].update(_partial_=True), "describes a partial, not a DepthNet"),
+        (lambda content: content["model"]["network"].update(backbone=None), "EncoderDecoder does not fit"),
+        (lambda content: content["model"]["network"].update(decoder=7), "EncoderDecoder does not fit"),
+        (lambda content: content["model"].update(mean=[0.5]), "DepthNet does not fit"),
+        (lambda content: content["model"]["head"].update(max_depth="far"), "LinearHead does not fit"),
+        (lambda content: content["model"]["head"].update(max_depth=-1), "0 < min_depth < max_depth"),
+        (lambda content: content["model"]["head"].update(colour="red"), "LinearHead does not fit.*colour"),
+        (
+            lambda content: content["model"]["network"]["backbone"].update(scale=0.5),
+            "does not fit its own config",
+        ),
+    ],
+)
+def test_damaged_configs_say_so(change: Any, message: str, saved: Path) -> None:
+    rewrite(saved, change)
+    with pytest.raises(ValueError, match=message):
+        DepthNet.from_pretrained(saved)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"7", b"\xff\xfe\x00"])
+def test_a_config_that_is_no_config(content: bytes, saved: Path) -> None:
+    (saved / "config.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"config\.json (can't be read as JSON|has no entry 'model')"):
+        DepthNet.from_pretrained(saved)
+
+
+@pytest.mark.parametrize("keep", [0, 5, 100, 0.5, -1])
+def test_truncated_weights_name_the_file(keep: float, saved: Path) -> None:
+    path = saved / "model.safetensors"
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content)) if keep == 0.5 else int(keep)])
+    with pytest.raises(ValueError, match=r"model\.safetensors is not a whole safetensors file"):
+        DepthNet.from_pretrained(saved)
+
+
+def test_a_pickle_is_no_safetensors(saved: Path) -> None:
+    torch.save(small_net().state_dict(), saved / "model.safetensors")
+    with pytest.raises(ValueError, match=r"model\.safetensors is not a whole safetensors file"):
+        DepthNet.from_pretrained(saved)
+
+
+@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+def test_missing_files_are_named(name: str, saved: Path) -> None:
+    (saved / name).unlink()
+    with pytest.raises(FileNotFoundError, match=f"has no {name}: not an eldenet model folder"):
+        eldenet.load(saved)

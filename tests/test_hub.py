@@ -1,0 +1,99 @@
+"""Models of the Hub and of torch.hub."""
+
+import importlib.util
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from networks import picture, same_model, small_net
+
+import eldenet
+from eldenet.model import DepthNet
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+def test_offline_hub_says_so_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    def offline(*_: Any, **__: Any) -> str:
+        raise ConnectionError("no route to host")
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", offline)
+    start = time.perf_counter()
+    with pytest.raises(
+        FileNotFoundError, match=r"somebody/depth is no folder here.*ConnectionError: no route"
+    ):
+        eldenet.load("somebody/depth")
+    assert time.perf_counter() - start < 5
+
+
+def test_hub_folder_is_read_like_any_other(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {}
+
+    def download(repo_id: str, **options: Any) -> str:
+        asked.update(options, repo_id=repo_id)
+        return str(saved)
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", download)
+    model = eldenet.load("somebody/depth", revision="v2")
+    assert same_model(model, DepthNet.from_pretrained(saved))
+    assert asked == {
+        "repo_id": "somebody/depth", "revision": "v2", "allow_patterns": ["config.json", "model.safetensors"],
+    }  # fmt: skip
+    (saved / "model.safetensors").unlink()
+    with pytest.raises(FileNotFoundError, match=r"somebody/depth has no model\.safetensors"):
+        eldenet.load("somebody/depth")
+
+
+@pytest.mark.parametrize("source", ["/no/such/folder", "a/b/c", "./nothing/here"])
+def test_paths_that_are_nowhere_do_not_ask_the_hub(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **__: pytest.fail("asked the Hub"))
+    with pytest.raises(FileNotFoundError, match="neither a folder here nor a Hub id"):
+        eldenet.load(source)
+
+
+def test_push_uploads_both_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls: list[tuple[str, Any]] = []
+
+    class Api:
+        def __init__(self, token: str | None = None) -> None:
+            calls.append(("token", token))
+
+        def create_repo(self, repo_id: str, **options: Any) -> None:
+            calls.append(("create", (repo_id, options)))
+
+        def upload_folder(self, *, repo_id: str, folder_path: str) -> str:
+            files = {path.name: path.read_bytes() for path in Path(folder_path).iterdir()}
+            calls.append(("upload", (repo_id, files)))
+            return f"https://hub/{repo_id}/commit/1"
+
+    monkeypatch.setattr("huggingface_hub.HfApi", Api)
+    model = small_net()
+    assert model.push_to_hub("me/depth", private=True, info={"a": 1}) == "https://hub/me/depth/commit/1"
+    assert calls[:2] == [("token", None), ("create", ("me/depth", {"private": True, "exist_ok": True}))]
+    repository, files = calls[2][1]
+    assert repository == "me/depth"
+    assert set(files) == {"config.json", "model.safetensors"}
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    assert same_model(DepthNet.from_pretrained(tmp_path), model)
+
+
+def test_torch_hub_offers_the_same_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = importlib.util.spec_from_file_location("hubconf", REPOSITORY / "hubconf.py")
+    hubconf = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hubconf)
+    # torch.hub.list's own rule
+    public = [name for name in dir(hubconf) if callable(getattr(hubconf, name)) and not name.startswith("_")]
+    assert sorted(public) == eldenet.list_models()
+    assert all(getattr(hubconf, name).__doc__ for name in public)
+
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    options = {"repo_or_dir": str(REPOSITORY), "source": "local", "model": "eldenet_s"}
+    model = torch.hub.load(**options, overrides=["model.head.max_depth=4"])
+    assert (type(model).__name__, model.head.max_depth, model.training) == ("DepthNet", 4, False)
+    assert model(picture(32, 48)).shape == (1, 1, 32, 48)
+    with pytest.raises(TypeError, match="pretrained"):
+        torch.hub.load(**options, pretrained=True)

@@ -1,0 +1,146 @@
+"""Networks written down and read back."""
+
+import functools
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from networks import same_model, small_net
+from torch import nn
+
+import eldenet
+from eldenet.backbones.mobilenet import MobileNetV2, MobileNetV3
+from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.backbones.resnet import ResNet
+from eldenet.backbones.vgg import VGG16
+from eldenet.configurable import build
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.decoders.multi_kernel import MultiKernelDecoder
+from eldenet.decoders.upconv import UpConvDecoder
+from eldenet.heads import InverseHead, LinearHead, LogHead
+from eldenet.model import DepthNet, EncoderDecoder
+from eldenet.refinement import JointBilateral
+
+
+def timm_backbone() -> nn.Module:
+    if importlib.util.find_spec("timm") is None:
+        pytest.skip("timm is not installed")
+    from eldenet.backbones.timm import TimmBackbone
+
+    return TimmBackbone("lcnet_035")
+
+
+BACKBONES = {
+    "pplcnet": functools.partial(PPLCNet, 0.25, stem_feature=True),
+    "mobilenet_v2": MobileNetV2,
+    "mobilenet_v3": functools.partial(MobileNetV3, "small"),
+    "resnet": functools.partial(ResNet, 18),
+    "vgg": functools.partial(VGG16, batch_norm=True),
+    "timm": timm_backbone,
+}
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_every_backbone_comes_back(name: str, tmp_path: Path) -> None:
+    model = small_net(backbone=BACKBONES[name]())
+    model.save_pretrained(tmp_path)
+    assert same_model(DepthNet.from_pretrained(tmp_path), model)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"head": InverseHead(0.2, 80.0)},
+        {"head": LogHead(max_depth=20)},
+        {"refine": JointBilateral(3, sigma_color=0.2)},
+        {"decoder": functools.partial(FastUpConvDecoder, fusion="none", width=24, lateral_strides=None)},
+        {"decoder": functools.partial(FastUpConvDecoder, lateral_strides=(16, 8))},
+        {"decoder": functools.partial(MultiKernelDecoder, kernels=((3, 3), (5, 5)), max_shuffle=2)},
+        {"decoder": functools.partial(UpConvDecoder, fast=True)},
+        {"decoder": lambda info: UpConvDecoder(info)},
+        {"mean": (0.5, 0.5, 0.5), "std": [0.25, 0.25, 0.25]},
+    ],
+)
+def test_every_part_comes_back(options: dict[str, Any], tmp_path: Path) -> None:
+    model = small_net(**options)
+    assert model.save_pretrained(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
+    back = eldenet.load(tmp_path / "new" / "folder")
+    assert same_model(back, model)
+    assert not back.training
+    back.save_pretrained(tmp_path / "again")
+    assert same_model(eldenet.load(str(tmp_path / "again")), model)
+
+
+def test_hand_built_model_comes_back(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = EncoderDecoder(MobileNetV3(size="small"), FastUpConvDecoder)
+    model = DepthNet(network, LogHead(0.5, 6), refine=JointBilateral())
+    model.train().save_pretrained(tmp_path)
+    assert same_model(DepthNet.from_pretrained(tmp_path), model)
+
+
+def test_run_folders_and_info(tmp_path: Path) -> None:
+    model = small_net()
+    info = {"data": "rooms", "delta1": 0.5}
+    model.save_pretrained(tmp_path / "run" / "model", info=info)
+    loaded = eldenet.load(tmp_path / "run")
+    assert same_model(loaded, model)
+    assert loaded.info == info
+    loaded.save_pretrained(tmp_path / "copy")
+    assert eldenet.load(tmp_path / "copy").info == info
+    assert sorted(path.name for path in (tmp_path / "copy").iterdir()) == ["config.json", "model.safetensors"]
+
+
+def test_pretrained_is_not_saved(tmp_path: Path) -> None:
+    torch.save(ResNet(18).state_dict(), tmp_path / "resnet18.pth")
+    model = small_net(backbone=ResNet(18, pretrained=str(tmp_path / "resnet18.pth")))
+    model.save_pretrained(tmp_path / "model")
+    assert "pretrained" not in (tmp_path / "model" / "config.json").read_text()
+    (tmp_path / "resnet18.pth").unlink()
+    assert same_model(eldenet.load(tmp_path / "model"), model)
+
+
+def test_what_nobody_could_rebuild_is_refused(tmp_path: Path) -> None:
+    model = DepthNet(nn.Conv2d(3, 1, 1), LinearHead())
+    with pytest.raises(ValueError, match=r"Conv2d is not JSON serializable.*subclass Configurable"):
+        model.save_pretrained(tmp_path / "model")
+    with pytest.raises(ValueError, match="info"):
+        small_net().save_pretrained(tmp_path / "model", info={"when": object()})
+    assert not (tmp_path / "model").exists()
+
+
+class Wide(FastUpConvDecoder):
+    """Somebody's own decoder, with options that it only passes on."""
+
+    def __init__(self, feature_info: Any, **options: Any) -> None:
+        super().__init__(feature_info, **{"width": 16} | options)
+
+
+def test_passed_on_options_are_written_down(tmp_path: Path) -> None:
+    model = small_net(decoder=functools.partial(Wide, min_channels=4, fusion="none"))
+    assert model.config["network"]["decoder"] == {
+        "_target_": f"{__name__}.Wide",
+        "_partial_": True,
+        "min_channels": 4,
+        "fusion": "none",
+    }
+    model.save_pretrained(tmp_path)
+    assert same_model(DepthNet.from_pretrained(tmp_path, trusted_modules=[__name__]), model)
+
+
+def test_parts_know_how_they_were_built() -> None:
+    assert ResNet(18, pretrained=False).config == {"_target_": "eldenet.backbones.resnet.ResNet", "depth": 18}
+    assert LinearHead(max_depth=4).config == {
+        "_target_": "eldenet.heads.LinearHead", "min_depth": 0.1, "max_depth": 4,
+    }  # fmt: skip
+    assert isinstance(build(LinearHead().config), LinearHead)
+    with pytest.raises(TypeError, match="max_dept"):
+        LinearHead(max_dept=4)
+
+
+def test_saved_files_are_as_readable_as_any_other(tmp_path):
+    eldenet.load("eldenet_s").save_pretrained(tmp_path)
+    modes = {(tmp_path / name).stat().st_mode for name in ("config.json", "model.safetensors")}
+    assert len(modes) == 1
