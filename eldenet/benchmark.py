@@ -1,5 +1,6 @@
 """``python -m eldenet.benchmark``: models, sizes, batches, runtimes, precisions, threads -> one table."""
 
+import hashlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -213,7 +214,9 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
     graph, facts = folder / f"{stem}.onnx", describe(model, case.model, size)
     if config.overwrite or not graph.is_file():
         write_onnx(model, graph, size, batch=case.batch, metadata=facts)
-    quantised = "-int8" if case.precision == "int8" else ""
+    # the scales of int8 come from the calibration pictures: others make another file
+    pictures = hashlib.sha256(f"{config.pictures} {config.calibration}".encode()).hexdigest()[:8]
+    quantised = f"-int8-{pictures}" if case.precision == "int8" else ""
     path = folder / f"{stem}{quantised}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
     if path.is_file() and not (config.overwrite and path != graph):
         return path
@@ -222,8 +225,8 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
     from eldenet.export import read_pictures
     from eldenet.predictor import as_image, resized
 
-    pictures = read_pictures(config.pictures, config.calibration, "train")
-    inputs = [as_image(resized(picture, size)).repeat(case.batch, axis=0) for picture in pictures]
+    frames = read_pictures(config.pictures, config.calibration, "train")
+    inputs = [as_image(resized(frame, size)).repeat(case.batch, axis=0) for frame in frames]
     if case.runtime == "onnxruntime":
         return quantise_onnx(graph, path, inputs)
     return quantise_openvino(graph, path, inputs, facts)

@@ -1,0 +1,430 @@
+"""What may happen to a file of a data set: cut, emptied, flipped bits, other contents, ..."""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from scipy.io import loadmat, savemat
+
+RNG = np.random.default_rng
+
+Damage = Callable[[Path, np.random.Generator], None]
+
+
+# --- what may happen to any file ---------------------------------------------------------------------------
+
+
+def cut(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: generator.integers(1, len(content) - 2)])
+
+
+def empty(path: Path, _: np.random.Generator) -> None:
+    path.write_bytes(b"")
+
+
+def gone(path: Path, _: np.random.Generator) -> None:
+    path.unlink()
+
+
+def folder_instead(path: Path, _: np.random.Generator) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def web_page(path: Path, _: np.random.Generator) -> None:
+    path.write_bytes(b"<!DOCTYPE html><html><body>404: you are not logged in</body></html>\n" * 16)
+
+
+def wrong_start(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(generator.bytes(8).replace(b"\xff", b"\0") + content[8:])
+
+
+def zeros_at(path: Path, generator: np.random.Generator, first: int, last: int) -> None:
+    content = bytearray(path.read_bytes())
+    at = int(generator.integers(first, max(first + 1, last)))
+    content[at : at + 64] = bytes(len(content[at : at + 64]))
+    path.write_bytes(content)
+
+
+def zeros(path: Path, generator: np.random.Generator) -> None:
+    zeros_at(path, generator, 0, path.stat().st_size - 64)
+
+
+def flipped_bit(path: Path, generator: np.random.Generator) -> None:
+    """Of a file under a check sum (PNG)."""
+    content = bytearray(path.read_bytes())
+    content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
+    path.write_bytes(content)
+
+
+ANY = (cut, empty, gone, folder_instead, web_page, wrong_start)
+
+
+# --- to pictures --------------------------------------------------------------------------------------------
+
+
+def picture(path: Path) -> np.ndarray:
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
+def write(path: Path, array: np.ndarray, kind: str | None = None) -> None:
+    ok, content = cv2.imencode(kind or path.suffix, array)
+    assert ok
+    path.write_bytes(content.tobytes())
+
+
+def other_depth(path: Path, _: np.random.Generator) -> None:
+    """Sixteen bits where eight are due, and the other way round."""
+    old = picture(path)
+    new = old.astype(np.uint16) * 257 if old.dtype == np.uint8 else (old // 257).astype(np.uint8)
+    write(path, new, ".png")
+
+
+def more_channels(path: Path, _: np.random.Generator) -> None:
+    old = picture(path)
+    eight = old if old.dtype == np.uint8 else (old // 257 + 1).astype(np.uint8)
+    write(path, cv2.applyColorMap(eight, cv2.COLORMAP_JET))
+
+
+def grey(path: Path, _: np.random.Generator) -> None:
+    write(path, cv2.cvtColor(picture(path), cv2.COLOR_BGR2GRAY))
+
+
+def turned(path: Path, _: np.random.Generator) -> None:
+    write(path, np.ascontiguousarray(picture(path).swapaxes(0, 1)))
+
+
+def halved(path: Path, _: np.random.Generator) -> None:
+    write(path, np.ascontiguousarray(picture(path)[::2, ::2]))
+
+
+PNG = (*ANY, cut, zeros, flipped_bit)
+DEPTH_PNG = (*PNG, other_depth, more_channels, turned, halved)
+COLOUR_PNG = (*PNG, other_depth, grey, turned, halved)
+
+
+def zeros_in_pixels(path: Path, generator: np.random.Generator) -> None:
+    """Of a JPEG: after its tables, which are as good with a zero."""
+    content = path.read_bytes()
+    zeros_at(path, generator, content.index(b"\xff\xda") + 14, len(content) - 80)
+
+
+COLOUR_JPG = (*ANY, cut, zeros_in_pixels, other_depth, grey, turned, halved)
+
+
+# --- to arrays ----------------------------------------------------------------------------------------------
+
+
+def array(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        np.save(path, change(np.load(path)))
+
+    return damage
+
+
+def as_npz(path: Path, _: np.random.Generator) -> None:
+    values = np.load(path)
+    with path.open("wb") as file:
+        np.savez(file, depth=values)
+
+
+def as_objects(path: Path, _: np.random.Generator) -> None:
+    np.save(path, np.array([{"depth": 1}], dtype=object), allow_pickle=True)
+
+
+def zeros_in_header(path: Path, generator: np.random.Generator) -> None:
+    zeros_at(path, generator, 0, 50)
+
+
+NPY = (
+    *ANY,
+    cut,
+    as_npz,
+    as_objects,
+    zeros_in_header,
+    array(lambda a: a[:-1]),
+    array(lambda a: a[None, None]),
+)
+NAN = array(lambda a: np.full_like(a, np.nan))
+NEGATIVE = array(lambda a: -a)
+INFINITE = array(lambda a: np.full_like(a, np.inf))
+DEPTH_NPY = (*NPY, NAN, NEGATIVE, INFINITE, array(lambda a: (a * 1000).astype(np.uint16)))
+MTAN_IMAGE = (*NPY, NAN, array(lambda a: a * 255), array(lambda a: a[..., 0]), array(lambda a: a - 0.5))
+MTAN_DEPTH = (*NPY, NAN, NEGATIVE, INFINITE, array(lambda a: a * 80))
+
+
+def pfm(path: Path, metres: np.ndarray) -> None:
+    height, width = metres.shape
+    path.write_bytes(b"Pf\n%d %d\n-1.0\n" % (width, height) + metres[::-1].astype("<f4").tobytes())
+
+
+def pfm_header(text: bytes) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        content = path.read_bytes()
+        path.write_bytes(text + content[content.index(b"-1.0\n") + 5 :])
+
+    return damage
+
+
+PFM = (
+    *ANY,
+    cut,
+    *map(pfm_header, (b"Pf\n64 48\n", b"PF\n64 48\n-1\n", b"Pf\n64 48\n--\n", b"Pf\n48 64\n-1\n")),
+)
+
+
+def exr(path: Path, metres: np.ndarray) -> None:
+    OpenEXR = pytest.importorskip("OpenEXR")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Z": metres.astype(np.float32)}).write(str(path))
+
+
+# --- to HDF5, .mat and tar ----------------------------------------------------------------------------------
+
+
+def hdf5(change: Callable[[h5py.File], None]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        with h5py.File(path, "r+") as file:
+            change(file)
+
+    return damage
+
+
+def replaced(key: str, change: Callable[[np.ndarray], Any]) -> Damage:
+    def damage(file: h5py.File) -> None:
+        new = change(file[key][()])
+        del file[key]
+        file[key] = new
+
+    return hdf5(damage)
+
+
+def without(key: str) -> Damage:
+    def damage(file: h5py.File) -> None:
+        del file[key]
+
+    return hdf5(damage)
+
+
+def group(key: str) -> Damage:
+    def damage(file: h5py.File) -> None:
+        del file[key]
+        file.create_group(key)
+
+    return hdf5(damage)
+
+
+def zeros_in_tables(path: Path, generator: np.random.Generator) -> None:
+    """Over the superblock of an HDF5 file."""
+    zeros_at(path, generator, 0, 8)
+
+
+H5 = (
+    *(*ANY, cut, cut, zeros_in_tables, without("rgb"), without("depth"), group("rgb"), group("depth")),
+    *(replaced("rgb", lambda a: a.astype(np.uint16)), replaced("rgb", lambda a: a.transpose(1, 2, 0))),
+    *(
+        replaced("rgb", lambda a: a[0]),
+        replaced("depth", lambda a: a.T),
+        replaced("depth", lambda a: a[None]),
+    ),
+    *(replaced("depth", lambda a: -a), replaced("depth", lambda a: a * np.nan)),
+    *(replaced("depth", lambda a: a * 1000), replaced("depth", lambda a: (a * 1000).astype(np.uint16))),
+)
+MAT = (
+    *(
+        *ANY,
+        cut,
+        cut,
+        zeros_in_tables,
+        without("images"),
+        without("depths"),
+        group("images"),
+        group("depths"),
+    ),
+    *(replaced("images", lambda a: a.astype(np.float32)), replaced("images", lambda a: a[:, 0])),
+    *(replaced("depths", lambda a: a.swapaxes(1, 2)), replaced("depths", lambda a: a[1:])),
+    *(replaced("images", lambda a: a[:3]), replaced("depths", lambda a: a[0])),
+)
+
+
+def in_frame(number: int, change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def damage(file: h5py.File) -> None:
+        file["depths"][number - 1] = change(file["depths"][number - 1])
+
+    return hdf5(damage)
+
+
+def split(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        savemat(path, change({key: loadmat(path)[key] for key in ("trainNdxs", "testNdxs")}))
+
+    return damage
+
+
+SPLITS_MAT = (
+    *(empty, gone, folder_instead, web_page),
+    split(lambda s: {"trainNdxs": s["trainNdxs"]}),
+    split(lambda s: {"testNdxs": s["testNdxs"]}),
+    split(lambda s: s | {"trainNdxs": s["trainNdxs"] * 0}),
+    split(lambda s: s | {"trainNdxs": s["testNdxs"]}),
+    split(lambda s: s | {"testNdxs": np.array([["a"]])}),
+)
+
+
+def cut_split(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: generator.integers(130, len(content) - 60)])  # before the second list ends
+
+
+def tar_header(path: Path, _: np.random.Generator) -> None:
+    """The header of the file in it is zeros: that looks like the end of an archive."""
+    content = bytearray(path.read_bytes())
+    start = content.index(b"\x89HDF") - 512
+    content[start : start + 512] = bytes(512)
+    path.write_bytes(content)
+
+
+def tar_cut(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: generator.integers(600, len(content) - 12000)])
+
+
+TAR = (empty, web_page, folder_instead, tar_header, tar_cut, tar_cut, tar_cut)
+
+
+def member(change: Damage) -> Damage:
+    """The one HDF5 file within a shard, damaged without changing its length."""
+
+    def damage(path: Path, generator: np.random.Generator) -> None:
+        content = bytearray(path.read_bytes())
+        start = content.index(b"\x89HDF")
+        size = int(content[start - 512 + 124 : start - 512 + 135], 8)
+        part = path.with_name("member.h5")
+        part.write_bytes(content[start : start + size])
+        change(part, generator)
+        new = part.read_bytes()
+        part.unlink()
+        content[start : start + size] = new[:size].ljust(size, b"\0")
+        path.write_bytes(content)
+
+    return damage
+
+
+# --- to text ------------------------------------------------------------------------------------------------
+
+
+def text(change: Callable[[str], str]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        path.write_text(change(path.read_text()))
+
+    return damage
+
+
+def binary(path: Path, generator: np.random.Generator) -> None:
+    path.write_bytes(b"\xff\xfe\x00" + generator.bytes(200))
+
+
+def keys(change: Callable[[dict], None]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+
+    return damage
+
+
+def cut_before(mark: str) -> Damage:
+    """Cut at a random place before the last number (or bracket) that is needed, which follows ``mark``."""
+
+    def damage(path: Path, generator: np.random.Generator) -> None:
+        content = path.read_text()
+        path.write_text(content[: generator.integers(1, content.index(mark))])
+
+    return damage
+
+
+def cut_in_line(path: Path, generator: np.random.Generator) -> None:
+    """Cut a list within its last line."""
+    content = path.read_text().rstrip("\n")
+    path.write_text(content[: generator.integers(content.rindex("\n") + 2, len(content) - 1)])
+
+
+TEXT = (empty, gone, folder_instead, web_page, binary, zeros)
+LIST = (*TEXT, cut_in_line, cut_in_line, text(lambda t: t.replace(",", ";")), text(lambda t: t + "a,b,c\n"))
+CAMERA = (
+    *(*TEXT, cut_before("}}"), cut_before("}}"), keys(lambda c: c["extrinsic"].pop("baseline"))),
+    *(keys(lambda c: c["intrinsic"].pop("fx")), keys(lambda c: c.pop("extrinsic"))),
+    *(keys(lambda c: c["intrinsic"].update(fx=-1)), keys(lambda c: c["intrinsic"].update(u0=float("nan")))),
+    *(keys(lambda c: c["extrinsic"].update(baseline=0)), keys(lambda c: c["intrinsic"].update(fy=None))),
+    keys(lambda c: c["extrinsic"].update(baseline=float("inf"))),
+)
+CAM_TO_CAM = (
+    *(
+        *TEXT[:-1],
+        cut_before("0.2163791"),
+        cut_before("0.2163791"),
+        text(lambda t: t.replace("P_rect_02", "P")),
+    ),
+    *(text(lambda t: t.replace("721.5377", "x", 1)), text(lambda t: t.replace("721.5377", "nan"))),
+    *(text(lambda t: t.replace("721.5377", "0")), text(lambda t: t.replace(" 1 0.0027", " 0.0027"))),
+)
+VELO_TO_CAM = (
+    *(
+        *TEXT,
+        cut_before("-0.0763"),
+        text(lambda t: t.replace("R:", "S:")),
+        text(lambda t: t.replace("T:", "U:")),
+    ),
+    *(text(lambda t: t.replace("-0.0763", "inf")), text(lambda t: t.replace("T: 0 ", "T: "))),
+)
+INTRINSICS = (
+    *(empty, folder_instead, web_page, binary, zeros, cut_before("149.854"), cut_before("0 0 1")),
+    *(text(lambda t: t.replace("721", "-721")), text(lambda t: t.replace("149.854", "nan"))),
+)
+
+
+# --- to LiDAR scans -----------------------------------------------------------------------------------------
+
+
+def scan(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        change(np.fromfile(path, "<f4").reshape(-1, 4)).tofile(path)
+
+    return damage
+
+
+def scan_cut(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: 16 * generator.integers(len(content) // 16) + generator.integers(1, 16)])
+
+
+def spaces(path: Path, _: np.random.Generator) -> None:
+    path.write_bytes(b" " * 1600)  # as floats: points within a nanometre
+
+
+SCAN = (
+    *(
+        empty,
+        folder_instead,
+        web_page,
+        spaces,
+        scan_cut,
+        scan_cut,
+        scan_cut,
+        scan(lambda p: p * np.float32("nan")),
+    ),
+    *(scan(lambda p: p.byteswap()), scan(lambda p: p.astype(np.float64)), scan(lambda p: p * 1e6)),
+    scan(lambda p: np.vstack([p, [[np.inf, 0, 0, 0]]]).astype(np.float32)),
+)
+
+
+def without_gone(damages: Sequence[Damage]) -> Sequence[Damage]:
+    """Where the files make the list of frames, none is missed."""
+    return [damage for damage in damages if damage is not gone]
