@@ -1,7 +1,9 @@
-"""Learning-rate schedules, as factors of the optimiser's own rate, stepped once per update."""
+"""Learning rates: of the backbone beside the rest, and schedules, as factors of the optimiser's own rate."""
 
 import math
+from collections.abc import Callable
 
+from torch import nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR
 
@@ -57,3 +59,31 @@ def epoch_decay(
 ) -> LambdaLR:
     """The rate is multiplied by ``decay`` after every epoch: the paper's "weight decay 0.9", read so."""
     return LambdaLR(optimizer, lambda step: decay ** (step // steps_per_epoch))
+
+
+def build_optimizer(
+    make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr: float = 1.0
+) -> Optimizer:
+    """An optimiser of all parameters; the backbone's learn at ``backbone_lr`` times its rate.
+
+    A trained backbone forgets at the rate that a new decoder needs (Howard & Ruder 2018, "discriminative
+    fine-tuning").
+
+    Raises:
+        ValueError: the network has no backbone to slow down, or the factor is negative.
+    """
+    if not backbone_lr >= 0:
+        raise ValueError(f"backbone_lr={backbone_lr}: 0 (frozen but for its statistics) or more is needed")
+    every = [*model.parameters(), *loss.parameters()]
+    if backbone_lr == 1:
+        return make(every)
+    backbone = getattr(getattr(model, "network", None), "backbone", None)
+    if backbone is None:
+        raise ValueError(
+            f"backbone_lr={backbone_lr}: this network has no backbone apart from the rest, give 1"
+        )
+    slow = list(backbone.parameters())
+    known = {id(parameter) for parameter in slow}
+    optimizer = make([{"params": [p for p in every if id(p) not in known]}, {"params": slow}])
+    optimizer.param_groups[1]["lr"] *= backbone_lr
+    return optimizer

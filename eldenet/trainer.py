@@ -20,6 +20,7 @@ from eldenet.metrics import LOWER_IS_BETTER, METRICS, EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.resources import Resources, make_accelerator, seed_everything
 from eldenet.runlog import RunLog
+from eldenet.schedules import build_optimizer
 
 
 class Trainer:
@@ -32,6 +33,7 @@ class Trainer:
         batch_size: images per process and batch.
         accumulate: batches per update.
         gradient_clip: largest norm of the gradient; None: not clipped.
+        backbone_lr: learning rate of the network's backbone, as a factor of the optimiser's.
         ema_decay: decay per update of an exponential moving average of the weights, which is then what is
             evaluated and saved; None: none.
         channels_last: memory layout of images and weights.
@@ -50,6 +52,7 @@ class Trainer:
         batch_size: int = 32,
         accumulate: int = 1,
         gradient_clip: float | None = None,
+        backbone_lr: float = 1.0,
         ema_decay: float | None = None,
         channels_last: bool = True,
         monitor: str = "delta1",
@@ -65,18 +68,14 @@ class Trainer:
             if value < 1:
                 raise ValueError(f"{name}={value}: 1 or more is needed")
         if gradient_clip is not None and not gradient_clip > 0:
-            raise ValueError(
-                f"gradient_clip={gradient_clip}: a number above 0 is needed, or null for no clipping"
-            )
+            raise ValueError(f"gradient_clip={gradient_clip}: above 0 is needed, or null for no clipping")
         if seed < 0:
             raise ValueError(f"seed={seed}: 0 or more is needed")
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
         self.epochs, self.batch_size, self.accumulate = epochs, batch_size, accumulate
         self.gradient_clip, self.ema_decay, self.channels_last = gradient_clip, ema_decay, channels_last
         self.monitor, self.checkpoint_every, self.evaluate_every = monitor, checkpoint_every, evaluate_every
-        self.seed = seed
-
-    # ------------------------------------------------------------------ the loop
+        self.seed, self.backbone_lr = seed, backbone_lr
 
     def fit(
         self,
@@ -190,7 +189,7 @@ class Trainer:
             train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
         )
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
-        optimizer = self.make_optimizer([*model.parameters(), *self.loss.parameters()])
+        optimizer = build_optimizer(self.make_optimizer, model, self.loss, backbone_lr=self.backbone_lr)
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         # accelerate's autocast would stay on the model, in validation too; train_step has its own
         self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
@@ -213,6 +212,7 @@ class Trainer:
                 "accumulate": self.accumulate,
                 "epochs": self.epochs,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
+                "backbone_lr": self.backbone_lr,
                 "scheduler": described(self.make_scheduler),
                 "ema_decay": self.ema_decay,
                 "teacher": loss.identity,

@@ -23,7 +23,7 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.metrics import EvalProtocol
 from eldenet.resources import Resources, seed_everything
-from eldenet.schedules import constant, cosine, epoch_decay, one_cycle
+from eldenet.schedules import build_optimizer, constant, cosine, epoch_decay, one_cycle
 from eldenet.trainer import Trainer
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
@@ -290,6 +290,28 @@ def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
     torch.save({"progress": Dangerous()}, tmp_path / "pickle.pt")
     with pytest.raises(ValueError, match=r"pickle\.pt can't be read"):
         load_checkpoint(tmp_path / "pickle.pt")
+
+
+def test_the_backbone_learns_at_its_own_rate():
+    model, adam = eldenet.load("eldenet_s"), partial(torch.optim.Adam, lr=1e-3)
+    optimizer = build_optimizer(adam, model, torch.nn.L1Loss(), backbone_lr=0.1)
+    scheduler = one_cycle(optimizer, 100, 10, peak=10.0, warmup=0.1)
+    rest, backbone = optimizer.param_groups
+    assert [group["lr"] for group in (rest, backbone)] == pytest.approx([1e-3, 1e-4])
+    for _ in range(10):
+        optimizer.step()
+        scheduler.step()
+    assert [group["lr"] for group in (rest, backbone)] == pytest.approx([1e-2, 1e-3])
+    theirs = {id(parameter) for parameter in backbone["params"]}
+    assert theirs == {id(parameter) for parameter in model.network.backbone.parameters()}
+    assert len(theirs) + len(rest["params"]) == len(list(model.parameters()))
+    assert len(build_optimizer(adam, model, torch.nn.L1Loss()).param_groups) == 1
+    for wrong, network, message in (
+        (-0.1, model, "0 \\(frozen"),
+        (0.1, eldenet.load("guidedepth"), "has no backbone"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build_optimizer(adam, network, torch.nn.L1Loss(), backbone_lr=wrong)
 
 
 def test_schedules():
