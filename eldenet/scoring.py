@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
     from eldenet.runtimes.scored import RuntimeNetwork
 
+# of the runs of one process: a sweep, or the trials of a study, score the same constant on the same frames
+_CONSTANT_SCORES: dict[tuple[str, ...], dict[str, float]] = {}
+
 
 def score_and_record(
     config: "DictConfig",
@@ -80,8 +83,16 @@ def score_and_record(
     log.close()
     baseline = None
     if train_set is not None:
-        constant = fit_constant_predictor(train_set).to(resources.device)
-        baseline = score(constant, "evaluating the constant predictor").metrics
+        frames = (
+            train_set.split_hash,
+            dataset.split_hash,
+            str(protocol.as_dict()),
+            str(cfg.plain(config.data)),
+        )
+        if frames not in _CONSTANT_SCORES:
+            constant = fit_constant_predictor(train_set).to(resources.device)
+            _CONSTANT_SCORES[frames] = score(constant, "evaluating the constant predictor").metrics
+        baseline = _CONSTANT_SCORES[frames]
     sample = dataset[0]["image"]
     record = {
         "model": name,
