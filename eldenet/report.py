@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.metrics import CLASS_METRICS, LOWER_IS_BETTER, METRICS, UNITS, EvalProtocol
-from eldenet.record import RUN_FILE, read_run
+from eldenet.record import RUN_FILE, differences, read_run
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -196,10 +196,12 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
             )
         for section in SAME_IN_A_ROW:
             settings = [run.get("config", {}).get(section) for run in members]
-            if any(other != settings[0] for other in settings):
+            different = [text for other in settings for text in differences(settings[0], other, section)]
+            if different:
                 raise ValueError(
                     f"{len(members)} runs are called {model!r}, but {section} differs in their config: seeds "
-                    "share a row, other settings do not. Give them names of their own (model_name=...)"
+                    f"share a row, other settings do not ({different[0]}). Give them names of their own "
+                    "(model_name=...)"
                 )
     return [Row(model, members) for model, members in rows.items()]
 
@@ -293,7 +295,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 
         log = RunLog(Path(config.study))
         for block in write_study_report(config.study):
-            log.table(block.name, block.titles, block.rows)
+            log.table(block.name, *block.measured_here())
         log.say(f"written to {Path(config.study) / 'results'}.md, .csv and .tex")
         return
     runs = find_runs(cfg.plain(config.runs))

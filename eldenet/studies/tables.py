@@ -31,13 +31,28 @@ EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 @dataclass
 class Block:
-    """One table: rows of one start class, compared with each other and with no other block."""
+    """One table: rows of one start class, compared with each other and with no other block.
+
+    The columns from ``published`` on are figures of others: a table of its own where people read.
+    """
 
     name: str
     titles: list[str]
     rows: list[list[str]]
     notes: list[str]
     points: list[tuple[str, float, float]]  # row, latency [ms], metric
+    published: int
+
+    def measured_here(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and rows without the published figures."""
+        return self.titles[: self.published], [row[: self.published] for row in self.rows]
+
+    def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and rows of the published figures, where there are any."""
+        rows = [[row[0], *row[self.published :]] for row in self.rows]
+        return [self.titles[0], *self.titles[self.published :]], [
+            row for row in rows if set(row[1:]) != {"-"}
+        ]
 
 
 def read_expected(folder: Path) -> list[dict[str, str]]:
@@ -71,12 +86,14 @@ class Member:
         grouped: its finished runs; None: there are none.
         files: their ``per_image.csv``.
         expected: its line of ``expected.csv``, if it has one.
+        planned: False for a rival that has that line only.
     """
 
     row: StudyRow
     grouped: Row | None
     files: list[Path]
     expected: Mapping[str, str] | None
+    planned: bool = True
 
     @property
     def runs(self) -> Sequence[Mapping[str, Any]]:
@@ -90,7 +107,9 @@ class Member:
             return str(len(self.runs))
         if self.row.given:
             return self.row.missing_word
-        return self.expected["status"] if self.expected and self.expected["status"] else "not run"
+        if self.planned or not self.expected:
+            return "not run"
+        return self.expected["status"] or "not run"
 
     def text(self, group: str, name: str) -> str:
         """Mean and spread of a metric or cost, "-" without runs."""
@@ -125,7 +144,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     known = {member.row.name for member in members}
     for line in expected:  # rivals that have no run of ours
         if line["row"] not in known:
-            members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line))
+            members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line, planned=False))
     every = [run for member in members for run in member.runs]
     notes, costs = _notes(every)
     latencies = _latencies(study)
@@ -146,10 +165,12 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
             f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before)"
         )
-    for cost in COSTS if costs else ():
+    shown = () if not costs else [cost for cost in COSTS if not latencies or cost in ("params", "gmacs")]
+    for cost in shown:
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
         columns.append(("benchmark latency [ms] ↓", partial(_latency, latencies)))
+    published = len(columns)
     if any(line[column] for line in expected for column in PUBLISHED):
         for column in (*PUBLISHED, "protocol", "source"):
             columns.append((f"published {column}", partial(Member.published, name=column)))
@@ -157,7 +178,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     if every:
         rows.append(_constant(study, every[0], len(columns)))
     points = [point for member in members if (point := _point(study, member, latencies, costs))]
-    return Block(name, [title for title, _ in columns], rows, notes, points)
+    return Block(name, [title for title, _ in columns], rows, notes, points, published)
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
@@ -256,8 +277,13 @@ def write_study_report(folder: str | Path) -> list[Block]:
     blocks = build_blocks(study)
     markdown, latex = [f"# {study.name}", ""], []
     for block in blocks:
-        markdown += [f"## {block.name}", "", to_markdown(block.titles, block.rows, block.notes)]
-        latex.append(to_latex(block.titles, block.rows, [block.name, *block.notes]))
+        markdown += [f"## {block.name}", "", to_markdown(*block.measured_here(), block.notes)]
+        latex.append(to_latex(*block.measured_here(), [block.name, *block.notes]))
+        titles, rows = block.published_elsewhere()
+        if rows:
+            notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
+            markdown += [f"### {block.name}: published elsewhere", "", to_markdown(titles, rows, notes)]
+            latex.append(to_latex(titles, rows, [f"{block.name}: published elsewhere", *notes]))
     if "convergence" in study.plots:
         titles, rows, pictures = convergence_table(study)
         notes = [
