@@ -9,6 +9,7 @@ from eldenet import config as cfg
 from eldenet.metrics import METRICS
 
 PLAN = "sweep.yaml"
+SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
 STORED = "stored"  # results of finished runs, small enough for git
 # of what a row needs, by its setting: "weights not given"; else data
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
@@ -27,7 +28,7 @@ class StudyRow:
         seen: what its weights have seen before and during training.
         given: name -> setting that must be given on the command line (``given.kitti=/data/kitti``) for the
             row to run, such as ``{kitti: data.root}``.
-        learning_rate: of the optimiser; None: by the study's rule.
+        learning_rate: of the optimiser; None: by the study's rule, if it has one.
         rate_overrides: what its trials change beside the study's ``rate_overrides``.
         owner: the study that the row is taken from: it is run by that study's settings, and stored there.
     """
@@ -120,9 +121,9 @@ def read_study(folder: str | Path) -> Study:
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
     of_row = {field.name for field in fields(StudyRow)} - {"name", "owner"}
     of_study = {field.name for field in fields(Study)} - {"folder", "rows"}
-    shared = {name: content.pop(name) for name in ("seeds", "block", "seen") if name in content}
+    shared = {name: content.pop(name) for name in SHARED if name in content}
     described = content.pop("rows")
-    _refuse_unknown(path, content, of_study | {"rows", "seeds", "block", "seen"})
+    _refuse_unknown(path, content, of_study | {"rows", *SHARED})
     rows = []
     for name, entry in described.items():
         if entry and "from" in entry:
