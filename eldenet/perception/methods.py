@@ -26,6 +26,7 @@ class Known:
     """All that is known of the objects of a picture; see :func:`eldenet.perception.foreground.gather`.
 
     ``plane`` is the ground that the methods use; ``nominal`` that of the camera's height, if it is another.
+    ``depth_sigma (N,)`` is the relative depth error of each object, ``plane_sigma`` that of the ground.
     """
 
     found: Foreground
@@ -35,7 +36,8 @@ class Known:
     plane: GroundPlane | None
     nominal: GroundPlane | None
     trusted: np.ndarray
-    depth_sigma: float
+    depth_sigma: np.ndarray
+    plane_sigma: float
 
     @property
     def size(self) -> np.ndarray:
@@ -181,7 +183,7 @@ def _problem(known: Known) -> fit.Problem:
         size_sigma=np.array([prior.spread for prior in priors]),
         ground=ground,
         ground_sigma=ground_sigma,
-        scale_sigma=np.full(count, known.depth_sigma),
+        scale_sigma=known.depth_sigma,
     )
 
 
@@ -193,7 +195,7 @@ def _ground_belief(known: Known) -> tuple[np.ndarray, np.ndarray]:
     """
     away = _distance_by_height(known)
     total, sums = np.full(len(away), 1e-12), np.zeros((len(away), 3))
-    for plane, scale in ((known.plane, known.depth_sigma), (known.nominal, 0.0)):
+    for plane, scale in ((known.plane, known.plane_sigma), (known.nominal, 0.0)):
         if plane is None:
             continue
         sigma = np.hypot(0.05 + plane.tilt * away, scale * plane.offset if plane.fitted else 0.0)
