@@ -1,4 +1,4 @@
-"""``python -m eldenet.train_detector``: rendered scenes -> YOLOv9 -> an ONNX file and its average precision."""
+"""``python -m eldenet.train_detector``: rendered scenes -> YOLOv9 -> an ONNX file and what it finds."""
 
 import time
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
 def score_file(
     config: "DictConfig", file: Path, data: Path, count: int
 ) -> tuple[dict[str, dict[str, float]], Shown, float]:
-    """Average precision of the exported file, a few pictures with truth and finds, and its median time [ms]."""
+    """Average precision of the exported file, some pictures with truth and finds, median time [ms]."""
     from eldenet.perception.detection_data import read_split
     from eldenet.perception.onnx_detector import OnnxDetector
 

@@ -28,8 +28,9 @@ def frame(*rows) -> KittiLabels:
     count = len(rows)
     return KittiLabels(
         tuple(r[0] for r in rows), np.array([r[1] for r in rows], float), np.array([r[2] for r in rows], int),
-        np.zeros(count), np.array([r[3] for r in rows], float).reshape(-1, 4), np.tile([4.0, 1.6, 1.5], (count, 1)),
-        np.array([r[4] for r in rows], float).reshape(-1, 3), np.zeros(count), np.array([r[5] for r in rows], float),
+        np.zeros(count), np.array([r[3] for r in rows], float).reshape(-1, 4),
+        np.tile([4.0, 1.6, 1.5], (count, 1)), np.array([r[4] for r in rows], float).reshape(-1, 3),
+        np.zeros(count), np.array([r[5] for r in rows], float),
     )  # fmt: skip
 
 
@@ -228,8 +229,10 @@ def random_frames(seed: int, count: int):
                 tuple(found_types), np.full(m, -1.0), np.full(m, -1), np.zeros(m),
                 xyxy[chosen] + rng.normal(0, 0.05, (m, 4)) * spread,
                 np.where(lost[:, None], (4.0, 1.7, 1.5), size[chosen]) * rng.uniform(0.93, 1.07, (m, 3)),
-                np.where(lost[:, None], rng.uniform(1, 30, (m, 3)), location[chosen] + rng.normal(0, 0.12, (m, 3))),
-                np.array([truth.yaw[i] for i in chosen]) + rng.normal(0, 0.05, m) + np.pi * rng.integers(0, 2, m),
+                np.where(
+                    lost[:, None], rng.uniform(1, 30, (m, 3)), location[chosen] + rng.normal(0, 0.12, (m, 3))
+                ),
+                truth.yaw[chosen] + rng.normal(0, 0.05, m) + np.pi * rng.integers(0, 2, m),
                 np.round(rng.random(m), 2),  # equal scores happen
             )
         )  # fmt: skip

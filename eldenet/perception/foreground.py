@@ -9,7 +9,7 @@ from eldenet.geometry import PinholeCamera
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior
 
-POINTS = 160  # per object
+POINTS = 80  # per object
 _GATHERED = 400  # pixels per box that are looked at
 _BORDER = 2.0  # [px]: a box that comes closer to the picture's border is cut by it
 _QUANTILES = (0.5, 0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
@@ -98,18 +98,9 @@ def gather(
         rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ homography.T
         box = detections.xyxy[index]
         inside = _select(
-            rows,
-            columns,
-            far,
-            rays,
-            box,
-            camera,
-            ground,
-            priors[index],
-            select,
-            float(depth_sigma[index]),
+            rows, columns, far, rays, box, camera, ground, priors[index], select, float(depth_sigma[index]),
             expected[index],
-        )
+        )  # fmt: skip
         found = np.nonzero(inside)[0]
         if len(found):
             back[index] = np.quantile(far[found], 0.95) * (1 + 0.5 * depth_sigma[index]) + 0.1

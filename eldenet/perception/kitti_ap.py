@@ -7,7 +7,8 @@ at the highest threshold.
 Rules: an object counts at a difficulty if its 2D box is higher than the least height, and it is neither more
 occluded nor more truncated than allowed; others are ignored, as are objects of a neighbouring class (Van for
 Car, Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are
-ignored, whatever their class, as in the benchmark's code. In 2D, detections that lie in DontCare areas are no false positives.
+ignored, whatever their class, as in the benchmark's code. In 2D, detections that lie in DontCare areas are no
+false positives.
 """
 
 from collections.abc import Mapping, Sequence

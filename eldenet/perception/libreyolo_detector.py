@@ -25,7 +25,7 @@ class LibreYoloDetector:
     """YOLOv9 as a detector in torch; :meth:`export` makes the file for :class:`OnnxDetector`.
 
     Args:
-        weights: a ``.pt`` file that :meth:`train` wrote (read as data, never executed); None: drawn at random.
+        weights: a ``.pt`` file that :meth:`train` wrote (read as data, not executed); None: drawn at random.
         names: of the classes; None: those of ``weights``.
         size: "t", "s", "m" or "c"; a file's own where ``weights`` are given.
         input_size: ``(height, width)`` that the network sees [px], multiples of 32.

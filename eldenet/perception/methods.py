@@ -44,6 +44,18 @@ class Known:
         """``(N, 3)`` of the classes [m]; NaN for an unknown one."""
         return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
 
+    def select(self, rows: np.ndarray, priors: Sequence[ClassPrior | None]) -> "Known":
+        """Some of the objects, with other priors (of all objects)."""
+        found = Foreground(*(getattr(self.found, name)[rows] for name in ("direction", "depth", "weight")))
+        return replace(
+            self,
+            found=found,
+            detections=self.detections.select(rows),
+            priors=[priors[row] for row in rows],
+            trusted=self.trusted[rows],
+            depth_sigma=self.depth_sigma[rows],
+        )
+
     def ground_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Y of the ground [m], where there is one."""
         return None if self.plane is None else self.plane.level_at(x, z)
@@ -65,6 +77,17 @@ class RawBoxes:
         """Boxes of a method that neither scales depth nor has a cost."""
         count = len(yaw)
         return cls(center, size, yaw, np.ones(count), np.full(count, np.nan), np.zeros(count, bool))
+
+    def select(self, chosen: np.ndarray) -> "RawBoxes":
+        """Those that ``chosen`` (bool or numbers) picks."""
+        return RawBoxes(**{name: value[chosen] for name, value in vars(self).items()})
+
+    def put(self, rows: np.ndarray, other: "RawBoxes") -> "RawBoxes":
+        """``other``'s boxes in place of ``rows``."""
+        mixed = {name: value.copy() for name, value in vars(self).items()}
+        for name, value in mixed.items():
+            value[rows] = getattr(other, name)
+        return RawBoxes(**mixed)
 
     def where(self, chosen: np.ndarray, other: "RawBoxes") -> "RawBoxes":
         """``other``'s boxes where ``chosen``, marked as fall-backs."""
@@ -136,20 +159,39 @@ def _padded(known: Known, empty: np.ndarray) -> Known:
 
 
 def fitted_boxes(known: Known) -> RawBoxes:
-    """The least-squares fit of :mod:`eldenet.perception.fit`, from several headings; the cheapest wins."""
+    """The least-squares fit of :mod:`eldenet.perception.fit`; of a class's kinds the one that fits best."""
+    raw = _fitted(known)
+    seen = known.found.count >= FEWEST_POINTS
+    rows = [row for row, prior in enumerate(known.priors) if prior and prior.kinds and seen[row]]
+    best = np.full(len(raw.cost), np.inf)
+    for number in range(max((len(_kinds(known.priors[row])) for row in rows), default=0)):
+        chosen = np.array([row for row in rows if number < len(_kinds(known.priors[row]))])
+        priors = list(known.priors)
+        for row in chosen:
+            priors[row] = _kinds(known.priors[row])[number]
+        other = _fitted(known.select(chosen, priors))
+        better = other.cost < best[chosen]
+        best[chosen] = np.minimum(best[chosen], other.cost)
+        raw = raw.put(chosen[better], other.select(better))
+    return raw
+
+
+def _kinds(prior: ClassPrior | None) -> tuple[ClassPrior, ...]:
+    return prior.kinds if prior else ()
+
+
+def _fitted(known: Known) -> RawBoxes:
+    """One fit from several headings; the cheapest wins."""
     count = len(known.priors)
     problem = _problem(known)
     start = _starts(known)
     states, costs = [], []
     for first in range(0, count, _CHUNK):
         part = slice(first, first + _CHUNK)
-        chunk = fit.Problem(**{name: value[part] for name, value in vars(problem).items()})
-        state, cost = fit.solve(chunk.repeat(_STARTS), known.camera, start[part].reshape(-1, fit.UNKNOWNS))
-        states.append(state.reshape(-1, _STARTS, fit.UNKNOWNS))
-        costs.append(cost.reshape(-1, _STARTS))
+        state, cost = fit.solve(problem.select(part), known.camera, start[part])
+        states.append(state)
+        costs.append(cost)
     state, cost = np.concatenate(states), np.concatenate(costs)
-    best = cost.argmin(1)
-    state, cost = state[np.arange(count), best], cost[np.arange(count), best]
     size = np.exp(state[:, [fit.LENGTH, fit.WIDTH, fit.HEIGHT]])
     center = np.stack([state[:, fit.X], state[:, fit.BOTTOM] - size[:, 2] / 2, state[:, fit.Z]], axis=1)
     return RawBoxes(
@@ -160,7 +202,6 @@ def fitted_boxes(known: Known) -> RawBoxes:
 def _problem(known: Known) -> fit.Problem:
     found, detections = known.found, known.detections
     priors = [prior or _ANYTHING for prior in known.priors]
-    count = len(priors)
     far = np.where(known.found.count > 0, np.median(found.depth, axis=1), 10.0)
     noise = 0.06 + known.depth_sigma * far
     sigma = [np.hypot(noise, [table[prior.shape] for prior in priors]) for table in (_OUTSIDE, _INSIDE)]
