@@ -45,13 +45,13 @@ class Known:
         return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
 
     def select(self, rows: np.ndarray, priors: Sequence[ClassPrior | None]) -> "Known":
-        """Some of the objects, with other priors (of all objects)."""
+        """Some of the objects (numbers ``rows``), each with a prior of its own."""
         found = Foreground(*(getattr(self.found, name)[rows] for name in ("direction", "depth", "weight")))
         return replace(
             self,
             found=found,
             detections=self.detections.select(rows),
-            priors=[priors[row] for row in rows],
+            priors=priors,
             trusted=self.trusted[rows],
             depth_sigma=self.depth_sigma[rows],
         )
@@ -81,13 +81,6 @@ class RawBoxes:
     def select(self, chosen: np.ndarray) -> "RawBoxes":
         """Those that ``chosen`` (bool or numbers) picks."""
         return RawBoxes(**{name: value[chosen] for name, value in vars(self).items()})
-
-    def put(self, rows: np.ndarray, other: "RawBoxes") -> "RawBoxes":
-        """``other``'s boxes in place of ``rows``."""
-        mixed = {name: value.copy() for name, value in vars(self).items()}
-        for name, value in mixed.items():
-            value[rows] = getattr(other, name)
-        return RawBoxes(**mixed)
 
     def where(self, chosen: np.ndarray, other: "RawBoxes") -> "RawBoxes":
         """``other``'s boxes where ``chosen``, marked as fall-backs."""
@@ -160,24 +153,17 @@ def _padded(known: Known, empty: np.ndarray) -> Known:
 
 def fitted_boxes(known: Known) -> RawBoxes:
     """The least-squares fit of :mod:`eldenet.perception.fit`; of a class's kinds the one that fits best."""
-    raw = _fitted(known)
     seen = known.found.count >= FEWEST_POINTS
-    rows = [row for row, prior in enumerate(known.priors) if prior and prior.kinds and seen[row]]
-    best = np.full(len(raw.cost), np.inf)
-    for number in range(max((len(_kinds(known.priors[row])) for row in rows), default=0)):
-        chosen = np.array([row for row in rows if number < len(_kinds(known.priors[row]))])
-        priors = list(known.priors)
-        for row in chosen:
-            priors[row] = _kinds(known.priors[row])[number]
-        other = _fitted(known.select(chosen, priors))
-        better = other.cost < best[chosen]
-        best[chosen] = np.minimum(best[chosen], other.cost)
-        raw = raw.put(chosen[better], other.select(better))
-    return raw
-
-
-def _kinds(prior: ClassPrior | None) -> tuple[ClassPrior, ...]:
-    return prior.kinds if prior else ()
+    options = [
+        prior.kinds if prior and prior.kinds and there else (prior,)
+        for prior, there in zip(known.priors, seen, strict=True)
+    ]
+    rows = np.repeat(np.arange(len(options)), [len(kinds) for kinds in options])
+    if len(rows) == len(options):
+        return _fitted(known)
+    raw = _fitted(known.select(rows, [prior for kinds in options for prior in kinds]))
+    order = np.lexsort((raw.cost, rows))
+    return raw.select(order[np.unique(rows[order], return_index=True)[1]])
 
 
 def _fitted(known: Known) -> RawBoxes:
