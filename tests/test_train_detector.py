@@ -167,6 +167,12 @@ def test_random_weights_are_seeded_and_the_file_finds_the_same(tmp_path):
     assert (file.layout_name, file.letterbox, file.names) == ("yolov9", "topleft", NAMES)
     theirs = file(frame)
     assert len(theirs) == len(mine) > 100
+    (tmp_path / "data.yaml").write_text("names: [cat]\n")
+    with pytest.raises(ValueError, match="classes"):
+        detector.train(tmp_path / "data.yaml", tmp_path / "run", epochs=1)
+    (tmp_path / "data.yaml").write_text("download: https://example.org/a.zip\n")
+    with pytest.raises(ValueError, match="download"):
+        detector.train(tmp_path / "data.yaml", tmp_path / "run", epochs=1)
     for boxes in (mine, theirs):  # equal scores have no order
         boxes.xyxy[:] = boxes.xyxy[np.lexsort(boxes.xyxy.T.round(2))]
     np.testing.assert_allclose(theirs.xyxy, mine.xyxy, atol=0.02)
@@ -200,7 +206,3 @@ def test_a_detector_learns_and_its_file_finds_the_same(tmp_path):
     mine, theirs = trained(image), OnnxDetector(folder / "detector.onnx", threshold=0.01)(image)
     np.testing.assert_allclose(theirs.score[:5], mine.score[:5], atol=1e-3)
     np.testing.assert_allclose(theirs.xyxy[:5], mine.xyxy[:5], atol=0.1)
-    with pytest.raises(ValueError, match="classes"):
-        LibreYoloDetector(names=("cat",), input_size=SIZE).train(
-            folder / "data/data.yaml", tmp_path / "x", epochs=1
-        )

@@ -113,7 +113,7 @@ class LibreYoloDetector:
 
         Raises:
             FileNotFoundError: no data set, or no checkpoint to go on with.
-            ValueError: the data set has other classes.
+            ValueError: the data set has other classes, or wants to be downloaded.
         """
         data, folder = Path(data).resolve(), Path(folder).resolve()
         last = folder / "weights" / "last.pt"
@@ -137,7 +137,10 @@ class LibreYoloDetector:
     def _check_classes(self, data: Path) -> None:
         import yaml
 
-        held = yaml.safe_load(data.read_text()).get("names")
+        content = yaml.safe_load(data.read_text()) or {}
+        if content.get("download"):
+            raise ValueError(f"{data} names a download: fetch it yourself and remove that line")
+        held = content.get("names")
         held = [held[number] for number in sorted(held)] if isinstance(held, dict) else list(held or [])
         if tuple(map(str, held)) != self.names:
             raise ValueError(f"{data} has the classes {held}, this detector {list(self.names)}")
