@@ -161,8 +161,9 @@ def drawn(shown: Shown, threshold: float) -> np.ndarray:
 def closing_table(log: "RunLog", record: dict[str, Any], file: Path) -> None:
     """Average precision by class, what it cost, and where the file is."""
     rows = [
-        [name, f"{values['objects']:.0f}", f"{values['AP50']:.1f}", f"{values['AP50-95']:.1f}"]
+        [name, f"{values['objects']:.0f}", *(f"{values[title]:.1f}" for title in ("AP50", "AP50-95"))]
         for name, values in record["metrics"].items()
+        if values["objects"]
     ]
     log.table(
         f"{record['pictures']['test']} held-out pictures, the exported file under ONNX Runtime",
