@@ -19,7 +19,8 @@ from eldenet.perception.detectors import (
     only,
     rename,
 )
-from eldenet.perception.onnx_detector import OnnxDetector, class_wise_nms, fit_picture
+from eldenet.perception.letterbox import class_wise_nms, fit_picture
+from eldenet.perception.onnx_detector import OnnxDetector
 
 SIZE = (64, 128)
 ANCHORS = sum((SIZE[0] // s) * (SIZE[1] // s) for s in (8, 16, 32))

@@ -8,8 +8,9 @@ import pytest
 from eldenet.boxes import Detections2D, wrap_half
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception import fit
+from eldenet.perception.foreground import trusted_edges
 from eldenet.perception.ground import GroundHomography, GroundPlane, fit_ground, flat_ground
-from eldenet.perception.lifter import METHODS, BoxLifter
+from eldenet.perception.lifter import METHODS, BoxLifter, sigma_by_side
 from eldenet.perception.priors import PRIORS, prior_of, silhouette
 from eldenet.perception.scores import compare
 from eldenet.simulation.street_views import render_street
@@ -188,6 +189,37 @@ def test_the_hidden_car_is_not_taken_for_the_one_before_it():
     assert boxes.quality["occluded"][1] > 0.1 > boxes.quality["occluded"][0]
 
 
+def test_an_edge_where_a_nearer_box_begins_is_no_edge():
+    """A pillar behind a car: its box ends where the roof begins, and the boxes share no pixel."""
+    boxes = np.array([[300.0, 60, 312, 149], [250, 150, 380, 210]])
+    found = Detections2D(boxes, np.ones(2), np.array([1, 0]), ("car", "pillar"))
+    trusted, hidden = trusted_edges(found, (240, 640))
+    np.testing.assert_array_equal(trusted, [[True, True, True, False], [True] * 4])
+    assert hidden[0] == 0
+    apart = replace(found, xyxy=boxes + np.array([[0, 0, 0, -10.0], [0, 0, 0, 0]]))
+    assert trusted_edges(apart, (240, 640))[0].all()
+    projected = replace(found, box_style="projected")
+    assert trusted_edges(projected, (240, 640))[0].all()
+
+
+def test_the_depth_error_grows_as_objects_shrink():
+    boxes = np.array(
+        [[0, 0, 300, 100.0], [0, 0, 10, 50], [0, 0, 32, 31.622777], [0, 0, 1, 1], [0, 0, 9e3, 9e3]]
+    )
+    sigma = sigma_by_side(boxes, 0.06, 0.24)
+    np.testing.assert_allclose(sigma[:3], [0.06, 0.24, 0.12], rtol=1e-6)
+    np.testing.assert_allclose(sigma[3:], [0.24 * 2**0.60206, 0.06], rtol=1e-3)  # below half of SMALL alike
+    np.testing.assert_allclose(sigma_by_side(boxes, 0.06, None), 0.06)
+
+
+@pytest.mark.parametrize("size", [(8.5, 2.5, 3.1), (5.2, 1.9, 1.9)])
+def test_a_truck_is_a_lorry_or_a_pick_up(size):
+    depth, xyxy = block((-2.0, 1.6 - size[2] / 2, 18.0), size=size, yaw=1.3)
+    boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy, "truck"), CAMERA)
+    np.testing.assert_allclose(boxes.size[0], size, rtol=0.2)
+    assert len(boxes) == 1
+
+
 @pytest.mark.parametrize("cut", ["left", "right", "bottom"])
 def test_a_car_cut_by_the_border(cut):
     center = {"left": (-4.6, 0.85, 7.0), "right": (4.6, 0.85, 7.0), "bottom": (0.4, 0.85, 4.2)}[cut]
@@ -213,6 +245,18 @@ def test_without_depth_a_box_still_comes_out(method, fill):
     assert boxes.center[0, 2] == pytest.approx(12, rel=0.2)
     assert boxes.quality["points"][0] == 0
     assert boxes.quality["fallback"][0] == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_holes_in_the_depth_are_unknown_whatever_they_hold(method):
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    results = []
+    for fill in (0.0, np.nan, -3.0, np.inf):
+        holed = depth.copy()
+        holed[::3] = fill
+        results.append(BoxLifter(method, camera_height=1.6)(holed, detection(xyxy), CAMERA))
+    for other in results[1:]:
+        np.testing.assert_allclose(other.corners, results[0].corners)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -256,6 +300,7 @@ def test_masks_are_used_instead_of_boxes():
         ({"ground": 3}, "ground"),
         ({"camera_height": 0}, "camera_height"),
         ({"depth_sigma": 0}, "depth_sigma"),
+        ({"small_sigma": 1.5}, "small_sigma"),
     ],
 )
 def test_settings_out_of_range_are_refused(options, message):

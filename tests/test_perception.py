@@ -225,6 +225,16 @@ def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tm
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[colour]")
 
 
+def test_predict_takes_a_folder_with_pictures_of_nothing(model_folder, detector, tmp_path):
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((128, 256, 3), 90, np.uint8))
+    option = f"perception.detector.path='{detector}'"
+    run(model_folder, tmp_path, tmp_path / "out", CAMERA_OPTION, option, "perception.detector.threshold=0.99")
+    for name in ("a", "b"):
+        assert (tmp_path / f"out/{name}_boxes.txt").read_text() == ""
+        assert (tmp_path / f"out/{name}_boxes.png").is_file()
+
+
 def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path):
     source = tmp_path / "walk.mp4"
     writer = cv2.VideoWriter(str(source), cv2.VideoWriter.fourcc(*"mp4v"), 10, (256, 128))
@@ -244,6 +254,12 @@ def test_predict_says_what_boxes_need(model_folder, detector, tmp_path):
         run(model_folder, source, tmp_path / "out", f"perception.detector.path='{detector}'")
     with pytest.raises(ValueError, match=r"perception\.detector\.path"):
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION)
+    (tmp_path / "odd.onnx").write_text("no network")
+    with pytest.raises(ValueError, match="no ONNX file"):
+        run(
+            model_folder, source, tmp_path / "out", CAMERA_OPTION,
+            f"perception.detector.path='{tmp_path / 'odd.onnx'}'",
+        )  # fmt: skip
     with pytest.raises(ValueError, match="method"):
         run(
             model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'",

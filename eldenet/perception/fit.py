@@ -15,6 +15,9 @@ from eldenet.geometry import PinholeCamera
 UNKNOWNS = 8
 X, Z, BOTTOM, YAW, LENGTH, WIDTH, HEIGHT, SCALE = range(UNKNOWNS)
 _STEPS = 14
+_FIRST_STEPS = 5  # with all starts
+_KEPT = 2  # starts of an object that go on after them
+_GAIN = 1e-3  # a step that lowers the cost by less is the last
 _INFORMATION = 30.0  # independent measurements that the points of an object are worth
 _NEAREST = 0.3  # [m]: silhouette points nearer than that to the picture's plane are left out
 
@@ -59,6 +62,10 @@ class Problem:
         """Every object ``times`` times, one after the other."""
         return Problem(**{name: np.repeat(value, times, axis=0) for name, value in vars(self).items()})
 
+    def select(self, chosen: np.ndarray | slice) -> "Problem":
+        """Those that ``chosen`` (bool, numbers or a slice) picks."""
+        return Problem(**{name: value[chosen] for name, value in vars(self).items()})
+
 
 class Linear(NamedTuple):
     """A quadratic model: cost ``(B,)``, gradient ``(B, 8)``, Gauss-Newton matrix ``(B, 8, 8)``."""
@@ -68,14 +75,32 @@ class Linear(NamedTuple):
     matrix: np.ndarray
 
 
-def solve(problem: Problem, camera: PinholeCamera, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit from ``start (B, 8)``; returns unknowns ``(B, 8)`` and costs ``(B,)``."""
+def solve(problem: Problem, camera: PinholeCamera, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit every object from each of its ``starts (N, S, 8)``; returns unknowns ``(N, 8)`` and costs ``(N,)``.
+
+    After a few steps the dearer starts of an object are given up.
+    """
+    count, several = starts.shape[:2]
+    state, cost = _descend(problem.repeat(several), camera, starts.reshape(-1, UNKNOWNS), _FIRST_STEPS)
+    best = cost.reshape(count, several).argsort(1)[:, :_KEPT] + several * np.arange(count)[:, None]
+    kept = best.shape[1]
+    state, cost = _descend(problem.repeat(kept), camera, state[best.ravel()], _STEPS - _FIRST_STEPS)
+    winner = cost.reshape(count, kept).argmin(1) + kept * np.arange(count)
+    return state[winner], cost[winner]
+
+
+def _descend(
+    problem: Problem, camera: PinholeCamera, start: np.ndarray, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Levenberg-Marquardt from ``start (B, 8)``; what has settled is left alone."""
+    final, costs = start.copy(), np.zeros(len(start))
+    rows = np.arange(len(start))  # of the problems that are still moving
     state = start.copy()
     model = linearise(problem, camera, state)
     damping = np.full(len(state), 1e-2)
     eye = np.eye(UNKNOWNS)
     limit = np.array([3.0, 5.0, 0.5, 0.3, 0.2, 0.2, 0.2, 0.2])  # of one step
-    for _ in range(_STEPS):
+    for _ in range(steps):
         diagonal = np.einsum("bii->bi", model.matrix)
         matrix = model.matrix + (damping[:, None] * diagonal + 1e-9)[..., None] * eye
         step = -np.linalg.solve(matrix, model.gradient[..., None])[..., 0]
@@ -83,6 +108,7 @@ def solve(problem: Problem, camera: PinholeCamera, start: np.ndarray) -> tuple[n
         trial = state + step
         tried = linearise(problem, camera, trial)
         better = tried.cost < model.cost
+        settled = (better & (model.cost - tried.cost < _GAIN)) | (~better & (damping > 1.0))
         state = np.where(better[:, None], trial, state)
         model = Linear(
             np.where(better, tried.cost, model.cost),
@@ -90,9 +116,19 @@ def solve(problem: Problem, camera: PinholeCamera, start: np.ndarray) -> tuple[n
             np.where(better[:, None, None], tried.matrix, model.matrix),
         )
         damping = np.clip(np.where(better, damping * 0.25, damping * 6.0), 1e-6, 1e6)
-        if not (better & (np.abs(step).max(1) > 1e-3)).any() and damping.min() > 1.0:
+        final[rows], costs[rows] = state, model.cost
+        if settled.all():
             break
-    return state, model.cost
+        if settled.mean() > 0.2:
+            moving = ~settled
+            rows, state, damping, problem = (
+                rows[moving],
+                state[moving],
+                damping[moving],
+                problem.select(moving),
+            )
+            model = Linear(*(part[moving] for part in model))
+    return final, costs
 
 
 def linearise(problem: Problem, camera: PinholeCamera, state: np.ndarray) -> Linear:

@@ -49,13 +49,10 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
 
     Returns None where no nearly level plane below the camera holds a tenth of the lower half.
     """
-    height = depth.shape[0]
-    rows, columns = np.nonzero(np.isfinite(depth[height // 2 :]) & (depth[height // 2 :] > 0))
+    rng = np.random.default_rng(seed)
+    rows, columns = _known_pixels(depth, rng)
     if len(rows) < 50:
         return None
-    rng = np.random.default_rng(seed)
-    chosen = rng.permutation(len(rows))[:_SAMPLES] if len(rows) > _SAMPLES else np.arange(len(rows))
-    rows, columns = rows[chosen] + height // 2, columns[chosen]
     points = camera.back_project(columns, rows, depth[rows, columns])
     triple = points[rng.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(triple[:, 1] - triple[:, 0], triple[:, 2] - triple[:, 0])
@@ -89,6 +86,18 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
     if normal[1] < np.cos(STEEPEST) or offset <= 0 or share < 0.1:
         return None
     return GroundPlane(normal, offset, share, fitted=True)
+
+
+def _known_pixels(depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of up to ``_SAMPLES`` pixels of the lower half whose depth is known."""
+    top, width = depth.shape[0] // 2, depth.shape[1]
+    lower = depth[top:].reshape(-1)
+    tried = rng.integers(0, len(lower), 2 * _SAMPLES) if len(lower) else np.zeros(0, int)
+    chosen = tried[np.isfinite(lower[tried]) & (lower[tried] > 0)][:_SAMPLES]
+    if len(chosen) < _SAMPLES:  # sparse depth, or a small picture
+        known = np.nonzero(np.isfinite(lower) & (lower > 0))[0]
+        chosen = rng.permutation(known)[:_SAMPLES]
+    return chosen // width + top, chosen % width
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ at the highest threshold.
 Rules: an object counts at a difficulty if its 2D box is higher than the least height, and it is neither more
 occluded nor more truncated than allowed; others are ignored, as are objects of a neighbouring class (Van for
 Car, Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are
-ignored. In 2D, detections that lie in DontCare areas are no false positives.
+ignored, whatever their class, as in the benchmark's code. In 2D, detections that lie in DontCare areas are no
+false positives.
 """
 
 from collections.abc import Mapping, Sequence
@@ -100,14 +101,15 @@ def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficult
     areas = truth.select(kinds == "dontcare")
     related = (kinds == kind.lower()) | (kinds == NEIGHBOUR.get(kind.lower(), ""))
     truth, kinds = truth.select(related), kinds[related]
-    found = found.select(np.array([name.lower() == kind.lower() for name in found.types], bool))
+    small = np.abs(found.xyxy[:, 3] - found.xyxy[:, 1]) < rules.height
+    wanted = np.array([name.lower() == kind.lower() for name in found.types], bool).reshape(-1)
+    found, small = found.select(wanted | small), small[wanted | small]
     too_hard = (
         (truth.xyxy[:, 3] - truth.xyxy[:, 1] <= rules.height)
         | (truth.occluded > rules.occluded)
         | (truth.truncated > rules.truncated)
     )
     ignored = too_hard | (kinds != kind.lower())
-    small = np.abs(found.xyxy[:, 3] - found.xyxy[:, 1]) < rules.height
     covered = iou_2d(found.xyxy, areas.xyxy, of_first=True) if metric == "2d" else np.zeros((len(found), 0))
     if metric == "2d":
         overlap = iou_2d(truth.xyxy, found.xyxy)

@@ -15,6 +15,7 @@ from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
 
 Method = Literal["refine", "lshape", "paper", "no_depth"]
 METHODS = ("refine", "lshape", "paper", "no_depth")
+SMALL, LARGE = 10.0, 100.0  # [px] shorter sides of 2D boxes
 
 
 class BoxLifter:
@@ -41,7 +42,10 @@ class BoxLifter:
         ground: "fit" it to the depth, a plane that is known, or None for none.
         camera_height: above the ground [m], if it is known: "no_depth" rests on it, and "refine" weighs it
             against the plane that it fits.
-        depth_sigma: relative error of the depth of whole objects, as measured on validation data.
+        depth_sigma: relative error of the depth of whole objects, as measured on validation data; of those
+            whose shorter side is ``LARGE`` pixels or more, where ``small_sigma`` is given.
+        small_sigma: of objects whose shorter side is ``SMALL`` pixels: networks blur depth at edges, so thin
+            and distant objects fare worse. Between and below it follows a power law. None: the same for all.
         occlusion_mask: leave out pixels in boxes that stand nearer.
 
     Raises:
@@ -56,6 +60,7 @@ class BoxLifter:
         ground: Literal["fit"] | GroundPlane | None = "fit",
         camera_height: float | None = None,
         depth_sigma: float = 0.08,
+        small_sigma: float | None = None,
         occlusion_mask: bool = True,
     ) -> None:
         if method not in METHODS:
@@ -64,12 +69,11 @@ class BoxLifter:
             raise ValueError(f"ground={ground!r}: give 'fit', a GroundPlane or None")
         if camera_height is not None and camera_height <= 0:
             raise ValueError(f"camera_height={camera_height}: give metres above 0, or None")
-        if not 0 < depth_sigma < 1:
-            raise ValueError(
-                f"depth_sigma={depth_sigma}: give a relative error above 0 and below 1, such as 0.08"
-            )
+        for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
+            if sigma is not None and not 0 < sigma < 1:
+                raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
         self.method, self.priors, self.ground = method, priors, ground
-        self.camera_height, self.depth_sigma = camera_height, depth_sigma
+        self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
         self.occlusion_mask = occlusion_mask
 
     def __call__(self, depth: np.ndarray, detections: Detections2D, camera: PinholeCamera) -> Boxes3D:
@@ -97,6 +101,7 @@ class BoxLifter:
             )
         priors = [prior_of(name, self.priors) for name in detections.classes]
         plane = self._plane(depth, camera)
+        sigma = sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma)
         found = gather(
             depth,
             detections,
@@ -105,13 +110,13 @@ class BoxLifter:
             priors,
             select="median" if self.method == "paper" else "core",
             occlusion_mask=self.occlusion_mask and self.method != "paper",
-            depth_sigma=self.depth_sigma,
+            depth_sigma=sigma,
         )
         if self.method == "no_depth":
             found = found.without_points()
         trusted, hidden = trusted_edges(detections, (height, width))
         nominal = self._nominal if plane is not None and plane.fitted else None
-        known = Known(found, detections, camera, priors, plane, nominal, trusted, self.depth_sigma)
+        known = Known(found, detections, camera, priors, plane, nominal, trusted, sigma, self.depth_sigma)
         raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(known)
         raw = _use_fallbacks(raw, known, self.method)
         quality = {
@@ -143,6 +148,13 @@ class BoxLifter:
         if self.ground is None or self.method in ("no_depth", "paper"):
             return self._nominal
         return fit_ground(depth, camera) or self._nominal
+
+
+def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.ndarray:
+    """Relative depth error ``(N,)`` of objects by the shorter side of their 2D boxes; see BoxLifter."""
+    side = np.minimum(xyxy[:, 2] - xyxy[:, 0], xyxy[:, 3] - xyxy[:, 1])
+    share = np.log(LARGE / np.clip(side, SMALL / 2, LARGE)) / np.log(LARGE / SMALL)
+    return np.asarray(np.minimum(large * ((small or large) / large) ** share, 0.5 if small else 1.0))
 
 
 def _use_fallbacks(raw: RawBoxes, known: Known, method: str) -> RawBoxes:

@@ -26,6 +26,7 @@ class Known:
     """All that is known of the objects of a picture; see :func:`eldenet.perception.foreground.gather`.
 
     ``plane`` is the ground that the methods use; ``nominal`` that of the camera's height, if it is another.
+    ``depth_sigma (N,)`` is the relative depth error of each object, ``plane_sigma`` that of the ground.
     """
 
     found: Foreground
@@ -35,12 +36,25 @@ class Known:
     plane: GroundPlane | None
     nominal: GroundPlane | None
     trusted: np.ndarray
-    depth_sigma: float
+    depth_sigma: np.ndarray
+    plane_sigma: float
 
     @property
     def size(self) -> np.ndarray:
         """``(N, 3)`` of the classes [m]; NaN for an unknown one."""
         return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
+
+    def select(self, rows: np.ndarray, priors: Sequence[ClassPrior | None]) -> "Known":
+        """Some of the objects (numbers ``rows``), each with a prior of its own."""
+        found = Foreground(*(getattr(self.found, name)[rows] for name in ("direction", "depth", "weight")))
+        return replace(
+            self,
+            found=found,
+            detections=self.detections.select(rows),
+            priors=priors,
+            trusted=self.trusted[rows],
+            depth_sigma=self.depth_sigma[rows],
+        )
 
     def ground_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Y of the ground [m], where there is one."""
@@ -63,6 +77,10 @@ class RawBoxes:
         """Boxes of a method that neither scales depth nor has a cost."""
         count = len(yaw)
         return cls(center, size, yaw, np.ones(count), np.full(count, np.nan), np.zeros(count, bool))
+
+    def select(self, chosen: np.ndarray) -> "RawBoxes":
+        """Those that ``chosen`` (bool or numbers) picks."""
+        return RawBoxes(**{name: value[chosen] for name, value in vars(self).items()})
 
     def where(self, chosen: np.ndarray, other: "RawBoxes") -> "RawBoxes":
         """``other``'s boxes where ``chosen``, marked as fall-backs."""
@@ -134,20 +152,32 @@ def _padded(known: Known, empty: np.ndarray) -> Known:
 
 
 def fitted_boxes(known: Known) -> RawBoxes:
-    """The least-squares fit of :mod:`eldenet.perception.fit`, from several headings; the cheapest wins."""
+    """The least-squares fit of :mod:`eldenet.perception.fit`; of a class's kinds the one that fits best."""
+    seen = known.found.count >= FEWEST_POINTS
+    options = [
+        prior.kinds if prior and prior.kinds and there else (prior,)
+        for prior, there in zip(known.priors, seen, strict=True)
+    ]
+    rows = np.repeat(np.arange(len(options)), [len(kinds) for kinds in options])
+    if len(rows) == len(options):
+        return _fitted(known)
+    raw = _fitted(known.select(rows, [prior for kinds in options for prior in kinds]))
+    order = np.lexsort((raw.cost, rows))
+    return raw.select(order[np.unique(rows[order], return_index=True)[1]])
+
+
+def _fitted(known: Known) -> RawBoxes:
+    """One fit from several headings; the cheapest wins."""
     count = len(known.priors)
     problem = _problem(known)
     start = _starts(known)
     states, costs = [], []
     for first in range(0, count, _CHUNK):
         part = slice(first, first + _CHUNK)
-        chunk = fit.Problem(**{name: value[part] for name, value in vars(problem).items()})
-        state, cost = fit.solve(chunk.repeat(_STARTS), known.camera, start[part].reshape(-1, fit.UNKNOWNS))
-        states.append(state.reshape(-1, _STARTS, fit.UNKNOWNS))
-        costs.append(cost.reshape(-1, _STARTS))
+        state, cost = fit.solve(problem.select(part), known.camera, start[part])
+        states.append(state)
+        costs.append(cost)
     state, cost = np.concatenate(states), np.concatenate(costs)
-    best = cost.argmin(1)
-    state, cost = state[np.arange(count), best], cost[np.arange(count), best]
     size = np.exp(state[:, [fit.LENGTH, fit.WIDTH, fit.HEIGHT]])
     center = np.stack([state[:, fit.X], state[:, fit.BOTTOM] - size[:, 2] / 2, state[:, fit.Z]], axis=1)
     return RawBoxes(
@@ -158,7 +188,6 @@ def fitted_boxes(known: Known) -> RawBoxes:
 def _problem(known: Known) -> fit.Problem:
     found, detections = known.found, known.detections
     priors = [prior or _ANYTHING for prior in known.priors]
-    count = len(priors)
     far = np.where(known.found.count > 0, np.median(found.depth, axis=1), 10.0)
     noise = 0.06 + known.depth_sigma * far
     sigma = [np.hypot(noise, [table[prior.shape] for prior in priors]) for table in (_OUTSIDE, _INSIDE)]
@@ -181,7 +210,7 @@ def _problem(known: Known) -> fit.Problem:
         size_sigma=np.array([prior.spread for prior in priors]),
         ground=ground,
         ground_sigma=ground_sigma,
-        scale_sigma=np.full(count, known.depth_sigma),
+        scale_sigma=known.depth_sigma,
     )
 
 
@@ -193,7 +222,7 @@ def _ground_belief(known: Known) -> tuple[np.ndarray, np.ndarray]:
     """
     away = _distance_by_height(known)
     total, sums = np.full(len(away), 1e-12), np.zeros((len(away), 3))
-    for plane, scale in ((known.plane, known.depth_sigma), (known.nominal, 0.0)):
+    for plane, scale in ((known.plane, known.plane_sigma), (known.nominal, 0.0)):
         if plane is None:
             continue
         sigma = np.hypot(0.05 + plane.tilt * away, scale * plane.offset if plane.fitted else 0.0)

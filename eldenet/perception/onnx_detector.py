@@ -16,8 +16,8 @@ import numpy as np
 from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.data.roots import one_of
 from eldenet.perception.detectors import COCO_NAMES, check_frame
+from eldenet.perception.letterbox import fit_picture, in_frame
 
-_PAD = 114  # grey, as in training
 _STRIDES = (8, 16, 32)
 
 
@@ -166,20 +166,11 @@ class OnnxDetector:
         )
         output = self.session.run(None, {self.input_name: tensor})[0]
         xyxy, score = self.layout.decode(output, self.input_size)
-        label = score.argmax(1)
-        best = score[np.arange(len(score)), label]
-        kept = (best >= self.threshold) & np.isfinite(xyxy).all(1)
-        if self.keep is not None:
-            kept &= np.isin(label, [self.names.index(name) for name in self.keep])
-        xyxy, best, label = xyxy[kept], best[kept], label[kept]
-        xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
-        limit = np.array([frame.shape[1] - 1, frame.shape[0] - 1])
-        xyxy = np.clip(xyxy, 0, np.tile(limit, 2))
-        chosen = class_wise_nms(xyxy, best, label, self.nms)
-        chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
-        return Detections2D(
-            xyxy[chosen], best[chosen], label[chosen].astype(np.int64), self.names, self.box_style
+        wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
+        xyxy, best, label = in_frame(
+            xyxy, score, scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms, keep=wanted
         )
+        return Detections2D(xyxy, best, label, self.names, self.box_style)
 
     def _sniff(self, path: Path, metadata: dict[str, str]) -> str:
         """Layout by the shape of the first output."""
@@ -271,30 +262,3 @@ def _warn_of_licence(path: Path, metadata: dict[str, str]) -> None:
             "whatever uses it, networks included",
             stacklevel=3,
         )
-
-
-def fit_picture(
-    frame: np.ndarray, size: tuple[int, int], letterbox: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Resize a frame into ``(height, width)``; returns picture, scale (x, y) and shift (x, y) [px]."""
-    import cv2
-
-    height, width = frame.shape[:2]
-    if letterbox == "stretch":
-        scale = np.array([size[1] / width, size[0] / height])
-        return np.asarray(cv2.resize(frame, (size[1], size[0]))), scale, np.zeros(2)
-    ratio = min(size[0] / height, size[1] / width)
-    inner = (max(1, round(height * ratio)), max(1, round(width * ratio)))
-    left, top = ((size[1] - inner[1]) // 2, (size[0] - inner[0]) // 2) if letterbox == "center" else (0, 0)
-    picture = np.full((*size, 3), _PAD, np.uint8)
-    picture[top : top + inner[0], left : left + inner[1]] = cv2.resize(frame, (inner[1], inner[0]))
-    return picture, np.array([ratio, ratio]), np.array([left, top], np.float64)
-
-
-def class_wise_nms(xyxy: np.ndarray, score: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
-    """Numbers of the boxes to keep, best first: non-maximum suppression within each class."""
-    import torch
-    from torchvision.ops import batched_nms
-
-    kept = batched_nms(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (xyxy, score, label)), threshold)
-    return np.asarray(kept.numpy())

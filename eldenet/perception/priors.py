@@ -17,16 +17,20 @@ class ClassPrior:
         size: mean length, width, height [m].
         spread: relative standard deviation of each.
         shape: what fills the box: a vehicle (corners cut, roof smaller), something upright and slim, a block.
+        kinds: that go by the same name; with depth to tell them apart, the best fit counts.
     """
 
     size: tuple[float, float, float]
     spread: tuple[float, float, float]
     shape: Shape
+    kinds: tuple["ClassPrior", ...] = ()
 
 
 _CAR = ClassPrior((3.90, 1.61, 1.52), (0.11, 0.07, 0.08), "vehicle")
 _VAN = ClassPrior((4.93, 1.86, 2.16), (0.12, 0.08, 0.14), "vehicle")
-_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle")  # COCO's are vans and pick-ups too
+_LORRY = ClassPrior((8.5, 2.5, 3.15), (0.3, 0.07, 0.1), "vehicle")
+_PICK_UP = ClassPrior((5.2, 1.95, 1.9), (0.2, 0.1, 0.12), "vehicle")
+_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle", (_LORRY, _PICK_UP))  # COCO's are both
 _PERSON = ClassPrior((0.67, 0.61, 1.71), (0.3, 0.25, 0.08), "upright")
 _CYCLIST = ClassPrior((1.77, 0.60, 1.71), (0.1, 0.2, 0.06), "upright")
 

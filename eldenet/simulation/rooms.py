@@ -29,6 +29,7 @@ class Room:
         text: MJCF.
         lights: rows of x, y, z [m], r, g, b, reach [m].
         obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
+        pieces: maker ("chair", "person", ...) of what stands in the room, by its body's number in the model.
         ambient: share of the light that comes from everywhere.
     """
 
@@ -37,6 +38,7 @@ class Room:
     text: str = ""
     lights: list[tuple[float, ...]] = field(default_factory=list)
     obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    pieces: dict[int, str] = field(default_factory=dict)
     ambient: float = 0.5
 
     @property
@@ -133,6 +135,7 @@ class _Builder:
         for surface in item.maker(self.d, self.m, body, width, depth):
             household.clutter(self.d, self.m, body, surface, self.clutter)
         self.bodies.append(body)
+        self.room.pieces[len(self.bodies)] = item.maker.__name__  # body 0 is the world
         self._note(x, y, *_turned(width, depth, round(yaw / 90) % 2 == 1), 2.2 if item.tall else item.height)
         if item.maker is household.lamp:
             self.room.lights.append((x, y, 1.5, 0.5, 0.42, 0.3, 1.2))

@@ -1,8 +1,9 @@
-"""Rendered streets as a folder of pictures and depth maps, to train a depth network on.
+"""Rendered streets or halls as a folder of pictures and depth maps, to train a depth network on.
 
-python experiments/table4_centres/render.py runs/streets 600
+python experiments/table4_centres/render.py runs/streets 1800
+python experiments/table4_centres/render.py runs/halls 1800 hall
 python -m eldenet.train data=folder data.root=runs/streets data.encoding=kitti data.max_depth=80 \
-    'data.input_size=[96,312]' model=eldenet_s run_dir=runs/streets-depth
+    'data.input_size=[96,312]' model/head=log loss=l1 loss.terms.l1.space=log run_dir=runs/streets-depth
 """
 
 import sys
@@ -13,18 +14,22 @@ import numpy as np
 
 from eldenet.simulation.street_views import render_street
 
-SIZE = (96, 312)
+SIZES = {"street": (96, 312), "hall": (96, 128)}
 
 
-def main(folder: Path, count: int) -> None:
+def main(folder: Path, count: int, kind: str) -> None:
+    """Frames that are there already are left as they are."""
     for name in ("images", "depths"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for index in range(count):
-        view = render_street("train", index, SIZE)
+        depth = folder / "depths" / f"{index:05d}.png"
+        if depth.exists():
+            continue
+        view = render_street("train", index, SIZES[kind], kind)
         steps = np.clip(np.rint(view.depth * 256), 0, 65535).astype(np.uint16)
-        cv2.imwrite(str(folder / "images" / f"{index:05d}.png"), view.image[..., ::-1])
-        cv2.imwrite(str(folder / "depths" / f"{index:05d}.png"), steps)
+        cv2.imwrite(str(folder / "images" / depth.name), view.image[..., ::-1])
+        cv2.imwrite(str(depth), steps)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else "street")

@@ -22,7 +22,7 @@ from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import ROAD_NAMES, merge_cyclists
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import KittiObjects
-from eldenet.perception.lifter import METHODS, BoxLifter
+from eldenet.perception.lifter import LARGE, METHODS, SMALL, BoxLifter
 from eldenet.perception.onnx_detector import OnnxDetector
 from eldenet.perception.scores import Pairs, bootstrap, by_distance, compare, pair_up, summary
 from eldenet.pictures import write_picture
@@ -99,12 +99,12 @@ def real(kitti: KittiObjects, detector: OnnxDetector | None, depth_of: Callable)
 
 
 def run_methods(
-    cases: list[Case], height: float, sigma: float
+    cases: list[Case], height: float, sigma: tuple[float, float]
 ) -> tuple[dict[str, Pairs], dict[str, list[Boxes3D]], float]:
     """Pairs and boxes of each method, and the processor time of ``refine`` per object [ms]."""
     pairs, boxes, spent, objects = {}, {}, 0.0, 0
     for method in METHODS:
-        lifter = BoxLifter(method, camera_height=height, depth_sigma=sigma)
+        lifter = BoxLifter(method, camera_height=height, depth_sigma=sigma[0], small_sigma=sigma[1])
         lifted = []
         for case in cases:
             start = time.process_time()
@@ -151,16 +151,28 @@ def differences(name: str, pairs: dict[str, Pairs]) -> list[str]:
     return lines
 
 
-def relative_error(views: list[StreetView], predictor: DepthPredictor) -> float:
-    """Median of the relative depth error of whole objects, on training scenes: ``depth_sigma``."""
-    errors = []
+def relative_error(views: list[StreetView], predictor: DepthPredictor) -> tuple[float, float]:
+    """Relative depth errors of large and of small objects: ``depth_sigma`` and ``small_sigma``.
+
+    A power law through the medians of the smaller and the larger half.
+    """
+    errors, sides = [], []
     for view in views:
         predicted = predictor(view.image)
         for number in range(len(view.boxes)):
             mine = (view.instance == number) & (view.depth > 0)
             if mine.sum() >= 100:
                 errors.append(abs(np.log(np.median(predicted[mine]) / np.median(view.depth[mine]))))
-    return float(np.clip(1.4826 * np.median(errors), EXACT_SIGMA, 0.5))
+                box = view.detections.xyxy[number]
+                sides.append(np.log(min(box[2] - box[0], box[3] - box[1]) + 1))
+    larger = np.array(sides) > np.median(sides)
+    halves = [
+        (np.median(np.array(sides)[half]), np.median(np.array(errors)[half])) for half in (~larger, larger)
+    ]
+    (small, wrong), (large, right) = halves
+    slope = min(0.0, np.log(right / wrong) / (large - small))
+    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE, SMALL)]
+    return float(np.clip(sigma[0], EXACT_SIGMA, 0.5)), float(np.clip(sigma[1], EXACT_SIGMA, 0.5))
 
 
 def draw(folder: Path, cases: list[Case], boxes: list[Boxes3D]) -> None:
@@ -183,7 +195,7 @@ def main() -> None:
     options.add_argument("--run-folder", type=Path, default=Path("runs/table4_centres"))
     options.add_argument("--output", type=Path, default=HERE / "results", help="without an ending")
     chosen = options.parse_args()
-    settings: list[tuple[str, str, list[Case], float, float]] = []
+    settings: list[tuple[str, str, list[Case], float, tuple[float, float]]] = []
     notes = []
     for kind in SIZES:
         views = [render_street("test", index, SIZES[kind], kind) for index in range(chosen.frames)]
@@ -193,16 +205,17 @@ def main() -> None:
                 "simulator",
                 simulated(views, kind, lambda v: v.depth),
                 HEIGHTS[kind],
-                EXACT_SIGMA,
+                (EXACT_SIGMA, EXACT_SIGMA),
             )
         )
         model = chosen.sim_model if kind == "street" else chosen.hall_model
         if model:
             predictor = DepthPredictor(eldenet.load(model))
-            training = [render_street("train", 10000 + index, SIZES[kind], kind) for index in range(15)]
+            training = [render_street("train", 10000 + index, SIZES[kind], kind) for index in range(40)]
             sigma = relative_error(training, predictor)
             notes.append(
-                f"{kind}: depth_sigma of {Path(model).name} measured on 15 training scenes: {sigma:.3f}"
+                f"{kind}: depth_sigma and small_sigma of {Path(model).name} measured on 40 training scenes: "
+                f"{sigma[0]:.3f} and {sigma[1]:.3f}"
             )
             cases = simulated(views, kind, lambda v, p=predictor: p(v.image))
             settings.append((f"{kind}: ELDE-Net", "simulator", cases, HEIGHTS[kind], sigma))
@@ -227,7 +240,7 @@ def main() -> None:
         detectors["labels (leak)"] = None
         for depth, (depth_of, sigma) in depths.items():
             for boxes, detector in detectors.items():
-                settings.append((depth, boxes, list(real(kitti, detector, depth_of)), 1.65, sigma))
+                settings.append((depth, boxes, list(real(kitti, detector, depth_of)), 1.65, (sigma, sigma)))
     rows, gaps, spans, times = [], [], [], []
     for depth, boxes, cases, height, sigma in settings:
         pairs, lifted, milliseconds = run_methods(cases, height, sigma)

@@ -1,0 +1,70 @@
+"""A frame into a network's input, and a network's boxes back into the frame."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+_PAD = 114  # grey, as in training
+
+
+def fit_picture(
+    frame: np.ndarray, size: tuple[int, int], letterbox: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Resize a frame into ``(height, width)``; returns picture, scale (x, y) and shift (x, y) [px]."""
+    import cv2
+
+    height, width = frame.shape[:2]
+    if letterbox == "stretch":
+        scale = np.array([size[1] / width, size[0] / height])
+        return np.asarray(cv2.resize(frame, (size[1], size[0]))), scale, np.zeros(2)
+    ratio = min(size[0] / height, size[1] / width)
+    inner = (max(1, round(height * ratio)), max(1, round(width * ratio)))
+    left, top = ((size[1] - inner[1]) // 2, (size[0] - inner[0]) // 2) if letterbox == "center" else (0, 0)
+    picture = np.full((*size, 3), _PAD, np.uint8)
+    picture[top : top + inner[0], left : left + inner[1]] = cv2.resize(frame, (inner[1], inner[0]))
+    return picture, np.array([ratio, ratio]), np.array([left, top], np.float64)
+
+
+def in_frame(
+    xyxy: np.ndarray,
+    score: np.ndarray,
+    scale: np.ndarray,
+    shift: np.ndarray,
+    size: tuple[int, int],
+    *,
+    threshold: float,
+    nms: float,
+    keep: Sequence[int] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Boxes ``(N, 4)`` [frame px], scores ``(N,)`` and labels ``(N,)`` of a network's answer, best first.
+
+    Args:
+        xyxy: ``(A, 4)`` of every anchor [input px].
+        score: ``(A, classes)``.
+        scale: (x, y) of :func:`fit_picture`.
+        shift: (x, y) of :func:`fit_picture` [input px].
+        size: ``(height, width)`` of the frame [px].
+        threshold: boxes below this score are dropped.
+        nms: see :func:`class_wise_nms`.
+        keep: numbers of the classes to keep; None: all.
+    """
+    label = score.argmax(1)
+    best = score[np.arange(len(score)), label]
+    kept = (best >= threshold) & np.isfinite(xyxy).all(1)
+    if keep is not None:
+        kept &= np.isin(label, keep)
+    xyxy, best, label = xyxy[kept], best[kept], label[kept]
+    xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
+    xyxy = np.clip(xyxy, 0, np.tile([size[1] - 1, size[0] - 1], 2))
+    chosen = class_wise_nms(xyxy, best, label, nms)
+    chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
+    return xyxy[chosen], best[chosen], label[chosen].astype(np.int64)
+
+
+def class_wise_nms(xyxy: np.ndarray, score: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
+    """Numbers of the boxes to keep, best first: non-maximum suppression within each class."""
+    import torch
+    from torchvision.ops import batched_nms
+
+    kept = batched_nms(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (xyxy, score, label)), threshold)
+    return np.asarray(kept.numpy())
