@@ -143,7 +143,7 @@ def test_wrong_observers_are_refused(options, message):
 def test_depth_becomes_the_ranges_that_rays_give():
     arena = generate_arena("val", 40, 5)
     world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
-    _, depth = view.photo(arena.start)
+    depth = view.photo(arena.start).depth
     got, true = depth_to_ranges(depth, view.intrinsics), world.ranges()
     near = true < 8
     assert near.sum() > 10

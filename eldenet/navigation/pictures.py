@@ -135,8 +135,8 @@ class Scene:
             return top
         if sight.image is None and view is not None:
             world = crossings.worlds[slot]
-            image, depth = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
-            sight = sight._replace(image=image, depth=depth)
+            photo = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
+            sight = sight._replace(image=photo.image, depth=photo.depth)
         return np.concatenate([camera_panels(sight, self.size), top], axis=1)
 
 

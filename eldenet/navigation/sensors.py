@@ -192,8 +192,9 @@ class _CameraEye:
         self.sensor, self.world, self.view, self.rng = sensor, world, view, rng
 
     def look(self) -> Sight:
-        frame, true_depth = self.view.photo(self.world.pose, self.world.time, int(self.rng.integers(2**31)))
-        depth = true_depth if self.sensor.predictor is None else self.sensor.predictor(frame)
+        photo = self.view.photo(self.world.pose, self.world.time, int(self.rng.integers(2**31)))
+        frame = photo.image
+        depth = photo.depth if self.sensor.predictor is None else self.sensor.predictor(frame)
         ranges = depth_to_ranges(depth, self.view.intrinsics)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         footprints = None
