@@ -52,12 +52,19 @@ class Navigator:
         self.info = info or {}
 
     @classmethod
-    def load(cls, path: str | Path | None = None, *, robots: int = 1) -> Self:
-        """Read a policy; None: the one that comes with the package.
+    def load(
+        cls, path: str | Path | None = None, *, observer: dict[str, Any] | None = None, robots: int = 1
+    ) -> Self:
+        """Read a policy.
+
+        Args:
+            path: of the file; None: the policy that comes with the package.
+            observer: what it must have been trained with; None: anything.
+            robots: how many drive at once.
 
         Raises:
             FileNotFoundError: there is none.
-            ValueError: the file is no policy.
+            ValueError: the file is no policy, or one with another observer.
         """
         path = DEFAULT_WEIGHTS if path is None else Path(path)
         if not path.is_file():
@@ -71,6 +78,11 @@ class Navigator:
                 raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
             weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         content = json.loads(notes)
+        if observer is not None and Observer(**observer).options != Observer(**content["observer"]).options:
+            raise ValueError(
+                f"{path} was trained with the observer {content['observer']}, not {observer}: give the "
+                "checkpoint of a driver that was trained so"
+            )
         network = QNetwork(content["inputs"], content["actions"], tuple(content["hidden"]))
         network.load_state_dict(weights)
         return cls(network, content["observer"], robots=robots, info=content["info"])

@@ -10,12 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from eldenet.navigation.cameras import camera
 from eldenet.navigation.evaluation import Crossing, as_rows, cross
+from eldenet.navigation.noise import NoisyRanges
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import LocalDWA
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
-from eldenet.navigation.sensors import NoisyRanges, Ranges, camera
+from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.record import environment, write_json, write_rows
 from eldenet.simulation.arenas import arenas_hash
