@@ -153,7 +153,7 @@ def fit_errors(looks: Looks, edges: Sequence[float] = EDGES, **measured: Any) ->
     kept = inner & (np.abs(error) < MISSED)
     if kept.sum() < 500:
         raise ValueError(
-            f"{int(kept.sum())} columns show something: too few looks to measure errors, take more"
+            f"{int(kept.sum())} columns show something: too few to measure errors, look in more arenas"
         )
     bias, spread = np.zeros(count), np.zeros(count)
     for number in range(count):
