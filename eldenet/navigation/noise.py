@@ -1,6 +1,7 @@
 """Ranges with the errors of a depth network, without the network."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -8,6 +9,14 @@ from eldenet.navigation.range_errors import RangeErrors, things
 from eldenet.navigation.sensors import Drift, Eye, Sight
 from eldenet.robot import ROBOT
 from eldenet.simulation.arena_world import ArenaWorld
+
+#: Of the network that was trained on data=arenas; the file says how, and how its errors were measured.
+MEASURED = Path(__file__).resolve().parent.parent / "weights" / "arena_range_errors.json"
+
+
+def errors_file(name: str) -> Path:
+    """The file that "packaged" or a path names."""
+    return MEASURED if name == "packaged" else Path(name)
 
 
 class NoisyRanges:
@@ -22,7 +31,8 @@ class NoisyRanges:
         smooth: standard deviation of the error that about four neighbouring columns share.
         column: standard deviation of each column's own error.
         memory: correlation of a frame's scale with the frame before.
-        errors: file of :class:`~eldenet.navigation.range_errors.RangeErrors`, which replaces the four above.
+        errors: :class:`~eldenet.navigation.range_errors.RangeErrors` or their file, which replace the four
+            above; "packaged": those that were measured of a network trained on data=arenas.
         drift: of the odometry.
     """
 
@@ -40,7 +50,7 @@ class NoisyRanges:
                 f"scale={scale}, smooth={smooth}, column={column}, memory={memory}: deviations from 0, "
                 "the memory is in [0, 1)"
             )
-        self.errors = RangeErrors.read(errors) if isinstance(errors, str) else errors
+        self.errors = RangeErrors.read(errors_file(errors)) if isinstance(errors, str) else errors
         if self.errors is not None:
             e = self.errors
             scale, smooth, column, memory = e.scale, e.smooth, e.column, e.memory

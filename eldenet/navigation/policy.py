@@ -53,13 +53,20 @@ class Navigator:
 
     @classmethod
     def load(
-        cls, path: str | Path | None = None, *, observer: dict[str, Any] | None = None, robots: int = 1
+        cls,
+        path: str | Path | None = None,
+        *,
+        observer: dict[str, Any] | None = None,
+        walkers: bool | None = None,
+        robots: int = 1,
     ) -> Self:
         """Read a policy.
 
         Args:
             path: of the file; None: the policy that comes with the package.
             observer: what it must have been trained with; None: anything.
+            walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
+                that was trained without; None: as it was trained.
             robots: how many drive at once.
 
         Raises:
@@ -83,6 +90,8 @@ class Navigator:
                 f"{path} was trained with the observer {content['observer']}, not {observer}: give the "
                 "checkpoint of a driver that was trained so"
             )
+        if walkers is not None:
+            content["observer"]["walkers"] = walkers
         network = QNetwork(content["inputs"], content["actions"], tuple(content["hidden"]))
         network.load_state_dict(weights)
         return cls(network, content["observer"], robots=robots, info=content["info"])

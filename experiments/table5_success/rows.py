@@ -14,7 +14,7 @@ from pathlib import Path
 import eldenet
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.evaluation import Crossing, as_rows, cross
-from eldenet.navigation.noise import NoisyRanges
+from eldenet.navigation.noise import NoisyRanges, errors_file
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import LocalDWA
 from eldenet.navigation.planners.straight import Straight
@@ -32,7 +32,9 @@ LEARNT = {  # name -> what to train it with
     "paper_literal": ["policy=paper_literal"],
     "paper_state": ["policy=paper_state"],
     "dqn": [],
-    "dqn_walkers": ["movers=10"],
+    "dqn_follows": [],  # dqn's trainings, told to follow what moves
+    "dqn_walkers": ["movers=10", "observer.walkers=true"],
+    "dqn_noisy": ["sensor=noisy", "sensor.errors=packaged"],
 }
 PLANNERS = {
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
@@ -99,7 +101,7 @@ def arguments() -> Namespace:
     parser.add_argument("--physics", default="wheels")
     parser.add_argument("--courses", default=",".join(course_name(*course) for course in COURSES))
     parser.add_argument("--depth", default=None, help="folder of the depth network of camera and objects")
-    parser.add_argument("--errors", default=None, help="range_errors.json of sensor noisy")
+    parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
     parser.add_argument("--packaged", action="store_true", help="the packaged policy is dqn's only training")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")
     parser.add_argument("--rows", type=Path, default=HERE / "rows", help="where rows are kept")
@@ -124,7 +126,8 @@ def all_rows(given: Namespace) -> Iterator[Row]:
     for physics in given.physics.split(","):
         for sensor in sensors:
             for method in methods:
-                seeds = [0] if given.packaged and method == "dqn" else list(range(given.seeds))
+                packaged = given.packaged and method in ("dqn", "dqn_follows")
+                seeds = [0] if packaged else list(range(given.seeds))
                 for seed in seeds if method in LEARNT else [None]:
                     for course in courses:
                         yield Row(method, *known[course], sensor, physics, given.worlds, seed)
@@ -134,9 +137,10 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     """The trained policy of a row; it is trained now if it was not yet. None for planners."""
     if row.seed is None:
         return None
-    if given.packaged and row.method == "dqn":
+    method = "dqn" if row.method == "dqn_follows" else row.method
+    if given.packaged and method == "dqn":
         return DEFAULT_WEIGHTS
-    folder = given.runs / f"{row.method}-{row.seed}"
+    folder = given.runs / f"{method}-{row.seed}"
     if not (folder / "policy.safetensors").is_file():
         options = [*LEARNT[row.method], f"seed={row.seed}", f"run_dir={folder}"]
         subprocess.run([sys.executable, "-m", "eldenet.navigate", "mode=train", *options], check=True)
@@ -190,7 +194,7 @@ def key_of(
         "sources": sources_hash(row),
         "policy": _digest(weights),
         "depth": _digest(network),
-        "errors": _digest(None if given.errors is None or kind != "noisy" else Path(given.errors)),
+        "errors": _digest(errors_file(given.errors) if kind == "noisy" else None),
     }
 
 
@@ -210,7 +214,8 @@ def measure(row: Row, given: Namespace) -> list[Crossing]:
     if table.is_file() and note.is_file() and json.loads(note.read_text())["key"] == key:
         return read_rows(table)
     started = time.process_time()
-    make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, robots=robots))
+    walkers = True if row.method == "dqn_follows" else None
+    make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, walkers=walkers, robots=robots))
     crossings = cross(arenas, make, make_sensor(row, given), physics=row.physics)
     write_rows(table, *as_rows(crossings))
     spent = round(time.process_time() - started, 1)
