@@ -6,12 +6,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from eldenet.geometry import PinholeCamera
 from eldenet.legend import visible_range
 from eldenet.navigation.crossings import GOAL_RADIUS, Crossings
 from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.sensors import Sight
+from eldenet.perception.drawing import draw_boxes
 from eldenet.pictures import colour_depth
 from eldenet.robot import ROBOT
+from eldenet.simulation.arena_view import robot_intrinsics
 from eldenet.simulation.arenas import Arena, Obstacle
 
 _COLOURS = {
@@ -147,11 +150,13 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
     width = height * 4 // 3
     near, far = (0.3, 8.0) if sight.depth is None else visible_range(sight.depth)
     empty = np.full((height, width, 3), 225, np.uint8)
-    photo = (
-        empty
-        if sight.image is None
-        else cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR)
-    )
+    photo = empty
+    if sight.image is not None:
+        photo = np.asarray(cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+        if sight.boxes is not None:
+            photo = draw_boxes(
+                photo, sight.boxes, PinholeCamera(robot_intrinsics((height, width))), front=False
+            )
     depth = empty
     if sight.depth is not None:
         colours = colour_depth(sight.depth, near, far, sight.depth > 0)

@@ -47,9 +47,7 @@ class ArenaView:
 
         if light <= 0:
             raise ValueError(f"light={light}: give a share above 0")
-        height, width = size
-        focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
-        self.intrinsics = pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2)
+        self.intrinsics = robot_intrinsics(size)
         self.camera = RayCamera(size, self.intrinsics)
         self.arena, self.size = arena, size
         self.model: Any = mujoco.MjModel.from_xml_string(arena_mjcf(arena, "none", look=True))
@@ -95,6 +93,13 @@ class ArenaView:
         image = develop(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
         depth = hits.depth.astype(np.float32).reshape(self.size)
         return Photo(image, depth, self._obstacle_of[hits.geom].reshape(self.size))
+
+
+def robot_intrinsics(size: tuple[int, int]) -> np.ndarray:
+    """``(3, 3)`` [px] of the robot's camera at ``(height, width)`` [px]."""
+    height, width = size
+    focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
+    return pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
