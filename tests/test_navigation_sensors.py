@@ -228,6 +228,14 @@ def test_errors_are_kept_in_a_small_file(tmp_path, measured):
         RangeErrors.read(path)
 
 
+def test_the_packaged_errors_say_where_they_come_from():
+    errors = NoisyRanges(errors="packaged").errors
+    assert "data=arenas" in errors.measured["network"]
+    assert {"training", "command", "date", "versions"} <= set(errors.measured)
+    assert errors.measured["split"] == "val"
+    assert all(0.02 < spread < 0.3 for spread in errors.spread)
+
+
 def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
     ranges = np.concatenate([np.full(10, 5.0), np.full(6, 2.5), np.full(24, ROBOT.far)])
     assert things(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
