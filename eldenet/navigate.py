@@ -1,4 +1,4 @@
-"""``python -m eldenet.navigate``: watch a driver cross an arena, evaluate drivers, train one."""
+"""``python -m eldenet.navigate``: watch a driver, evaluate, diagnose, train; measure a camera's errors."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from eldenet.runlog import RunLog
 
-MODES = ("watch", "evaluate", "train")
+MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 
 
 @cfg.entry_point("navigate")
@@ -31,6 +31,10 @@ def main(config: "DictConfig", folder: Path) -> None:
         train(config, folder, log)
     elif config.mode == "evaluate":
         evaluate(config, densities, folder, log)
+    elif config.mode == "diagnose":
+        diagnose(config, densities, folder, log)
+    elif config.mode == "measure":
+        measure(config, densities, folder, log)
     else:
         watch(config, densities[0], folder, log)
     log.close()
@@ -111,6 +115,69 @@ def _cells(summary: dict[str, Any]) -> list[str]:
         ),
         *(f"{s['timeout']:.1f}", f"{s['seconds']:.1f}", f"{s['spl']:.3f}"),
     ]
+
+
+def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> None:
+    """Trace every failure: ``failures.csv``, and a picture of the worst."""
+    from collections import Counter
+
+    from eldenet.navigation.evaluation import cross
+    from eldenet.navigation.failures import KINDS, as_rows, draw_worst, trace
+    from eldenet.navigation.tasks import frozen_arenas
+    from eldenet.pictures import write_picture
+    from eldenet.record import write_rows
+
+    make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
+    settings = {
+        "physics": config.physics,
+        "seed": int(config.seed),
+        "time_limit": float(config.time_limit),
+    }
+    for density in densities:
+        arenas = frozen_arenas(density, int(config.worlds), split=config.split, movers=int(config.movers))
+        make = lambda robots: make_policy(robots=robots)  # noqa: E731
+        with log.bar(f"{density} obstacles", len(arenas), unit="worlds") as bar:
+            rows = cross(arenas, make, sensor, robots=int(config.robots), advance=bar.advance, **settings)
+        failures = trace(arenas, rows, make, sensor, **settings)
+        if not failures:
+            log.say(f"{density} obstacles: all {len(rows)} crossings succeeded")
+            continue
+        write_rows(folder / f"failures_{density}.csv", *as_rows(failures))
+        write_picture(folder / f"failures_{density}.png", draw_worst(failures))
+        counts = Counter(failure.kind for failure in failures)
+        table = [[kind, str(counts[kind]), KINDS[kind]] for kind in KINDS if counts[kind]]
+        title = f"{len(failures)} of {len(rows)} failed at {density} obstacles: {folder}"
+        log.table(title, ["kind", "failures", "what happened"], table)
+
+
+def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> Path:
+    """Measure the errors of a sensor's ranges, on arenas of the "val" split, for ``sensor=noisy``."""
+    from eldenet.navigation.policy import Navigator
+    from eldenet.navigation.range_errors import fit_errors, look_along
+    from eldenet.navigation.tasks import frozen_arenas
+    from eldenet.record import environment
+
+    sensor = cfg.instantiate(config.sensor)
+    arenas = [a for density in densities for a in frozen_arenas(density, int(config.worlds), split="val")]
+    with log.bar("looking", len(arenas), unit="worlds") as bar:
+        looks = look_along(
+            arenas, sensor, Navigator.load(), seed=int(config.seed), time_limit=float(config.time_limit),
+            advance=bar.advance,
+        )  # fmt: skip
+    where = environment()
+    note = {"sensor": cfg.plain(config.sensor), "densities": densities, "worlds": int(config.worlds)}
+    note |= {name: where[name] for name in ("date", "git", "versions", "command")}
+    errors = fit_errors(looks, split="val", **note)
+    path = folder / "range_errors.json"
+    errors.write(path)
+    names = ("count", "bias", "spread", "missed", "ghost")
+    table = [
+        [f"{row['from']} to {row['to']} m", *(f"{row.get(name, float('nan')):.3g}" for name in names)]
+        for row in errors.sectors
+    ]
+    title = f"errors of sector ranges (natural logarithm): {path}"
+    log.table(title, ["true range", "looks", "bias", "spread", "missed", "ghosts"], table)
+    return path
 
 
 def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:

@@ -57,6 +57,7 @@ HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, of networks that are one piece
     # Numbers of one machine, not of the data set; the default fits every machine.
     "eldenet.data.rooms.Rooms": {"workers"},
+    "eldenet.data.arenas.Arenas": {"workers"},
     # torch's own long tail (foreach, capturable, ...): +optimizer.eps=... adds what is needed.
     "torch.optim.": {
         *("eps", "amsgrad", "foreach", "maximize", "capturable", "differentiable", "fused"),
@@ -220,7 +221,7 @@ def mat_with_all_splits(root: Path) -> Path:
 
 
 def test_every_data_set_is_tested() -> None:
-    elsewhere = {"rooms"}  # needs no files: tests/test_rooms.py
+    elsewhere = {"rooms", "arenas"}  # need no files: tests/test_rooms.py, tests/test_arena_frames.py
     assert set(choices("data")) - set(TREES) <= elsewhere
 
 

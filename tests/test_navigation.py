@@ -15,6 +15,7 @@ from eldenet.navigation.arcs import ArcTable, arc_table
 from eldenet.navigation.crossings import Crossings, Event
 from eldenet.navigation.dqn import CHECKPOINT, DQN, Replay, Windows
 from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarise
+from eldenet.navigation.noise import NoisyRanges
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
@@ -22,7 +23,7 @@ from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, as_ranges, export_onnx
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
-from eldenet.navigation.sensors import FED_BY, Camera, Drift, NoisyRanges, Odometry, Ranges
+from eldenet.navigation.sensors import Drift, Odometry, Ranges
 from eldenet.navigation.statistics import mcnemar, spl, wilson_interval
 from eldenet.navigation.tasks import TrainingArenas, frozen_arenas
 from eldenet.robot import ROBOT
@@ -143,7 +144,7 @@ def test_wrong_observers_are_refused(options, message):
 def test_depth_becomes_the_ranges_that_rays_give():
     arena = generate_arena("val", 40, 5)
     world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
-    _, depth = view.photo(arena.start)
+    depth = view.photo(arena.start).depth
     got, true = depth_to_ranges(depth, view.intrinsics), world.ranges()
     near = true < 8
     assert near.sum() > 10
@@ -173,18 +174,6 @@ def test_boxes_become_the_ranges_of_their_near_faces():
     assert on_box.sum() > 5
     assert got[on_box] == pytest.approx(true[on_box], abs=1e-4)
     assert (footprints_to_ranges(np.empty((0, 5))) == ROBOT.far).all()
-
-
-def test_a_camera_with_boxes_says_what_fed_each_column():
-    arena = generate_arena("val", 20, 0)
-    sensor = Camera(None, lambda frame, depth, k: np.array([[2.0, 0.0, 0.0, 0.3, 0.3]]), size=(60, 80))
-    eye = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
-    sight = eye.look()
-    boxes = sight.fed_by == FED_BY.index("boxes")
-    assert 0 < boxes.sum() < ROBOT.columns
-    assert sight.ranges[boxes].max() < 1.8
-    assert sight.image.shape == (60, 80, 3)
-    assert (sight.fed_by[~boxes] == FED_BY.index("depth")).all()
 
 
 def test_noise_has_the_deviations_it_was_given():
@@ -301,7 +290,7 @@ def test_the_time_limit_truncates_and_the_goal_terminates():
         _, value, terminated, truncated, info = env.step(2)
         if terminated:
             break
-    assert info == {"event": "goal", "is_success": True}
+    assert info == {"event": "goal", "is_success": True, "fed_by": ("simulator",) * 5}
     assert value > 4.9
     assert not truncated
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.data import rooms as rooms_module
+from eldenet.data import rendered
 from eldenet.data.rooms import Rooms
 from eldenet.data.shards import DEPTH_STEP, encode_depth, is_whole, open_shard, shard_folder, write_shard
 from eldenet.data.statistics import depth_statistics
@@ -45,7 +45,7 @@ def test_a_seed_names_one_text():
 def test_splits_and_rooms_differ():
     texts = {generate_room(split, index).sha256 for split in ("train", "val", "test") for index in range(4)}
     assert len(texts) == 12
-    assert tuple(SPLITS) == rooms_module.SPLITS
+    assert tuple(SPLITS) == rendered.SPLITS
 
 
 def test_every_room_compiles_and_is_furnished():
@@ -197,7 +197,7 @@ def test_stored_depth_keeps_a_tenth_of_a_millimetre(dataset):
 
 def test_fewer_and_more_frames_reuse_shards(dataset, cache, monkeypatch):
     asked = []
-    monkeypatch.setattr(rooms_module, "render_missing", lambda *args: asked.append(list(args[2])))
+    monkeypatch.setattr(rendered, "render_missing", lambda *args: asked.append(list(args[3])))
     few = Rooms("train", 10, size=SIZE, root=cache)
     assert not asked
     assert few.names == dataset.names[:10]
@@ -253,7 +253,7 @@ def test_a_render_process_continues_where_another_stopped(tmp_path, dataset):
         ),
     )
     stamp = (done / "image.npy").stat().st_mtime_ns
-    rooms_module.render_missing(tmp_path, "train", [0, 1], SIZE, workers=1)
+    rendered.render_missing(tmp_path, Rooms.generator, "train", [0, 1], SIZE, workers=1)
     assert (done / "image.npy").stat().st_mtime_ns == stamp
     ours, theirs = shard_folder(tmp_path, "train", 1), shard_folder(dataset.folder, "train", 1)
     assert json.loads((ours / "shard.json").read_text()) == json.loads((theirs / "shard.json").read_text())
@@ -262,7 +262,7 @@ def test_a_render_process_continues_where_another_stopped(tmp_path, dataset):
 def test_a_failing_render_process_is_an_error(tmp_path):
     (tmp_path / "train").write_text("in the way")
     with pytest.raises(RuntimeError, match="render process"):
-        rooms_module.render_missing(tmp_path, "train", [0], SIZE, workers=1)
+        rendered.render_missing(tmp_path, Rooms.generator, "train", [0], SIZE, workers=1)
 
 
 def test_pickled_data_sets_open_their_own_maps(dataset):

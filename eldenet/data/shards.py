@@ -17,19 +17,17 @@ import sys
 import uuid
 import zlib
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 #: Metres per step of the stored depth; uint16 then reaches 13.1 m.
 DEPTH_STEP = 0.0002
-#: Rooms per shard and frames per room.
-SHARD_ROOMS, VIEWS = 8, 8
+#: Scenes per shard and frames per scene.
+SHARD_SCENES, VIEWS = 8, 8
 
-_SOURCES = (
-    "camera", "culling", "furniture", "household", "kinds", "materials", "mjcf", "motifs", "patterns",
-    "render", "rooms", "seating", "sensor", "shading", "textures", "walls", "weights",
-)  # fmt: skip
 _ARRAYS = ("image", "depth", "intrinsics")
 
 
@@ -38,12 +36,30 @@ def default_cache() -> Path:
     return Path(os.environ.get("ELDENET_CACHE") or Path.home() / ".cache" / "eldenet")
 
 
-def generator_hash(settings: dict[str, object]) -> str:
+class Generator(NamedTuple):
+    """What renders the frames of a data set.
+
+    Attributes:
+        name: of the data set.
+        version: part of its folder's name.
+        renderer: ``package.module.function`` of ``(split, index, (height, width), views) ->``
+            :class:`~eldenet.simulation.render.Views`, the frames of scene ``index``.
+        sources: modules, as paths within the package, on which its frames depend.
+    """
+
+    name: str
+    version: int
+    renderer: str
+    sources: tuple[str, ...]
+
+
+def generator_hash(generator: Generator, size: tuple[int, int]) -> str:
     """First 12 hex digits of the SHA-256 over the generator's sources and settings."""
+    settings = {"size": list(size), "views": VIEWS, "step": DEPTH_STEP, generator.name: SHARD_SCENES}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
-    folder = Path(__file__).parent.parent / "simulation"
-    for name in _SOURCES:
-        digest.update((folder / f"{name}.py").read_bytes().replace(b"\r\n", b"\n"))
+    package = Path(__file__).parent.parent
+    for name in generator.sources:
+        digest.update((package / f"{name}.py").read_bytes().replace(b"\r\n", b"\n"))
     return digest.hexdigest()[:12]
 
 
@@ -100,32 +116,34 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 
 def render_shard(
     root: Path,
+    renderer: str,
     split: str,
     shard: int,
     size: tuple[int, int],
-    on_room: Callable[[int], None] = lambda frames: None,
+    on_scene: Callable[[int], None] = lambda frames: None,
 ) -> None:
-    """Render the rooms of one shard and write it; ``on_room`` hears of every room's frames."""
-    from eldenet.simulation.render import render_room
-
+    """Render the scenes of one shard and write it; ``on_scene`` hears of every scene's frames."""
+    module, _, function = renderer.rpartition(".")
+    render: Callable[[str, int, tuple[int, int], int], Any] = getattr(import_module(module), function)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in _ARRAYS}
-    for index in range(shard * SHARD_ROOMS, (shard + 1) * SHARD_ROOMS):
-        views = render_room(split, index, size, VIEWS)
+    for index in range(shard * SHARD_SCENES, (shard + 1) * SHARD_SCENES):
+        views = render(split, index, size, VIEWS)
         columns["image"].append(views.image)
         columns["depth"].append(encode_depth(views.depth))
         columns["intrinsics"].append(views.intrinsics)
-        on_room(len(views.image))
+        on_scene(len(views.image))
     write_shard(
         shard_folder(root, split, shard), {name: np.concatenate(parts) for name, parts in columns.items()}
     )
 
 
 def _worker() -> None:
-    """Render the shards of the job on stdin; print the number of frames after every room."""
+    """Render the shards of the job on stdin; print the number of frames after every scene."""
     job = json.loads(sys.stdin.readline())
+    root, size = Path(job["root"]), tuple(job["size"])
     for shard in job["shards"]:
-        if not is_whole(shard_folder(Path(job["root"]), job["split"], shard)):
-            render_shard(Path(job["root"]), job["split"], shard, tuple(job["size"]), _report)
+        if not is_whole(shard_folder(root, job["split"], shard)):
+            render_shard(root, job["renderer"], job["split"], shard, size, _report)
 
 
 def _report(frames: int) -> None:

@@ -7,8 +7,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from eldenet.navigation.crossings import TIME_LIMIT, Crossings, Event
+from eldenet.navigation.noise import NoisyRanges
 from eldenet.navigation.observer import Observer
-from eldenet.navigation.sensors import NoisyRanges, Ranges, Sensor
+from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.simulation.arenas import Arena
 
@@ -42,7 +43,8 @@ class ArenaNavVectorEnv(VectorEnv):
     Convention: an episode that ends is followed by the next within the same step
     (``AutoresetMode.SAME_STEP``): the observation returned is the new episode's first, and
     ``info["final_obs"]`` (with the mask ``info["_final_obs"]``) holds the last of the one that ended. A
-    collision and the goal terminate; the time limit truncates.
+    collision and the goal terminate; the time limit truncates. Where there is a camera, ``info["fed_by"]``
+    ``(num_envs, 5)`` names what fed each sector: "depth" or "box".
 
     Args:
         num_envs: robots.
@@ -107,6 +109,9 @@ class ArenaNavVectorEnv(VectorEnv):
                 self._begin(slot)
             senses = self.crossings.sense(ended.tolist())
             observation[ended] = self.observer.observe(senses, ended)
+        sights = self.crossings.sights
+        if sights[0] is not None and sights[0].image is not None:
+            info["fed_by"] = np.array([sight.sectors_fed_by for sight in sights if sight is not None])
         return observation, reward(progress, events), terminated, truncated, info
 
     def _begin(self, slot: int) -> None:
@@ -127,6 +132,9 @@ class ArenaNavEnv(gym.Env):
         time_limit: of an episode [s].
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
+
+    ``info["fed_by"]`` names what the nearest range of each sector rests on, right to left: "simulator",
+    "depth" or "box".
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
@@ -163,7 +171,8 @@ class ArenaNavEnv(gym.Env):
         self.crossings.start(0, arena, (int(self.np_random.integers(2**31)),))
         self.observer.reset()
         self._scene = None
-        return self.observer.observe(self.crossings.sense())[0], {"arena": arena.name}
+        observation = self.observer.observe(self.crossings.sense())[0]
+        return observation, {"arena": arena.name, "fed_by": self._fed_by}
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One control period."""
@@ -173,8 +182,17 @@ class ArenaNavEnv(gym.Env):
         if self._scene is not None:
             self._scene.trail.append(tuple(self.crossings.poses[0]))
         value = float(reward(progress, events)[0])
-        info = {"event": event.name.lower(), "is_success": event is Event.GOAL}
+        info = {
+            "event": event.name.lower(),
+            "is_success": event is Event.GOAL,
+            "fed_by": self._fed_by,
+        }
         return observation, value, event in (Event.GOAL, Event.COLLISION), event is Event.TIMEOUT, info
+
+    @property
+    def _fed_by(self) -> tuple[str, ...]:
+        sight = self.crossings.sights[0]
+        return () if sight is None else sight.sectors_fed_by
 
     def render(self) -> np.ndarray | None:
         """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail begins with the first call."""

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.navigation.arcs import REACH, STEP, ArcTable, arc_table
+from eldenet.navigation.walkers import AHEAD, MOST, Walkers, marks
 from eldenet.robot import ROBOT
 
 SECTORS = 5
@@ -31,6 +32,7 @@ HORIZON = 1.8  # of the arcs [s]
 SPEED_LAWS = ("paper", "turn", "prox")
 _LEVELS = 20  # of speed, in the table of arcs
 _NOWHERE = np.float32(1e6)
+TRAIL = 0.35  # half width of what a walker leaves in the memory [m]
 
 
 class Senses(NamedTuple):
@@ -59,6 +61,7 @@ class Observer:
         memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
         bins: bearings into which the memory is divided; 0: no memory columns.
         arcs: add the free time along each action's arc.
+        walkers: follow what moves: where it was is forgotten, where it will be is remembered.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -74,6 +77,7 @@ class Observer:
         memory: int = 60,
         bins: int = 24,
         arcs: bool = True,
+        walkers: bool = False,
     ) -> None:
         if speed not in SPEED_LAWS:
             raise ValueError(f"speed={speed!r}: choose one of {', '.join(SPEED_LAWS)}")
@@ -87,7 +91,7 @@ class Observer:
         self.options = {
             "turn_rates": [float(rate) for rate in turn_rates],
             "turn_factors": [float(factor) for factor in turn_factors],
-            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs},
+            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs, "walkers": walkers},
         }
         self.turn_rates = np.array(turn_rates, dtype=np.float64)
         self.turn_factors = np.array(turn_factors, dtype=np.float64)
@@ -96,6 +100,9 @@ class Observer:
         self._angles = np.array(ROBOT.column_angles)
         self._points = np.full((robots, memory // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
         self._looks = np.zeros(robots, np.intp)  # frames seen so far
+        self._walkers = [Walkers() for _ in range(robots)] if walkers else []
+        marked = MOST * len(AHEAD) * 8 if walkers else 0
+        self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
         self.last = np.zeros((robots, 2))  # command that was carried out: speed [m/s], turn rate [rad/s]
         self.speeds = np.zeros((robots, self.actions))
 
@@ -103,6 +110,10 @@ class Observer:
         """Forget what one robot (or all) saw and did."""
         self._points[robot] = _NOWHERE
         self._looks[robot] = 0
+        self._marks[robot] = _NOWHERE
+        for number in range(self.robots)[robot] if isinstance(robot, slice) else [robot]:
+            if self._walkers:
+                self._walkers[number] = Walkers()
         self.last[robot] = 0.0
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
@@ -161,9 +172,30 @@ class Observer:
             ],
             axis=2,
         )
+        if self._walkers:
+            eyes = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+            for row, robot in enumerate(who):
+                self._follow(int(robot), frame[row], ranges[row], eyes[row])
         frame[ranges >= ROBOT.far] = _NOWHERE
         self._points[who, self._looks[who] // 2 % self._points.shape[1]] = frame
         self._looks[who] += 1
+
+    def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, eye: np.ndarray) -> None:
+        """Forget the trails of what moves, also in this frame, and mark where it will be."""
+        moving = self._walkers[robot].look(frame, ranges)
+        self._marks[robot] = _NOWHERE
+        if not moving:
+            return
+        points = self._points[robot]
+        for track in moving:
+            # its trail lies between where it began and where it is
+            along, at = track.position - track.began, points - track.began.astype(np.float32)
+            share = np.clip(at @ along / max(float(along @ along), 1e-6), 0, 1)
+            off = at - share[..., None] * along
+            points[np.hypot(off[..., 0], off[..., 1]) < TRAIL] = _NOWHERE
+            frame[track.columns] = _NOWHERE
+        marked = marks(moving, eye)
+        self._marks[robot, : len(marked)] = marked
 
     def near_points(
         self, odometry: np.ndarray, robots: np.ndarray | None = None
@@ -172,6 +204,9 @@ class Observer:
         place = odometry.astype(np.float32)
         points = self._points if robots is None else self._points[robots]
         points = points.reshape(len(place), -1, 2)
+        if self._walkers:
+            marked = self._marks if robots is None else self._marks[robots]
+            points = np.concatenate([points, marked], axis=1)
         dx, dy = points[..., 0] - place[:, 0, None], points[..., 1] - place[:, 1, None]
         squared = dx * dx + dy * dy
         row, number = np.nonzero(squared < np.float32(MEMORY_REACH**2))

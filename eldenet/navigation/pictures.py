@@ -6,12 +6,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from eldenet.geometry import PinholeCamera
 from eldenet.legend import visible_range
 from eldenet.navigation.crossings import GOAL_RADIUS, Crossings
 from eldenet.navigation.observer import SECTORS
-from eldenet.navigation.sensors import FED_BY, Sight
+from eldenet.navigation.sensors import Sight
+from eldenet.perception.drawing import draw_boxes
 from eldenet.pictures import colour_depth
 from eldenet.robot import ROBOT
+from eldenet.simulation.arena_view import robot_intrinsics
 from eldenet.simulation.arenas import Arena, Obstacle
 
 _COLOURS = {
@@ -27,7 +30,7 @@ _FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (
     (250, 190, 20),
     (40, 160, 70),
 )
-_FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "boxes": (239, 108, 80)}
+_FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "box": (239, 108, 80)}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -48,13 +51,14 @@ class Scene:
         self.trail: list[tuple[float, float, float]] = []
         self._standing = np.full((size, size, 3), _FLOOR, np.uint8)
         half = arena.side / 2
-        corners = (self._pixel(-half, half), self._pixel(half, -half))
+        corners = (self.pixel(-half, half), self.pixel(half, -half))
         cv2.rectangle(self._standing, *corners, _WALL, 3)
         for obstacle in arena.obstacles:
             if not obstacle.path:
                 self._obstacle(self._standing, obstacle, 0.0)
 
-    def _pixel(self, x: float, y: float) -> tuple[int, int]:
+    def pixel(self, x: float, y: float) -> tuple[int, int]:
+        """Column and row of a point of the arena [m]."""
         return round(self.size / 2 + x * self.scale), round(self.size / 2 - y * self.scale)
 
     def _obstacle(self, picture: np.ndarray, obstacle: Obstacle, time: float) -> None:
@@ -62,7 +66,7 @@ class Scene:
         colour = _COLOURS[obstacle.kind]
         if obstacle.round:
             cv2.circle(
-                picture, self._pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA
+                picture, self.pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA
             )
         else:
             self._box(picture, (x, y, obstacle.yaw), obstacle.half, colour)
@@ -77,7 +81,7 @@ class Scene:
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
         corners = [
-            self._pixel(x + c * a * half[0] - s * b * half[1], y + s * a * half[0] + c * b * half[1])
+            self.pixel(x + c * a * half[0] - s * b * half[1], y + s * a * half[0] + c * b * half[1])
             for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
         cv2.fillConvexPoly(picture, np.array(corners), colour, cv2.LINE_AA)
@@ -89,7 +93,7 @@ class Scene:
         for obstacle in self.arena.movers:
             self._obstacle(picture, obstacle, 0.0 if world is None else world.time)
         for x, y in self.arena.waypoints:
-            cv2.circle(picture, self._pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
+            cv2.circle(picture, self.pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
         x, y, yaw = (float(value) for value in crossings.poses[slot])
         sight = crossings.sights[slot]
         eye = (x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw))
@@ -98,11 +102,11 @@ class Scene:
                 step = ROBOT.field_of_view / SECTORS
                 first = yaw - ROBOT.field_of_view / 2 + number * step
                 edges = [
-                    self._pixel(eye[0] + nearest * math.cos(a), eye[1] + nearest * math.sin(a))
+                    self.pixel(eye[0] + nearest * math.cos(a), eye[1] + nearest * math.sin(a))
                     for a in np.linspace(first, first + step, 6)
                 ]
                 cv2.polylines(
-                    picture, [np.array([self._pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA
+                    picture, [np.array([self.pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA
                 )
             for angle, distance in zip(ROBOT.column_angles, sight.ranges, strict=True):
                 if distance < ROBOT.far:
@@ -110,11 +114,11 @@ class Scene:
                         eye[0] + distance * math.cos(yaw + angle),
                         eye[1] + distance * math.sin(yaw + angle),
                     )
-                    cv2.circle(picture, self._pixel(*at), 1, (200, 30, 30), -1)
+                    cv2.circle(picture, self.pixel(*at), 1, (200, 30, 30), -1)
         for before, after in zip(self.trail, self.trail[1:], strict=False):
-            cv2.line(picture, self._pixel(*before[:2]), self._pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
+            cv2.line(picture, self.pixel(*before[:2]), self.pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
         self._box(picture, (x, y, yaw), (ROBOT.length / 2, ROBOT.width / 2), _ROBOT)
-        cv2.line(picture, self._pixel(x, y), self._pixel(*eye), (0, 0, 0), 2)
+        cv2.line(picture, self.pixel(x, y), self.pixel(*eye), (0, 0, 0), 2)
         return picture
 
     def draw(self, crossings: Crossings, slot: int, note: str = "", view: Any = None) -> np.ndarray:
@@ -135,8 +139,8 @@ class Scene:
             return top
         if sight.image is None and view is not None:
             world = crossings.worlds[slot]
-            image, depth = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
-            sight = sight._replace(image=image, depth=depth)
+            photo = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
+            sight = sight._replace(image=photo.image, depth=photo.depth)
         return np.concatenate([camera_panels(sight, self.size), top], axis=1)
 
 
@@ -146,11 +150,13 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
     width = height * 4 // 3
     near, far = (0.3, 8.0) if sight.depth is None else visible_range(sight.depth)
     empty = np.full((height, width, 3), 225, np.uint8)
-    photo = (
-        empty
-        if sight.image is None
-        else cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR)
-    )
+    photo = empty
+    if sight.image is not None:
+        photo = np.asarray(cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+        if sight.boxes is not None:
+            photo = draw_boxes(
+                photo, sight.boxes, PinholeCamera(robot_intrinsics((height, width))), front=False
+            )
     depth = empty
     if sight.depth is not None:
         colours = colour_depth(sight.depth, near, far, sight.depth > 0)
@@ -166,11 +172,8 @@ def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
     """Nearest range per sector, left to right as the camera sees them, coloured by what fed it."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
-    ranges = sight.ranges.reshape(SECTORS, -1)
-    fed_by = sight.fed_by.reshape(SECTORS, -1)
-    for number in range(SECTORS):
-        nearest = int(ranges[number].argmin())
-        distance, source = float(ranges[number, nearest]), FED_BY[int(fed_by[number, nearest])]
+    for number, (near, source) in enumerate(zip(sight.sectors, sight.sectors_fed_by, strict=True)):
+        distance = float(near)
         left = (SECTORS - 1 - number) * width // SECTORS
         right = (SECTORS - number) * width // SECTORS
         top = height - 2 - round((height - 22) * math.sqrt(distance / ROBOT.far))

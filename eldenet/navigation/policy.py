@@ -52,12 +52,26 @@ class Navigator:
         self.info = info or {}
 
     @classmethod
-    def load(cls, path: str | Path | None = None, *, robots: int = 1) -> Self:
-        """Read a policy; None: the one that comes with the package.
+    def load(
+        cls,
+        path: str | Path | None = None,
+        *,
+        observer: dict[str, Any] | None = None,
+        walkers: bool | None = None,
+        robots: int = 1,
+    ) -> Self:
+        """Read a policy.
+
+        Args:
+            path: of the file; None: the policy that comes with the package.
+            observer: what it must have been trained with; None: anything.
+            walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
+                that was trained without; None: as it was trained.
+            robots: how many drive at once.
 
         Raises:
             FileNotFoundError: there is none.
-            ValueError: the file is no policy.
+            ValueError: the file is no policy, or one with another observer.
         """
         path = DEFAULT_WEIGHTS if path is None else Path(path)
         if not path.is_file():
@@ -71,6 +85,13 @@ class Navigator:
                 raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
             weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         content = json.loads(notes)
+        if observer is not None and Observer(**observer).options != Observer(**content["observer"]).options:
+            raise ValueError(
+                f"{path} was trained with the observer {content['observer']}, not {observer}: give the "
+                "checkpoint of a driver that was trained so"
+            )
+        if walkers is not None:
+            content["observer"]["walkers"] = walkers
         network = QNetwork(content["inputs"], content["actions"], tuple(content["hidden"]))
         network.load_state_dict(weights)
         return cls(network, content["observer"], robots=robots, info=content["info"])

@@ -15,7 +15,8 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
-from rows import DENSITIES, all_rows, arguments, measure  # noqa: E402
+from panels import draw_panels  # noqa: E402
+from rows import all_rows, arguments, measure  # noqa: E402
 
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
 from eldenet.record import environment, write_rows  # noqa: E402
@@ -26,15 +27,15 @@ BLIND = ("straight",)  # solves so few that it would leave nothing to compare
 
 def main() -> None:
     given = arguments()
-    tables: dict[tuple[str, str, int], dict[str, list[Crossing]]] = defaultdict(dict)
+    tables: dict[tuple[str, str, str], dict[str, list[Crossing]]] = defaultdict(dict)
     for row in all_rows(given):
         if row.method not in BLIND and row.seed in (None, 0):
-            tables[row.physics, row.sensor, row.density][row.method] = measure(row, given)
-    where = environment()
+            tables[row.physics, row.sensor, row.course][row.method] = measure(row, given)
+    where, courses = environment(), list(dict.fromkeys(key[2] for key in tables))
     lines = [
         "# Time of crossing an arena (Table 6)",
         "",
-        f"The worlds and rows of table5_success, {given.worlds} test arenas per density, first training of "
+        f"The worlds and rows of table5_success, {given.worlds} test arenas per column, first training of "
         "learnt methods. Mean time [s] on the worlds that all methods of the table solved (how many: last "
         "row); "
         f"in brackets the ratio to {REFERENCE} over the worlds that both solved.",
@@ -42,23 +43,21 @@ def main() -> None:
     ]
     cells = []
     for physics, sensor in dict.fromkeys(key[:2] for key in tables):
-        methods = list(tables[physics, sensor, DENSITIES[0]])
-        lines += [f"## {sensor}, {physics}", "", "| method | " + " | ".join(map(str, DENSITIES)) + " |"]
-        lines.append("|---|" + "---:|" * len(DENSITIES))
-        common = {d: solved_by_all(list(tables[physics, sensor, d].values())) for d in DENSITIES}
+        methods = list(tables[physics, sensor, courses[0]])
+        lines += [f"## {sensor}, {physics}", "", "| method | " + " | ".join(courses) + " |"]
+        lines.append("|---|" + "---:|" * len(courses))
+        common = {d: solved_by_all(list(tables[physics, sensor, d].values())) for d in courses}
         for method in methods:
             shown = []
-            for density in DENSITIES:
-                rows = tables[physics, sensor, density]
+            for course in courses:
+                rows = tables[physics, sensor, course]
                 seconds = np.array([crossing.seconds for crossing in rows[method]])
-                mean = float(seconds[common[density]].mean()) if common[density].any() else float("nan")
+                mean = float(seconds[common[course]].mean()) if common[course].any() else float("nan")
                 ratio, both = ratio_to_reference(rows, method)
                 shown.append(f"{mean:.1f} ({ratio:.2f})")
-                cells.append(
-                    [physics, sensor, method, density, mean, int(common[density].sum()), ratio, both]
-                )
+                cells.append([physics, sensor, method, course, mean, int(common[course].sum()), ratio, both])
             lines.append(f"| {method} | " + " | ".join(shown) + " |")
-        counts = " | ".join(str(int(common[density].sum())) for density in DENSITIES)
+        counts = " | ".join(str(int(common[course].sum())) for course in courses)
         lines += [f"| worlds that all solved | {counts} |", ""]
     lines += [
         f"mujoco {where['versions']['mujoco']}, {where['date']}, "
@@ -66,7 +65,7 @@ def main() -> None:
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
-    names = ["physics", "sensor", "method", "density", "seconds", "worlds", "ratio", "worlds_both"]
+    names = ["physics", "sensor", "method", "course", "seconds", "worlds", "ratio", "worlds_both"]
     write_rows(HERE / "results.csv", names, cells)
     plot(cells)
     print("\n".join(lines))
@@ -85,24 +84,15 @@ def ratio_to_reference(rows: dict[str, list[Crossing]], method: str) -> tuple[fl
 
 def plot(cells: list[list]) -> None:
     """Time against density, one panel per physics and sensor."""
-    import matplotlib
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    def draw(axis, panel) -> None:
+        mine = [row for row in cells if (row[0], row[1]) == panel and row[3].isdigit()]
+        for method in dict.fromkeys(row[2] for row in mine):
+            points = [(int(row[3]), row[4]) for row in mine if row[2] == method]
+            axis.plot(*zip(*points, strict=True), marker="o", label=method)
 
     panels = list(dict.fromkeys((row[0], row[1]) for row in cells))
-    figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.6), sharey=True, squeeze=False)
-    for axis, panel in zip(axes[0], panels, strict=True):
-        for method in dict.fromkeys(row[2] for row in cells if (row[0], row[1]) == panel):
-            points = [(row[3], row[4]) for row in cells if (*row[:2], row[2]) == (*panel, method)]
-            axis.plot(*zip(*points, strict=True), marker="o", label=method)
-        axis.set(title=f"{panel[1]}, {panel[0]}", xlabel="obstacles on 400 m2")
-        axis.grid(alpha=0.3)
-    axes[0][0].set_ylabel("time on worlds all solved [s]")
-    axes[0][0].legend(fontsize=7)
-    figure.tight_layout()
-    figure.savefig(HERE / "results.png", dpi=130)
-    plt.close(figure)
+    draw_panels(panels, draw, "time on worlds all solved [s]", HERE / "results.png")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,22 @@
+"""``arenas``: what the navigating robot's camera sees, rendered with rays; needs no download either."""
+
+from eldenet.data.rendered import RenderedScenes
+from eldenet.data.rooms import LOOKS
+from eldenet.data.shards import Generator
+
+_OWN = tuple(f"simulation/{name}" for name in ("arena_frames", "arena_mjcf", "arena_view", "arenas"))
+
+
+class Arenas(RenderedScenes):
+    """Arenas with 0 to 80 obstacles and walking people, from dim to bright light, by the robot's camera.
+
+    The camera is level, 0.4 m above the floor, with a field of view of 69.4 degrees. Train, val and test
+    hold different arenas, all of navigation's training stream: drivers are chosen and reported on others.
+    """
+
+    generator = Generator(
+        "arenas",
+        1,
+        "eldenet.simulation.arena_frames.render_arena",
+        (*LOOKS, "robot", *_OWN),
+    )

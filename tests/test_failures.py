@@ -1,0 +1,119 @@
+"""Why crossings fail: arenas in which the reason is known."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.evaluation import cross
+from eldenet.navigation.failures import as_rows, draw_worst, touched_spot, trace
+from eldenet.navigation.planners.straight import Straight
+from eldenet.navigation.sensors import Ranges
+from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+
+
+def straight(robots: int) -> Straight:
+    return Straight(robots=robots)
+
+
+class Backwards(Straight):
+    """Backs up, blindly."""
+
+    def commands(self, senses, robots=None):
+        return np.tile([-0.5, 0.0], (len(senses.goal), 1))
+
+
+class Crawling(Straight):
+    """Straight ahead at 0.15 m/s."""
+
+    def commands(self, senses, robots=None):
+        return np.tile([0.15, 0.0], (len(senses.goal), 1))
+
+
+def arena(*obstacles: Obstacle, start=(0.0, 0.0, 0.0), goal=(6.0, 0.0)) -> Arena:
+    return Arena("", len(obstacles), 0, obstacles, start, (goal,))
+
+
+AHEAD = Obstacle("box", 3.0, 0.0, 0.0, (0.3, 0.3), 1.0)
+BEHIND = Obstacle("cylinder", -2.0, 0.0, 0.0, (0.3, 0.3), 1.0)
+WALKER = Obstacle("person", 3.0, 3.0, 0.0, (0.25, 0.25), 1.7, ((3.0, 3.0), (3.0, -3.0)), 0.9)
+TUNNEL = (
+    Obstacle("box", 2.2, 0.0, 0.0, (0.2, 0.9), 1.0),
+    Obstacle("box", 1.2, 0.63, 0.0, (0.7, 0.3), 1.0),
+    Obstacle("box", 1.2, -0.63, 0.0, (0.7, 0.3), 1.0),
+)
+
+
+@pytest.mark.parametrize(
+    ("world", "make", "kind", "touched", "bearing"),
+    [
+        (arena(AHEAD), straight, "in view", "box", 0),
+        (arena(BEHIND), lambda robots: Backwards(robots=robots), "unseen", "cylinder", 180),
+        (arena(WALKER), straight, "walker", "person", None),
+        (arena(*TUNNEL), lambda robots: Crawling(robots=robots), "boxed in", "box", None),
+        (arena(start=(8.0, 0.0, 3.1415927), goal=(-11.0, 0.0)), straight, "in view", "wall", 0),
+    ],
+)
+def test_the_reason_is_found(world, make, kind, touched, bearing):
+    rows = cross([world], make, Ranges(), time_limit=20.0)
+    assert rows[0].outcome == "collision"
+    (failure,) = trace([world], rows, make, Ranges(), time_limit=20.0)
+    assert (failure.kind, failure.touched) == (kind, touched)
+    if bearing is not None:
+        assert abs(abs(failure.bearing) - bearing) <= 20
+    assert failure.seconds == pytest.approx(rows[0].seconds)
+    assert failure.picture.shape == (480, 480, 3)
+
+
+def test_a_time_out_is_one_and_successes_are_left_out():
+    worlds = [arena(goal=(3.0, 0.0)), arena(goal=(9.0, 0.0))]
+    rows = cross(worlds, straight, Ranges(), time_limit=8.0)
+    assert [row.outcome for row in rows] == ["success", "timeout"]
+    (failure,) = trace(worlds, rows, straight, Ranges(), time_limit=8.0)
+    assert (failure.kind, failure.touched) == ("timeout", "")
+    assert failure.remaining == pytest.approx(9.0 - 7.3, abs=0.8)
+    with pytest.raises(ValueError, match="of the first drive"):
+        trace(worlds, rows, straight, Ranges(), time_limit=60.0)
+
+
+def test_the_spot_lies_between_robot_and_obstacle():
+    kind, spot = touched_spot(arena(AHEAD), np.array([2.4, 0.1, 0.0]), 0.0)
+    assert kind == "box"
+    assert spot == pytest.approx([2.7, 0.1], abs=0.15)
+    kind, spot = touched_spot(arena(AHEAD), np.array([0.0, 9.7, 1.5707963]), 0.0)
+    assert kind == "wall"
+    assert spot[1] == pytest.approx(10.0, abs=0.01)
+
+
+def test_the_worst_are_drawn_and_listed():
+    worlds = [arena(AHEAD), arena(goal=(9.0, 0.0)), arena(BEHIND, goal=(-6.0, 0.0), start=(0.0, 0.0, 3.14))]
+    rows = cross(worlds, straight, Ranges(), time_limit=8.0)
+    failures = trace(worlds, rows, straight, Ranges(), time_limit=8.0)
+    assert len(failures) == 3
+    picture = draw_worst(failures, across=2)
+    assert picture.shape == (960, 960, 3)
+    assert (picture[480:, 480:] == 255).all()  # an empty place
+    assert draw_worst(failures, most=1).shape == (480, 480, 3)
+    worst = max(failures, key=lambda failure: failure.remaining)
+    assert (draw_worst(failures, most=1) == worst.picture).all()
+    names, lines = as_rows(failures)
+    assert "picture" not in names
+    assert len(lines) == 3
+    with pytest.raises(ValueError, match="every crossing succeeded"):
+        draw_worst([])
+
+
+def test_the_command_writes_a_table_and_a_picture(run_command, tmp_path):
+    import cv2
+
+    finished = run_command(
+        "navigate", "mode=diagnose", "policy=straight", "density=60", "worlds=4", "split=val",
+        "physics=kinematic", "run_dir=run",
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    with (tmp_path / "run" / "failures_60.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows
+    assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
+    assert cv2.imread(str(tmp_path / "run" / "failures_60.png")).shape[0] % 480 == 0
+    assert generate_arena("val", 60, 0).name in {f"val-60-{number}" for number in range(4)}
