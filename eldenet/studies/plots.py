@@ -24,6 +24,7 @@ def pareto_plot(
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.ticker import LogLocator
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5))
     for block, rows in blocks.items():
@@ -33,6 +34,10 @@ def pareto_plot(
         for name, x, y in rows:
             axes.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
     axes.set_xscale("log")
+    axes.margins(x=0.2, y=0.1)  # names stand to the right of their points
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    axes.xaxis.set_minor_formatter("{x:g}")
     axes.set_xlabel(latency)
     axes.set_ylabel(metric)
     axes.legend(fontsize=8)

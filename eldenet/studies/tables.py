@@ -11,6 +11,7 @@ from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.record import read_run, write_rows
 from eldenet.report import (
     COSTS,
+    WORDS,
     Row,
     cost_line,
     group_rows,
@@ -301,7 +302,10 @@ def write_study_report(folder: str | Path) -> list[Block]:
     if "pareto" in study.plots and points:
         source = study.latency or "run.json's cost"
         pareto_plot(
-            study.folder / "pareto.png", points, metric=study.compare, latency=f"latency [ms] ({source})"
+            study.folder / "pareto.png",
+            points,
+            metric=WORDS.get(study.compare, study.compare),
+            latency=f"latency [ms] ({source})",
         )
         markdown += ["![accuracy against latency](pareto.png)", ""]
     markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
