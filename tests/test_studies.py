@@ -140,6 +140,8 @@ def report_is_right(folder: Path) -> None:
     assert ours["delta1 - eldenet_s's [95 %]"] == "-"
     text = (folder / "results.md").read_text()
     assert "protocol rooms" in text
+    assert "### scratch: published elsewhere" in text
+    assert "### rooms: published" not in text
     assert "## convergence" in text
     for name in ("results.tex", "pareto.png", "convergence.png"):
         assert (folder / name).stat().st_size > 200

@@ -51,9 +51,8 @@ class Block:
     def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows of the published figures, where there are any."""
         rows = [[row[0], *row[self.published :]] for row in self.rows]
-        return [self.titles[0], *self.titles[self.published :]], [
-            row for row in rows if set(row[1:]) != {"-"}
-        ]
+        titles = [self.titles[0], *self.titles[self.published :]]
+        return titles, [row for row in rows if set(row[1:]) - {"-"}]
 
 
 def read_expected(folder: Path) -> list[dict[str, str]]:
