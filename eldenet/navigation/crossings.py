@@ -118,7 +118,10 @@ class Crossings:
         return progress, events
 
     def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:
-        """One robot, one period: collision is looked for before the goal."""
+        """One robot, one period: collision is looked for before the goal.
+
+        Progress is towards the way-point that the period began with.
+        """
         world = self._world(slot)
         goal = self.goal(slot)
         before = math.dist(self.poses[slot, :2], goal)
@@ -134,14 +137,13 @@ class Crossings:
             distance = math.dist(pose[:2], goal)
             if collided:
                 event = Event.COLLISION
-            elif distance < GOAL_RADIUS:
-                event = Event.GOAL
-            if event:
                 break
+            if math.dist(pose[:2], self.goal(slot)) < GOAL_RADIUS:
+                if self._waypoint[slot] + 1 == len(world.arena.waypoints):
+                    event = Event.GOAL
+                    break
+                self._waypoint[slot] += 1  # a way-point on the way ends no period
         self.poses[slot] = world.pose
-        if event is Event.GOAL and self._waypoint[slot] + 1 < len(world.arena.waypoints):
-            self._waypoint[slot] += 1
-            event = Event.NONE
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event

@@ -81,11 +81,22 @@ class ArenaNavVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every slot."""
+        """Start an episode in every slot; of a list of seeds, each starts its own slot's stream.
+
+        Raises:
+            ValueError: a list of another length than there are robots.
+        """
         if seed is not None or not self._rngs:
-            seeds = seed if isinstance(seed, list) else [seed]
-            entropy = np.random.SeedSequence([s for s in seeds if s is not None] or None)
-            self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in entropy.spawn(self.num_envs)]
+            if isinstance(seed, list):
+                if len(seed) != self.num_envs:
+                    raise ValueError(
+                        f"{len(seed)} seeds for {self.num_envs} robots: give one each, or one number"
+                    )
+                streams = [np.random.SeedSequence(s) for s in seed]
+            else:
+                # a list of one number, as ever: trainings stay the same bit for bit
+                streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
+            self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
             self._tasks = [self._arenas.fresh() for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
