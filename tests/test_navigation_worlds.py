@@ -14,7 +14,7 @@ from eldenet.navigation.planners.astar import AStarDWA
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
-from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.sensors import Drift, Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.robot import ROBOT
 from eldenet.simulation.arena_world import ArenaWorld
@@ -131,3 +131,39 @@ def test_a_failure_finds_the_walker_where_it_was_hit():
             assert failure.seconds == pytest.approx(rows[0].seconds)
             traced += 1
     assert traced > 3
+
+
+def test_a_goal_by_odometry_is_where_the_robot_believes_it_is():
+    drift = Drift(0.05, math.radians(3.0))
+    sensed = {}
+    for goal in ("known", "odometry"):
+        crossings = Crossings(1, NoisyRanges(drift=drift), goal=goal)
+        crossings.start(0, empty((-8.0, 0.0, 0.0)), (3,))
+        for _ in range(30):
+            crossings.step(np.array([[1.0, 0.1]]))
+        sensed[goal] = crossings.sense()
+    np.testing.assert_array_equal(sensed["known"].odometry, sensed["odometry"].odometry)
+    for goal, pose in (("known", crossings.poses[0]), ("odometry", sensed["odometry"].odometry[0])):
+        distance, bearing = sensed[goal].goal[0]
+        x, y = (
+            pose[0] + distance * math.cos(pose[2] + bearing),
+            pose[1] + distance * math.sin(pose[2] + bearing),
+        )
+        assert (x, y) == pytest.approx((8.0, 0.0))
+    assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
+    with pytest.raises(ValueError, match="goal='gps': choose one of known, odometry"):
+        Crossings(1, Ranges(), goal="gps")
+
+
+def test_a_goal_by_odometry_is_missed_where_odometry_drifts():
+    arenas = [Arena("", 0, k, (), (-8.0, 0.0, 0.0), ((8.0, 0.0),)) for k in range(8)]
+    make = lambda robots: Straight(robots=robots)  # noqa: E731
+    sensor = NoisyRanges(drift=Drift(0.2, math.radians(3.0)))
+    reached = [
+        sum(row.outcome == "success" for row in cross(arenas, make, sensor, goal=goal, time_limit=40.0))
+        for goal in ("known", "odometry")
+    ]
+    assert reached[0] == 8
+    assert reached[1] < 8
+    exact = [cross(arenas[:2], make, Ranges(), goal=goal) for goal in ("known", "odometry")]
+    assert exact[0] == exact[1]

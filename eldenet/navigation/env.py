@@ -52,6 +52,7 @@ class ArenaNavVectorEnv(VectorEnv):
         physics: "kinematic" or "wheels".
         arenas: where to train; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 
@@ -65,11 +66,14 @@ class ArenaNavVectorEnv(VectorEnv):
         physics: str = "kinematic",
         arenas: TrainingArenas | None = None,
         time_limit: float = TIME_LIMIT,
+        goal: str = "known",
         **observer: Any,
     ) -> None:
         self.num_envs = num_envs
         self.observer = Observer(num_envs, **observer)
-        self.crossings = Crossings(num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self.crossings = Crossings(
+            num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal
+        )
         self._arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
@@ -141,6 +145,7 @@ class ArenaNavEnv(gym.Env):
         sensor: as of :class:`ArenaNavVectorEnv`.
         physics: "kinematic" or "wheels".
         time_limit: of an episode [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
 
@@ -158,6 +163,7 @@ class ArenaNavEnv(gym.Env):
         sensor: str | Sensor = "ranges",
         physics: str = "kinematic",
         time_limit: float = TIME_LIMIT,
+        goal: str = "known",
         render_mode: str | None = None,
         **observer: Any,
     ) -> None:
@@ -165,7 +171,7 @@ class ArenaNavEnv(gym.Env):
             raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
         self.observer = Observer(1, **observer)
-        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal)
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)
         self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()

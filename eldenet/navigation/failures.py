@@ -74,6 +74,7 @@ def trace(
     physics: str = "kinematic",
     seed: int = 0,
     time_limit: float = 60.0,
+    goal: str = "known",
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Failure]:
     """Every failure among ``rows``, which :func:`eldenet.navigation.evaluation.cross` gave for ``arenas``.
@@ -85,7 +86,7 @@ def trace(
     for number, (arena, row) in enumerate(zip(arenas, rows, strict=True)):
         if row.outcome == "success":
             continue
-        crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit)
+        crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit, goal=goal)
         crossings.start(0, arena, (seed, number))
         failure, event = _drive(arena, make_policy(1), crossings)
         if OUTCOMES[event] != row.outcome:
