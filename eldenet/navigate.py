@@ -195,11 +195,12 @@ def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunL
 def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
     """Train a driver in ``folder``; goes on where a killed run stopped."""
     from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.sources import training_hash
     from eldenet.navigation.training import POLICY
     from eldenet.navigation.training import train as train_driver
     from eldenet.record import environment, write_json
 
-    sensor = cfg.instantiate(config.sensor)
+    sensor, sources = cfg.instantiate(config.sensor), training_hash()
     names = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
     settings = {name: cfg.plain(config[name]) for name in names}
 
@@ -213,7 +214,9 @@ def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
     note = train_driver(
         make_learner, sensor, folder, log, validate=int(config.training.validate), settings=settings
     )
-    write_json(folder / "training.json", {**note, "config": cfg.plain(config), **environment()})
+    write_json(
+        folder / "training.json", {**note, "sources": sources, "config": cfg.plain(config), **environment()}
+    )
     log.say(f"policy in {folder / POLICY}; {note['cpu_seconds']:.0f} s of processor time")
     return note
 

@@ -61,9 +61,9 @@ def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
         left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
         least = math.ceil(2 * math.tan(ROBOT.field_of_view / 2) / math.tan(step))
         raise ValueError(
-            f"a depth map {width} px wide that sees {left:.1f} degrees to the left, {right:.1f} to the "
-            f"right, shows nothing in {empty} of the driver's {ROBOT.columns} columns: give a camera that sees "
-            f"{math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
+            f"a depth map {width} px wide, {left:.1f} degrees to the left and {right:.1f} to the "
+            f"right, shows nothing in {empty} of the driver's {ROBOT.columns} columns: give a camera that "
+            f"sees {math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
         )
     return column
 
