@@ -462,6 +462,17 @@ def test_it_learns_what_a_table_would():
     assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
 
 
+def test_gradients_are_clipped_and_rates_fall_only_where_asked():
+    rates = []
+    for options in ({}, {"learning_rate_end": 1.0, "gradient_clip": 0.0}, {"gradient_clip": 1e-6}):
+        learner = tiny(None, 400, **options)
+        learner.learn()
+        rates.append(learner.optimizer.param_groups[0]["lr"])
+        norm = torch.cat([p.grad.flatten() for p in learner.policy_dqn.parameters()]).norm()
+        assert (norm <= 1.001e-6) == (options.get("gradient_clip") == 1e-6)
+    assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
+
+
 def test_wrong_learners_are_refused():
     with pytest.raises(ValueError, match="gamma"):
         tiny(None, 100, gamma=1.0)

@@ -114,6 +114,9 @@ def test_learnt_rows_are_trainings_of_the_command(rows):
     configs = {name: compose("navigate", ["mode=train", *options]) for name, options in rows.LEARNT.items()}
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
     assert configs["paper_literal"].learner.target_every > 0
+    assert configs["paper_literal"].learner.steps == configs["dqn"].learner.steps
+    assert configs["paper_literal"].learner.gradient_clip == 0
+    assert configs["paper_literal"].learner.learning_rate_end == 1
     assert (configs["paper_state"].observer.memory, configs["paper_state"].learner.n_step) == (0, 5)
     assert configs["dqn_walkers"].training.arenas.movers == 10
     assert plain(configs["dqn"].observer)["memory"] == 60

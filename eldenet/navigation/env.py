@@ -19,6 +19,8 @@ GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0
 def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     """Algorithm 1: what brings the robot nearer is rewarded, the goal most, a collision punished.
 
+    The paper gives the terms and no numbers; the constants are ours.
+
     Args:
         progress: towards the way-point [m].
         events: :class:`~eldenet.navigation.crossings.Event` numbers.

@@ -54,8 +54,8 @@ def write_results(tables: Tables, given: Namespace) -> None:
         "",
         f"The worlds and rows of table5_success, {given.worlds} test arenas per column. Mean time [s] on "
         "the worlds that all methods of the table, and all their trainings, solved (how many: last row); "
-        f"after it the ratio to {REFERENCE} over the worlds that both solved, mean over trainings, with its paired "
-        "95 % bootstrap interval over worlds.",
+        f"after it the ratio to {REFERENCE} over the worlds that both solved, mean over trainings, with its "
+        "paired 95 % bootstrap interval over worlds.",
         "",
     ]
     cells = []
