@@ -8,7 +8,9 @@ from eldenet import config as cfg
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.navigation.evaluation import Crossing
     from eldenet.runlog import RunLog
+    from eldenet.simulation.arenas import Arena
 
 MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 
@@ -21,9 +23,12 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.runlog import RunLog
 
     one_of("mode", str(config.mode), MODES)
-    densities = (
-        [int(value) for value in cfg.plain(config.density)] if _is_list(config) else [int(config.density)]
-    )
+    density = cfg.plain(config.density)
+    densities = [int(value) for value in density] if isinstance(density, list) else [int(density)]
+    if not densities or int(config.worlds) < 1:
+        raise ValueError(f"density={density}, worlds={config.worlds}: give at least one of each")
+    if config.mode == "watch" and len(densities) > 1:
+        raise ValueError(f"density={density}: mode=watch films one arena, give one number")
     choose_resources(**cfg.plain(config.runtime))
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
@@ -38,10 +43,6 @@ def main(config: "DictConfig", folder: Path) -> None:
     else:
         watch(config, densities[0], folder, log)
     log.close()
-
-
-def _is_list(config: "DictConfig") -> bool:
-    return isinstance(cfg.plain(config.density), list)
 
 
 def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Path:
@@ -62,8 +63,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
     with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:
         event, seconds = film_crossing(
             arena, policy, cfg.instantiate(config.sensor), path,
-            physics=config.physics, time_limit=float(config.time_limit), seed=int(config.seed),
-            advance=bar.advance,
+            **_settings(config), advance=bar.advance,
         )  # fmt: skip
     log.say(f"{policy.name} in {arena.name}: {event.name.lower()} after {seconds:.1f} s; film in {path}")
     return path
@@ -71,8 +71,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
-    from eldenet.navigation.evaluation import as_rows, cross, summarise
-    from eldenet.navigation.tasks import frozen_arenas
+    from eldenet.navigation.evaluation import as_rows, summarise
     from eldenet.record import RUN_FILE, environment, write_json, write_rows
     from eldenet.simulation.arenas import arenas_hash
 
@@ -80,14 +79,8 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
     name = make_policy(robots=1).name
     metrics, hashes, table = {}, {}, []
     for density in densities:
-        arenas = frozen_arenas(density, int(config.worlds), split=config.split, movers=int(config.movers))
+        arenas, rows = _cross(config, density, make_policy, sensor, log)
         hashes[str(density)] = arenas_hash(arenas)
-        with log.bar(f"{density} obstacles", len(arenas), unit="worlds") as bar:
-            rows = cross(
-                arenas, lambda robots: make_policy(robots=robots), sensor,
-                physics=config.physics, robots=int(config.robots), seed=int(config.seed),
-                time_limit=float(config.time_limit), advance=bar.advance,
-            )  # fmt: skip
         write_rows(folder / f"worlds_{density}.csv", *as_rows(rows))
         metrics[str(density)] = summarise(rows)
         table.append([str(density), *_cells(metrics[str(density)])])
@@ -100,9 +93,38 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
         **environment(),
     }
     write_json(folder / RUN_FILE, record)
-    title = f"{name}, {config.physics}, {config.worlds} {config.split} arenas a density: {folder / RUN_FILE}"
+    title = (
+        f"{name}, {config.physics}, goal {config.goal}, {config.worlds} {config.split} arenas a density: "
+        f"{folder / RUN_FILE}"
+    )
     log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
     return record
+
+
+def _settings(config: "DictConfig") -> dict[str, Any]:
+    """Of a crossing, whoever drives."""
+    return {
+        "physics": str(config.physics),
+        "seed": int(config.seed),
+        "time_limit": float(config.time_limit),
+        "goal": str(config.goal),
+    }
+
+
+def _cross(
+    config: "DictConfig", density: int, make_policy: Any, sensor: Any, log: "RunLog"
+) -> tuple[list["Arena"], list["Crossing"]]:
+    """Cross the frozen arenas of a density, with a progress bar."""
+    from eldenet.navigation.evaluation import cross
+    from eldenet.navigation.tasks import frozen_arenas
+
+    arenas = list(frozen_arenas(density, int(config.worlds), split=config.split, movers=int(config.movers)))
+    with log.bar(f"{density} obstacles", len(arenas), unit="worlds") as bar:
+        rows = cross(
+            arenas, lambda robots: make_policy(robots=robots), sensor, robots=int(config.robots),
+            advance=bar.advance, **_settings(config),
+        )  # fmt: skip
+    return arenas, rows
 
 
 def _cells(summary: dict[str, Any]) -> list[str]:
@@ -121,24 +143,14 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
     """Trace every failure: ``failures.csv``, and a picture of the worst."""
     from collections import Counter
 
-    from eldenet.navigation.evaluation import cross
     from eldenet.navigation.failures import KINDS, as_rows, draw_worst, trace
-    from eldenet.navigation.tasks import frozen_arenas
     from eldenet.pictures import write_picture
     from eldenet.record import write_rows
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
-    settings = {
-        "physics": config.physics,
-        "seed": int(config.seed),
-        "time_limit": float(config.time_limit),
-    }
     for density in densities:
-        arenas = frozen_arenas(density, int(config.worlds), split=config.split, movers=int(config.movers))
-        make = lambda robots: make_policy(robots=robots)  # noqa: E731
-        with log.bar(f"{density} obstacles", len(arenas), unit="worlds") as bar:
-            rows = cross(arenas, make, sensor, robots=int(config.robots), advance=bar.advance, **settings)
-        failures = trace(arenas, rows, make, sensor, **settings)
+        arenas, rows = _cross(config, density, make_policy, sensor, log)
+        failures = trace(arenas, rows, lambda robots: make_policy(robots=robots), sensor, **_settings(config))
         if not failures:
             log.say(f"{density} obstacles: all {len(rows)} crossings succeeded")
             continue
@@ -183,25 +195,28 @@ def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunL
 def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
     """Train a driver in ``folder``; goes on where a killed run stopped."""
     from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.sources import training_hash
     from eldenet.navigation.training import POLICY
     from eldenet.navigation.training import train as train_driver
     from eldenet.record import environment, write_json
 
-    sensor = cfg.instantiate(config.sensor)
-    names = ("seed", "sensor", "observer", "learner", "training", "time_limit")
+    sensor, sources = cfg.instantiate(config.sensor), training_hash()
+    names = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
     settings = {name: cfg.plain(config[name]) for name in names}
 
     def make_learner() -> Any:
         env = ArenaNavVectorEnv(
             int(config.training.robots), sensor=sensor, arenas=cfg.instantiate(config.training.arenas),
-            time_limit=float(config.time_limit), **cfg.plain(config.observer),
+            time_limit=float(config.time_limit), goal=str(config.goal), **cfg.plain(config.observer),
         )  # fmt: skip
         return cfg.instantiate(config.learner)(env, seed=int(config.seed))
 
     note = train_driver(
         make_learner, sensor, folder, log, validate=int(config.training.validate), settings=settings
     )
-    write_json(folder / "training.json", {**note, "config": cfg.plain(config), **environment()})
+    write_json(
+        folder / "training.json", {**note, "sources": sources, "config": cfg.plain(config), **environment()}
+    )
     log.say(f"policy in {folder / POLICY}; {note['cpu_seconds']:.0f} s of processor time")
     return note
 

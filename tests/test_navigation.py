@@ -462,6 +462,17 @@ def test_it_learns_what_a_table_would():
     assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
 
 
+def test_gradients_are_clipped_and_rates_fall_only_where_asked():
+    rates = []
+    for options in ({}, {"learning_rate_end": 1.0, "gradient_clip": 0.0}, {"gradient_clip": 1e-6}):
+        learner = tiny(None, 400, **options)
+        learner.learn()
+        rates.append(learner.optimizer.param_groups[0]["lr"])
+        norm = torch.cat([p.grad.flatten() for p in learner.policy_dqn.parameters()]).norm()
+        assert (norm <= 1.001e-6) == (options.get("gradient_clip") == 1e-6)
+    assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
+
+
 def test_wrong_learners_are_refused():
     with pytest.raises(ValueError, match="gamma"):
         tiny(None, 100, gamma=1.0)
@@ -655,6 +666,9 @@ def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
 @pytest.mark.parametrize(("arguments", "message"), [
     (["mode=fly"], "mode='fly'"),
     (["density=500"], "density=500"),
+    (["density=[5,20]"], "films one arena"),
+    (["mode=evaluate", "worlds=0"], "worlds=0: give at least one"),
+    (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, odometry"),
     (["policy=dqn", "checkpoint=none.safetensors"], "no policy at none.safetensors"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(run_command, arguments, message):

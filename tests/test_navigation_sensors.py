@@ -152,7 +152,7 @@ def test_the_environment_s_info_says_what_fed_each_sector():
     _, info = env.reset(seed=0)
     assert set(info["fed_by"]) == {"box", "depth"}
     assert len(env.step(2)[4]["fed_by"]) == 5
-    many = ArenaNavVectorEnv(2, sensor=objects(size=(24, 32)))
+    many = ArenaNavVectorEnv(2, sensor=objects(size=(36, 48)))
     many.reset(seed=0)
     assert many.step(np.array([2, 2]))[4]["fed_by"].shape == (2, 5)
     plain = ArenaNavVectorEnv(2)

@@ -9,27 +9,31 @@ from pathlib import Path
 
 import pytest
 
+from eldenet.navigation import sources
+from eldenet.navigation.evaluation import Crossing
 from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash
 
+MODULES = ("rows", "panels", "inputs", "comparisons", "run")
 FOLDER = Path(__file__).parents[1] / "experiments" / "table5_success"
 
 
 @pytest.fixture
 def rows(monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
-    for name in ("rows", "panels"):
+    for name in MODULES:
         sys.modules.pop(name, None)
     yield importlib.import_module("rows")
-    for name in ("rows", "panels"):
+    for name in MODULES:
         sys.modules.pop(name, None)
 
 
 def given(tmp_path: Path, **options) -> Namespace:
     settings = {
         "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
-        "courses": "5,20+10", "depth": None, "errors": None, "packaged": True, "runs": tmp_path / "runs",
+        "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged", "packaged": True,
+        "goal": "known", "any_sources": False, "out": None, "runs": tmp_path / "runs",
         "rows": tmp_path / "rows",
     }  # fmt: skip
     return Namespace(**(settings | options))
@@ -43,14 +47,16 @@ def test_rows_are_read_until_something_changes(rows, tmp_path, monkeypatch, caps
     assert [rows.measure(row, options) for row in rows.all_rows(options)] == first
     assert capsys.readouterr().out == ""
     package = tmp_path / "eldenet"
-    shutil.copytree(rows.PACKAGE, package, ignore=shutil.ignore_patterns("weights", "__pycache__"))
-    monkeypatch.setattr(rows, "PACKAGE", package)
+    shutil.copytree(sources.PACKAGE, package, ignore=shutil.ignore_patterns("weights", "__pycache__"))
+    monkeypatch.setattr(sources, "PACKAGE", package)
     for name, counts in (
         ("navigation/pictures.py", False),
         ("navigation/planners/dwa.py", True),
         ("navigation/crossings.py", True),
         ("simulation/arena_world.py", True),
         ("simulation/furniture.py", False),
+        ("simulation/mjcf.py", True),
+        ("runtimes/__init__.py", False),
         ("robot.py", True),
     ):
         file = package / name
@@ -67,13 +73,15 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, 
     options = given(tmp_path, depth=str(tmp_path / "net"), sensors="camera@0.1,ranges", courses="5")
     dim, plain = rows.all_rows(options)
     before = [rows.key_of(row, options, None, []) for row in (dim, plain)]
-    weights.write_bytes(b"2")
-    after = [rows.key_of(row, options, None, []) for row in (dim, plain)]
-    assert after[0]["depth"] != before[0]["depth"]
-    assert after[1] == before[1]
+    for changed in (weights, weights.with_name("config.json")):
+        changed.write_bytes(b"2")
+        after = [rows.key_of(row, options, None, []) for row in (dim, plain)]
+        assert after[0]["depth"] != before[0]["depth"], changed
+        assert after[1] == before[1]
+        before[0] = after[0]
     assert rows.key_of(dim, options, DEFAULT_WEIGHTS, [])["policy"] is not None
     assert before[0]["sources"] != before[1]["sources"]
-    assert rows.make_sensor(dim, given(tmp_path)).light == 0.1
+    assert rows.make_sensor(dim.sensor, given(tmp_path, depth="truth")).light == 0.1
     assert "camera@0.1-kinematic-5-2" in dim.name
 
 
@@ -83,6 +91,16 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, 
         ({"methods": "straight,,magic"}, "'magic'"),
         ({"sensors": "sonar"}, "'sonar'"),
         ({"courses": "6"}, "'6'"),
+        ({"sensors": "ranges@0.1"}, "light is for camera and objects"),
+        ({"sensors": "camera@dark", "depth": "truth"}, "number above 0"),
+        ({"sensors": "camera"}, "--depth: say what feeds the camera"),
+        ({"sensors": "camera", "depth": "owner/model"}, "--depth owner/model: no model folder"),
+        ({"sensors": "objects", "depth": "truth"}, "--detector: say what finds objects"),
+        (
+            {"sensors": "objects", "depth": "truth", "detector": "none.onnx"},
+            "--detector none.onnx: no such file",
+        ),
+        ({"sensors": "noisy", "errors": "none.json"}, "--errors none.json"),
     ],
 )
 def test_what_there_is_not_is_refused(rows, tmp_path, options, message):
@@ -96,6 +114,9 @@ def test_learnt_rows_are_trainings_of_the_command(rows):
     configs = {name: compose("navigate", ["mode=train", *options]) for name, options in rows.LEARNT.items()}
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
     assert configs["paper_literal"].learner.target_every > 0
+    assert configs["paper_literal"].learner.steps == configs["dqn"].learner.steps
+    assert configs["paper_literal"].learner.gradient_clip == 0
+    assert configs["paper_literal"].learner.learning_rate_end == 1
     assert (configs["paper_state"].observer.memory, configs["paper_state"].learner.n_step) == (0, 5)
     assert configs["dqn_walkers"].training.arenas.movers == 10
     assert plain(configs["dqn"].observer)["memory"] == 60
@@ -105,3 +126,105 @@ def test_the_moving_arenas_are_frozen_too():
     frozen = json.loads((FOLDER / "arenas.json").read_text())
     assert set(frozen["100"]) == set(frozen["300"]) == set(frozen["500"]) == {"5", "20", "40", "80", "20+10"}
     assert arenas_hash(frozen_arenas(20, 100, movers=10)) == frozen["100"]["20+10"]
+
+
+def policy_folder(tmp_path: Path, config: dict, sources_hash: str) -> Path:
+    folder = tmp_path / "runs" / "dqn-1"
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(DEFAULT_WEIGHTS, folder / "policy.safetensors")
+    (folder / "training.json").write_text(json.dumps({"config": config, "sources": sources_hash}))
+    return folder
+
+
+def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
+    from eldenet.config import compose, plain
+
+    row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
+    options = given(tmp_path, packaged=False)
+    config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
+    folder = policy_folder(tmp_path, config, sources.training_hash())
+    assert rows.policy_file(row, options) == folder / "policy.safetensors"
+    policy_folder(tmp_path, config | {"learner": config["learner"] | {"steps": 7}}, sources.training_hash())
+    with pytest.raises(ValueError, match="trained with another learner"):
+        rows.policy_file(row, options)
+    policy_folder(tmp_path, config, "of another day")
+    with pytest.raises(ValueError, match="by other sources"):
+        rows.policy_file(row, options)
+    assert rows.policy_file(row, given(tmp_path, packaged=False, any_sources=True)) is not None
+    (folder / "training.json").unlink()
+    with pytest.raises(ValueError, match=r"without training\.json"):
+        rows.policy_file(row, options)
+
+
+def test_a_part_does_not_replace_the_whole_table(rows, tmp_path):
+    table = tmp_path / "results-2.csv"
+    assert rows.results_name(given(tmp_path)) == "results-2"
+    assert rows.results_name(given(tmp_path, goal="odometry")) == "results-2-goal-odometry"
+    assert rows.results_name(given(tmp_path, out="mine")) == "mine"
+    rows.refuse_to_drop(table, [("wheels", "dwa")])
+    table.write_text("physics,method,success\nwheels,dwa,1\nwheels,dqn,2\n")
+    rows.refuse_to_drop(table, [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
+    with pytest.raises(ValueError, match="such as wheels, dqn"):
+        rows.refuse_to_drop(table, [("wheels", "dwa")])
+
+
+def crossings(solved: list[bool], seconds: float = 10.0) -> list[Crossing]:
+    return [Crossing(f"w{k}", 5, "success" if ok else "timeout", seconds + k, 9.0, 8.0)
+            for k, ok in enumerate(solved)]  # fmt: skip
+
+
+def test_a_sensor_s_loss_is_tested_in_pairs(rows):
+    comparisons = importlib.import_module("comparisons")
+    true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
+    tables = {
+        ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
+        ("wheels", "ranges", "dqn_noisy", "5"): [crossings(true)],
+        ("wheels", "noisy", "dqn_noisy", "5"): [crossings(seen)],
+    }
+    lines = comparisons.loss(tables, "wheels", "noisy")
+    own, default = (line.split(" | ") for line in lines[2:])
+    assert own[1:3] == ["dqn_noisy", "5"]
+    assert own[3].startswith("5.0 [")
+    assert own[4:6] == ["10", "5"]
+    assert default[1] == "dqn"
+    assert default[3].startswith("15.0 [")
+    # the paired interval, against the normal one of the differences
+    low, high = (float(value) for value in own[3][len("5.0 [") : -1].split(", "))
+    half = 1.96 * 100 * ((0.15 - 0.05**2) / 100) ** 0.5
+    assert (low, high) == pytest.approx((5 - half, 5 + half), abs=1.1)
+    assert comparisons.loss(tables, "wheels", "ranges") == []
+
+
+def test_time_is_compared_over_all_trainings_in_pairs(rows, monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER.parent / "table6_time"))
+    sys.modules.pop("run", None)
+    run = importlib.import_module("run")
+    ok = [True] * 40
+    made = {
+        "astar_dwa": [crossings(ok)],
+        "dqn": [crossings(ok, 11.0), crossings([True] * 39 + [False], 13.0)],
+    }
+    ratio, low, high, both = run.ratio_to_reference(made, "dqn")
+    first = sum(11 + k for k in range(40)) / sum(10 + k for k in range(40))
+    second = sum(13 + k for k in range(39)) / sum(10 + k for k in range(39))
+    assert ratio == pytest.approx((first + second) / 2)
+    assert low < ratio < high
+    assert high - low < 0.03  # far less than that of times unpaired
+    assert both == 39
+    assert run.ratio_to_reference(made, "astar_dwa")[:3] == (1.0, 1.0, 1.0)
+    assert run.cell(float("nan"), float("nan"), 0.0, 0.0) == "-"
+
+
+def test_the_whole_command_writes_headings_with_what_fed_them(rows, tmp_path, monkeypatch):
+    run = importlib.import_module("run")
+    monkeypatch.setattr(run, "HERE", tmp_path)
+    monkeypatch.setattr(run, "arguments", lambda: given(
+        tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight"))  # fmt: skip
+    run.main()
+    text = (tmp_path / "results-2-goal-odometry.md").read_text()
+    assert "## noisy, kinematic, goal odometry" in text
+    assert "errors `packaged` (SHA-256 " in text
+    assert "goal `odometry` (odometry is exact here)" in text
+    assert "nan" not in (tmp_path / "results-2-goal-odometry.csv").read_text()
+    assert (tmp_path / "results-2-goal-odometry.png").is_file()
+    assert (tmp_path / "rows" / "straight-noisy-goal_odometry-kinematic-5-2.csv").is_file()

@@ -6,14 +6,14 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera
-from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import FED_BY, Drift, Eye, Sight
 from eldenet.perception.detectors import Detector, FixedDetections
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
 from eldenet.robot import ROBOT
-from eldenet.simulation.arena_view import ArenaView, Photo
+from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
 
@@ -46,6 +46,9 @@ class Camera:
         size: of the frame, ``(height, width)`` [px].
         light: brightness of the lamps, as a share of a normal day's.
         drift: of the odometry.
+
+    Raises:
+        ValueError: a detector without a lifter, or frames too narrow for the driver's columns.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class Camera:
     ) -> None:
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which makes boxes of what it finds")
+        check_view(size[1], robot_intrinsics(size))
         self.predictor, self.lifter, self.detector = predictor, lifter, detector
         self.size, self.light, self.drift = size, light, drift
 

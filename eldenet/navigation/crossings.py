@@ -18,6 +18,7 @@ from eldenet.simulation.arenas import Arena
 SUBSTEPS = 2  # of a control period, after each of which contacts are looked for: at most 10 cm apart
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
+GOALS = ("known", "odometry")
 
 
 class Event(IntEnum):
@@ -37,6 +38,12 @@ class Crossings:
         sensor: what they see with.
         physics: "kinematic" or "wheels"; see :class:`~eldenet.simulation.arena_world.ArenaWorld`.
         time_limit: of a crossing [s].
+        goal: where the robot takes the goal's distance and bearing from. "known": always the true ones, as
+            with a beacon or a map to localise in; "odometry": from where its odometry believes it is, as on
+            a robot without either, so that they drift with it. The true pose ends a crossing in both.
+
+    Raises:
+        ValueError: unknown goal.
 
     Attributes:
         worlds: one per slot.
@@ -44,8 +51,17 @@ class Crossings:
     """
 
     def __init__(
-        self, count: int, sensor: Sensor, *, physics: str = "kinematic", time_limit: float = TIME_LIMIT
+        self,
+        count: int,
+        sensor: Sensor,
+        *,
+        physics: str = "kinematic",
+        time_limit: float = TIME_LIMIT,
+        goal: str = "known",
     ) -> None:
+        if goal not in GOALS:
+            raise ValueError(f"goal={goal!r}: choose one of {', '.join(GOALS)}")
+        self.goal_from = goal
         self.count, self.sensor, self.physics, self.time_limit = count, sensor, physics, time_limit
         self.worlds: list[ArenaWorld | None] = [None] * count
         self.sights: list[Sight | None] = [None] * count
@@ -82,10 +98,13 @@ class Crossings:
         return world.arena.waypoints[self._waypoint[slot]]
 
     def goals(self) -> np.ndarray:
-        """Distance [m] and bearing [rad] of every slot's next way-point ``(N, 2)``."""
+        """True distance [m] and bearing [rad] of every slot's next way-point ``(N, 2)``."""
+        return self._goals_from(self.poses)
+
+    def _goals_from(self, poses: np.ndarray) -> np.ndarray:
         points = np.array([self.goal(slot) for slot in range(self.count)])
-        dx, dy = (points - self.poses[:, :2]).T
-        bearing = np.arctan2(dy, dx) - self.poses[:, 2]
+        dx, dy = (points - poses[:, :2]).T
+        bearing = np.arctan2(dy, dx) - poses[:, 2]
         return np.stack([np.hypot(dx, dy), np.arctan2(np.sin(bearing), np.cos(bearing))], axis=1)
 
     def look(self, slots: Sequence[int]) -> None:
@@ -97,7 +116,8 @@ class Crossings:
         """What the robots sensed when they looked last, with odometry and goals as they are now."""
         ranges = np.stack([sight.ranges for sight in self.sights if sight is not None])
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
-        return Senses(ranges, odometry, self.goals())
+        goals = self._goals_from(odometry if self.goal_from == "odometry" else self.poses)
+        return Senses(ranges, odometry, goals)
 
     def sense(self, slots: Sequence[int] | None = None) -> Senses:
         """Look and sense: all slots, or new looks of some and the last ones of the others."""
@@ -118,7 +138,10 @@ class Crossings:
         return progress, events
 
     def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:
-        """One robot, one period: collision is looked for before the goal."""
+        """One robot, one period: collision is looked for before the goal.
+
+        Progress is towards the way-point that the period began with.
+        """
         world = self._world(slot)
         goal = self.goal(slot)
         before = math.dist(self.poses[slot, :2], goal)
@@ -134,14 +157,13 @@ class Crossings:
             distance = math.dist(pose[:2], goal)
             if collided:
                 event = Event.COLLISION
-            elif distance < GOAL_RADIUS:
-                event = Event.GOAL
-            if event:
                 break
+            if math.dist(pose[:2], self.goal(slot)) < GOAL_RADIUS:
+                if self._waypoint[slot] + 1 == len(world.arena.waypoints):
+                    event = Event.GOAL
+                    break
+                self._waypoint[slot] += 1  # a way-point on the way ends no period
         self.poses[slot] = world.pose
-        if event is Event.GOAL and self._waypoint[slot] + 1 < len(world.arena.waypoints):
-            self._waypoint[slot] += 1
-            event = Event.NONE
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event

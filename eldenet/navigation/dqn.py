@@ -114,14 +114,15 @@ class DQN:
         tau: share of ``policy_dqn`` that goes into ``target_dqn`` after every gradient step.
         target_every: gradient steps between hard copies instead; 0: soft updates with ``tau``.
         gamma: discount a step.
-        learning_rate: Adam's at the start; falls linearly to a tenth.
+        learning_rate: Adam's at the start.
+        learning_rate_end: share of it to which it falls linearly; 1: it stays.
         batch_size: transitions in a gradient step.
         replay: transitions that are kept.
         warmup: environment steps before the first gradient step.
         gradient_every: environment steps (all robots) for each gradient step.
         exploration: share of the training in which random actions fall from all to ``exploration_end``.
         exploration_end: share of random actions afterwards.
-        gradient_clip: greatest norm of the gradient.
+        gradient_clip: greatest norm of the gradient; 0: any.
         hidden: widths of the network's layers.
         leg: environment steps between checkpoints.
         seed: of everything.
@@ -141,6 +142,7 @@ class DQN:
         target_every: int = 0,
         gamma: float = 0.98,
         learning_rate: float = 5e-4,
+        learning_rate_end: float = 0.1,
         batch_size: int = 256,
         replay: int = 400_000,
         warmup: int = 5_000,
@@ -163,6 +165,7 @@ class DQN:
             )
         self.env, self.steps, self.n_step, self.double, self.tau = env, steps, n_step, double, tau
         self.target_every, self.gamma, self.learning_rate = target_every, gamma, learning_rate
+        self.learning_rate_end = learning_rate_end
         self.batch_size, self.warmup, self.gradient_every = batch_size, warmup, gradient_every
         self.exploration, self.exploration_end, self.gradient_clip = (
             exploration,
@@ -252,10 +255,13 @@ class DQN:
         q = self.policy_dqn(obs).gather(1, action[:, None]).squeeze(1)
         loss = nn.functional.mse_loss(q, target)
         for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate * (1 - 0.9 * min(1.0, self.done / self.steps))
+            group["lr"] = self.learning_rate * (
+                1 - (1 - self.learning_rate_end) * min(1.0, self.done / self.steps)
+            )
         self.optimizer.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(self.policy_dqn.parameters(), self.gradient_clip)
+        if self.gradient_clip:
+            nn.utils.clip_grad_norm_(self.policy_dqn.parameters(), self.gradient_clip)
         self.optimizer.step()
         self.updates += 1
         if self.target_every == 0:

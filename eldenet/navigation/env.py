@@ -19,6 +19,8 @@ GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0
 def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     """Algorithm 1: what brings the robot nearer is rewarded, the goal most, a collision punished.
 
+    The paper gives the terms and no numbers; the constants are ours.
+
     Args:
         progress: towards the way-point [m].
         events: :class:`~eldenet.navigation.crossings.Event` numbers.
@@ -52,6 +54,7 @@ class ArenaNavVectorEnv(VectorEnv):
         physics: "kinematic" or "wheels".
         arenas: where to train; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 
@@ -65,11 +68,14 @@ class ArenaNavVectorEnv(VectorEnv):
         physics: str = "kinematic",
         arenas: TrainingArenas | None = None,
         time_limit: float = TIME_LIMIT,
+        goal: str = "known",
         **observer: Any,
     ) -> None:
         self.num_envs = num_envs
         self.observer = Observer(num_envs, **observer)
-        self.crossings = Crossings(num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self.crossings = Crossings(
+            num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal
+        )
         self._arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
@@ -81,11 +87,22 @@ class ArenaNavVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every slot."""
+        """Start an episode in every slot; of a list of seeds, each starts its own slot's stream.
+
+        Raises:
+            ValueError: a list of another length than there are robots.
+        """
         if seed is not None or not self._rngs:
-            seeds = seed if isinstance(seed, list) else [seed]
-            entropy = np.random.SeedSequence([s for s in seeds if s is not None] or None)
-            self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in entropy.spawn(self.num_envs)]
+            if isinstance(seed, list):
+                if len(seed) != self.num_envs:
+                    raise ValueError(
+                        f"{len(seed)} seeds for {self.num_envs} robots: give one each, or one number"
+                    )
+                streams = [np.random.SeedSequence(s) for s in seed]
+            else:
+                # a list of one number, as ever: trainings stay the same bit for bit
+                streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
+            self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
             self._tasks = [self._arenas.fresh() for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
@@ -130,6 +147,7 @@ class ArenaNavEnv(gym.Env):
         sensor: as of :class:`ArenaNavVectorEnv`.
         physics: "kinematic" or "wheels".
         time_limit: of an episode [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
 
@@ -147,6 +165,7 @@ class ArenaNavEnv(gym.Env):
         sensor: str | Sensor = "ranges",
         physics: str = "kinematic",
         time_limit: float = TIME_LIMIT,
+        goal: str = "known",
         render_mode: str | None = None,
         **observer: Any,
     ) -> None:
@@ -154,7 +173,7 @@ class ArenaNavEnv(gym.Env):
             raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
         self.observer = Observer(1, **observer)
-        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit)
+        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal)
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)
         self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()

@@ -59,6 +59,7 @@ def cross(
     robots: int = 32,
     seed: int = 0,
     time_limit: float = 60.0,
+    goal: str = "known",
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Crossing]:
     """Cross every arena once; rows come in the order of the arenas.
@@ -73,10 +74,11 @@ def cross(
         robots: under way at once.
         seed: of the sensor's errors.
         time_limit: of a crossing [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         advance: told how many crossings have ended, for a progress bar.
     """
     robots = min(robots, len(arenas))
-    crossings = Crossings(robots, sensor, physics=physics, time_limit=time_limit)
+    crossings = Crossings(robots, sensor, physics=physics, time_limit=time_limit, goal=goal)
     policy = make_policy(robots)
     rows: dict[int, Crossing] = {}
     at = np.arange(robots)  # the arena of every slot

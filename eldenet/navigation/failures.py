@@ -74,6 +74,7 @@ def trace(
     physics: str = "kinematic",
     seed: int = 0,
     time_limit: float = 60.0,
+    goal: str = "known",
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Failure]:
     """Every failure among ``rows``, which :func:`eldenet.navigation.evaluation.cross` gave for ``arenas``.
@@ -85,7 +86,7 @@ def trace(
     for number, (arena, row) in enumerate(zip(arenas, rows, strict=True)):
         if row.outcome == "success":
             continue
-        crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit)
+        crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit, goal=goal)
         crossings.start(0, arena, (seed, number))
         failure, event = _drive(arena, make_policy(1), crossings)
         if OUTCOMES[event] != row.outcome:
@@ -116,7 +117,8 @@ def _drive(arena: Arena, policy: Policy, crossings: Crossings) -> tuple[Failure,
         _, events = crossings.step(command)
         event = Event(int(events[0]))
     crossings.sense()
-    pose, time = crossings.poses[0], float(crossings.seconds[0])
+    # the world's own clock, which stops at a contact: where people were then
+    pose, time = crossings.poses[0], crossings.worlds[0].time  # type: ignore[union-attr]
     scene.trail.append(tuple(pose))
     touched, spot = ("", pose[:2]) if event is Event.TIMEOUT else touched_spot(arena, pose, time)
     hits = [look for look, points in enumerate(seen) if _near(points, spot)]
@@ -133,7 +135,7 @@ def _drive(arena: Arena, policy: Policy, crossings: Crossings) -> tuple[Failure,
         way_out=round(way_out, 2),
         speed=round(float(command[0, 0]), 2),
         turn=round(float(command[0, 1]), 2),
-        seconds=round(time, 1),
+        seconds=round(float(crossings.seconds[0]), 1),
         remaining=round(float(crossings.goals()[0, 0]), 2),
         picture=_picture(scene, crossings, None if event is Event.TIMEOUT else spot, f"{arena.name}: {kind}"),
     ), event

@@ -24,6 +24,7 @@ def film_crossing(
     *,
     physics: str = "wheels",
     time_limit: float = 60.0,
+    goal: str = "known",
     seed: int = 0,
     speed: float = 2.0,
     advance: Callable[[int], None] = lambda count: None,
@@ -37,6 +38,7 @@ def film_crossing(
         path: of the film; its ending is its format.
         physics: "wheels" or "kinematic".
         time_limit: [s].
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
         seed: of the sensor's errors.
         speed: of the film, times real time.
         advance: told of every frame.
@@ -46,7 +48,7 @@ def film_crossing(
     """
     from eldenet.simulation.arena_view import ArenaView
 
-    crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit)
+    crossings = Crossings(1, sensor, physics=physics, time_limit=time_limit, goal=goal)
     crossings.start(0, arena, (seed, arena.index))
     policy.reset(0, crossings.worlds[0])
     scene, view = Scene(arena), ArenaView(arena)

@@ -93,7 +93,8 @@ class _NoisyEye:
 def without_missed(ranges: np.ndarray, errors: RangeErrors, rng: np.random.Generator) -> np.ndarray:
     """True ranges ``(columns,)`` [m] where what a look misses gives way to the farther of its neighbours.
 
-    Whether a thing is missed is drawn anew in every look.
+    Whether a thing is missed is drawn anew in every look. What fills the view is never missed: nothing
+    beside it says what lies behind.
     """
     thing = things(ranges)
     chance = rng.random(int(thing[-1]) + 1)
@@ -102,5 +103,6 @@ def without_missed(ranges: np.ndarray, errors: RangeErrors, rng: np.random.Gener
         mine = np.flatnonzero(thing == number)
         if chance[number] < np.interp(ranges[mine].mean(), errors.middles, errors.miss):
             beside = [ranges[side] for side in (mine[0] - 1, mine[-1] + 1) if 0 <= side < len(ranges)]
-            out[mine] = np.maximum(ranges[mine], max(beside, default=ROBOT.far))
+            if beside:
+                out[mine] = np.maximum(ranges[mine], max(beside))
     return out

@@ -143,7 +143,8 @@ class Navigator:
             Speed [m/s] and turn rate [rad/s, counter-clockwise].
 
         Raises:
-            ValueError: the sight has none of these shapes, or a depth map came without intrinsics.
+            ValueError: the sight has none of these shapes, a depth map came without intrinsics, or its camera
+                sees less than the 69.4 degrees that the driver was trained with.
         """
         ranges = as_ranges(np.asarray(sight, dtype=np.float64), intrinsics)
         senses = Senses(

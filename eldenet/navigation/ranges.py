@@ -22,8 +22,13 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(3, 3)`` of the depth map [px].
+
+    Raises:
+        ValueError: the camera sees less than the driver's field of view, or its pixels are too few for the
+            columns.
     """
     height, width = depth.shape
+    column = check_view(width, intrinsics)
     known = np.isfinite(depth) & (depth > 0)
     depth = np.where(known, depth, ROBOT.near)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
@@ -32,17 +37,35 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
     ranges = np.where(known, depth * np.sqrt(1 + right * right), ROBOT.near)
     ranges = np.where(counts, ranges, np.inf)
-    step = ROBOT.field_of_view / ROBOT.columns
-    column = np.floor((-np.arctan(right) + ROBOT.field_of_view / 2) / step).astype(int)
     out = np.full(ROBOT.columns, ROBOT.far)
     for number in range(ROBOT.columns):
         values = ranges[:, column == number]
         values = values[np.isfinite(values)]
         if values.size:
             out[number] = np.partition(values, int(QUANTILE * values.size))[int(QUANTILE * values.size)]
-        elif not (column == number).any():  # outside the picture: unknown
-            out[number] = ROBOT.near
     return np.clip(out, ROBOT.near, ROBOT.far)
+
+
+def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
+    """Number of the column of the field of view that each pixel column lies in ``(width,)``, from the right.
+
+    Raises:
+        ValueError: a column has no pixel: it would read as near for ever, and the robot would not move.
+    """
+    focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
+    bearing = -np.arctan((np.arange(width) - middle) / focal)
+    step = ROBOT.field_of_view / ROBOT.columns
+    column = np.floor((bearing + ROBOT.field_of_view / 2) / step).astype(int)
+    empty = ROBOT.columns - len(np.intersect1d(column, np.arange(ROBOT.columns)))
+    if empty:
+        left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
+        least = math.ceil(2 * math.tan(ROBOT.field_of_view / 2) / math.tan(step))
+        raise ValueError(
+            f"a depth map {width} px wide, {left:.1f} degrees to the left and {right:.1f} to the "
+            f"right, shows nothing in {empty} of the driver's {ROBOT.columns} columns: give a camera that "
+            f"sees {math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
+        )
+    return column
 
 
 def footprints_to_ranges(footprints: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ class TrainingArenas:
             return self._arena
         self._left -= 1
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
-        crossing = draw_crossing(draw, self._clearance, self.min_distance)
+        crossing = draw_crossing(draw, self._clearance, self.min_distance, self._arena.movers)
         if crossing is None:
             return self._arena
         return replace(self._arena, start=crossing[0], waypoints=(crossing[1],))

@@ -71,7 +71,10 @@ def train(
         def after_leg(learner: DQN) -> None:
             leg: dict[str, Any] = {"steps": learner.done}
             if arenas:
-                rows = cross(arenas, lambda robots: as_navigator(learner, robots), sensor)
+                rows = cross(
+                    arenas, lambda robots: as_navigator(learner, robots), sensor,
+                    goal=learner.env.crossings.goal_from,
+                )  # fmt: skip
                 leg |= {
                     name: summarise(rows)[name] for name in ("success", "collision", "timeout", "seconds")
                 }

@@ -102,7 +102,7 @@ class ArenaWorld:
             self.time += TIMESTEP
             self._move_people()
             self._step(self.model, self.data)
-            if self.data.ncon > 3 and self._solid[self.data.contact.geom].any():
+            if self._solid[self.data.contact.geom].any():
                 return True
         return False
 

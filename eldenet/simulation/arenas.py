@@ -22,6 +22,7 @@ SIDE = 20.0  # of the arena [m]
 RESOLUTION = 0.1  # of the grid that decides whether an arena can be crossed [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
+WALKER_CLEARANCE = 3.0  # from the start to where people set out [m]
 REACH = 1.6  # clearances are not told apart beyond this [m]
 
 Point = tuple[float, float]
@@ -193,24 +194,28 @@ def draw_walker(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
         )
         x, y = path[0]
         lengths = [math.dist(a, b) for a, b in zip(path, (*path[1:], path[0]), strict=True)]
-        if math.hypot(x - start[0], y - start[1]) > 3.0 and min(lengths) > 2.0:
+        if math.hypot(x - start[0], y - start[1]) > WALKER_CLEARANCE and min(lengths) > 2.0:
             break
     speed, height = round(draw.uniform(0.3, 0.9), 4), round(draw.uniform(1.5, 1.9), 4)
     return Obstacle("person", x, y, 0.0, (0.25, 0.25), height, path, speed)
 
 
 def draw_crossing(
-    draw: Draw, clearance: np.ndarray, min_distance: float
+    draw: Draw, clearance: np.ndarray, min_distance: float, walkers: Sequence[Obstacle] = ()
 ) -> tuple[tuple[float, float, float], Point] | None:
     """Start with its heading, and a goal that a robot can reach from there; None where three starts had none.
 
-    Connectivity is that of the grid inflated by :data:`INFLATION`, in four directions.
+    No start is near to where one of ``walkers`` sets out. Connectivity is that of the grid inflated by
+    :data:`INFLATION`, in four directions.
     """
     from skimage.measure import label
 
     regions = label(clearance >= INFLATION, connectivity=1)
     starts = np.argwhere((clearance >= START_CLEARANCE) & (regions > 0))
     goals = np.argwhere((clearance >= GOAL_CLEARANCE) & (regions > 0))
+    for walker in walkers:
+        place = (starts[:, ::-1] + 0.5) * RESOLUTION - SIDE / 2
+        starts = starts[np.hypot(*(place - walker.position(0.0)).T) > WALKER_CLEARANCE]
     for _ in range(3 if len(starts) else 0):
         row, column = starts[int(draw.unit() * len(starts))]
         away = np.hypot(*(goals - (row, column)).T) * RESOLUTION

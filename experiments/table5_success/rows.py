@@ -1,31 +1,28 @@
 """One row of the navigation tables: a method, a density, a sensor, a physics -> one CSV, made once."""
 
 import csv
-import hashlib
 import json
-import subprocess
-import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import eldenet
-from eldenet.navigation.cameras import camera, objects
+from inputs import CAMERAS, TRUTH, check_inputs, digest, input_hashes, make_sensor, training_of
+
+from eldenet.navigation.crossings import GOALS
 from eldenet.navigation.evaluation import Crossing, as_rows, cross
-from eldenet.navigation.noise import NoisyRanges, errors_file
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import LocalDWA
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
-from eldenet.navigation.sensors import Ranges, Sensor
+from eldenet.navigation.sources import crossing_hash
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.record import environment, write_json, write_rows
 from eldenet.simulation.arenas import Arena, arenas_hash
 
 HERE = Path(__file__).parent
-PACKAGE = Path(eldenet.__file__).parent
 COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, people who walk
 SENSORS = ("ranges", "noisy", "camera", "objects")
 LEARNT = {  # name -> what to train it with
@@ -43,8 +40,6 @@ PLANNERS = {
     "dwa, 5 sectors, no memory": lambda robots: LocalDWA(sight="sectors", memory=0, robots=robots),
     "straight": lambda robots: Straight(robots=robots),
 }
-#: Of eldenet/navigation, what no crossing rests on: drawing, counting, training (a policy has its own hash).
-_NO_PART = ("dqn", "env", "failures", "film", "pictures", "registration", "statistics", "training")
 
 
 @dataclass(frozen=True)
@@ -59,6 +54,7 @@ class Row:
         physics: "wheels" or "kinematic".
         worlds: how many arenas.
         seed: of the training; None for planners.
+        goal: "known" or "odometry".
     """
 
     method: str
@@ -68,6 +64,7 @@ class Row:
     physics: str
     worlds: int
     seed: int | None = None
+    goal: str = "known"
 
     @property
     def course(self) -> str:
@@ -79,7 +76,8 @@ class Row:
         """Of its files."""
         method = self.method.replace(", ", "-").replace(" ", "_")
         seed = "" if self.seed is None else f"-seed{self.seed}"
-        return f"{method}{seed}-{self.sensor}-{self.physics}-{self.course}-{self.worlds}"
+        goal = "" if self.goal == "known" else f"-goal_{self.goal}"
+        return f"{method}{seed}-{self.sensor}{goal}-{self.physics}-{self.course}-{self.worlds}"
 
 
 def course_name(density: int, movers: int) -> str:
@@ -87,12 +85,12 @@ def course_name(density: int, movers: int) -> str:
     return f"{density}+{movers}" if movers else str(density)
 
 
-def arguments() -> Namespace:
-    """What both tables' commands take."""
+def arguments(methods: Sequence[str] = (*LEARNT, *PLANNERS)) -> Namespace:
+    """What both tables' commands take; ``methods`` are those of the default."""
     parser = ArgumentParser()
     parser.add_argument("--worlds", type=int, default=500, help="test arenas per density")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of every learnt method")
-    parser.add_argument("--methods", default=",,".join([*LEARNT, *PLANNERS]), help="names, separated by ,,")
+    parser.add_argument("--methods", default=",,".join(methods), help="names, separated by ,,")
     parser.add_argument(
         "--sensors",
         default="ranges",
@@ -100,19 +98,57 @@ def arguments() -> Namespace:
     )
     parser.add_argument("--physics", default="wheels")
     parser.add_argument("--courses", default=",".join(course_name(*course) for course in COURSES))
-    parser.add_argument("--depth", default=None, help="folder of the depth network of camera and objects")
+    parser.add_argument("--goal", default="known", choices=GOALS, help="where the goal's place is taken from")
+    parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
+    parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")
     parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
     parser.add_argument("--packaged", action="store_true", help="the packaged policy is dqn's only training")
+    parser.add_argument("--any-sources", action="store_true", help="take trainings that other sources made")
+    parser.add_argument("--out", help="name of the results; default: results-<worlds>")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")
     parser.add_argument("--rows", type=Path, default=HERE / "rows", help="where rows are kept")
     return parser.parse_args()
+
+
+def results_name(given: Namespace) -> str:
+    """Of a table's files, without their endings."""
+    goal = "" if given.goal == "known" else f"-goal-{given.goal}"
+    return str(given.out or f"results-{given.worlds}{goal}")
+
+
+def refuse_to_drop(path: Path, asked: Iterable[Sequence[str]]) -> None:
+    """A part of a table must not replace the whole.
+
+    Args:
+        path: of the table's CSV.
+        asked: first columns of every row that the command will write.
+
+    Raises:
+        ValueError: the file holds rows that were not asked for.
+    """
+    if not path.is_file():
+        return
+    asked = {tuple(row) for row in asked}
+    width = len(next(iter(asked)))
+    with path.open() as file:
+        dropped = [row for row in list(csv.reader(file))[1:] if tuple(row[:width]) not in asked]
+    if dropped:
+        raise ValueError(
+            f"{path} holds {len(dropped)} rows that this command does not ask for, such as "
+            f"{', '.join(dropped[0][:width])}: ask for them too (they are not made twice), or give --out"
+        )
+
+
+def without_nan(row: Sequence[Any]) -> list[Any]:
+    """For a CSV: an empty field where there is no number."""
+    return ["" if isinstance(value, float) and value != value else value for value in row]
 
 
 def all_rows(given: Namespace) -> Iterator[Row]:
     """Every row that the command asks for.
 
     Raises:
-        ValueError: a method, a sensor or a course that there is not.
+        ValueError: a method, a sensor or a course that there is not, or something that a sensor needs.
     """
     methods, sensors, courses = given.methods.split(",,"), given.sensors.split(","), given.courses.split(",")
     known = {course_name(*course): course for course in COURSES}
@@ -123,6 +159,7 @@ def all_rows(given: Namespace) -> Iterator[Row]:
     ):
         if not set(asked) <= set(there):
             raise ValueError(f"--{kind}: {sorted(set(asked) - set(there))} is none of {', '.join(there)}")
+    check_inputs(given, sensors)
     for physics in given.physics.split(","):
         for sensor in sensors:
             for method in methods:
@@ -130,7 +167,7 @@ def all_rows(given: Namespace) -> Iterator[Row]:
                 seeds = [0] if packaged else list(range(given.seeds))
                 for seed in seeds if method in LEARNT else [None]:
                     for course in courses:
-                        yield Row(method, *known[course], sensor, physics, given.worlds, seed)
+                        yield Row(method, *known[course], sensor, physics, given.worlds, seed, given.goal)
 
 
 def policy_file(row: Row, given: Namespace) -> Path | None:
@@ -140,66 +177,20 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     method = "dqn" if row.method == "dqn_follows" else row.method
     if given.packaged and method == "dqn":
         return DEFAULT_WEIGHTS
-    folder = given.runs / f"{method}-{row.seed}"
-    if not (folder / "policy.safetensors").is_file():
-        options = [*LEARNT[row.method], f"seed={row.seed}", f"run_dir={folder}"]
-        subprocess.run([sys.executable, "-m", "eldenet.navigate", "mode=train", *options], check=True)
-    return folder / "policy.safetensors"
+    options = [*LEARNT[method], f"seed={row.seed}"]
+    return training_of(given.runs / f"{method}-{row.seed}", options, any_sources=given.any_sources)
 
 
-def make_sensor(row: Row, given: Namespace) -> Sensor:
-    """The sensor of a row."""
-    kind, _, light = row.sensor.partition("@")
-    if kind == "ranges":
-        return Ranges()
-    if kind == "noisy":
-        return NoisyRanges(errors=given.errors)
-    return {"camera": camera, "objects": objects}[kind](given.depth, light=float(light or 1.0))
-
-
-def sources_hash(row: Row) -> str:
-    """SHA-256 over the code that a row's crossings depend on; its camera's too, where it has one."""
-    files = [
-        PACKAGE / "robot.py",
-        *PACKAGE.glob("simulation/arena*.py"),
-        PACKAGE / "simulation" / "culling.py",
-    ]
-    files += [file for file in PACKAGE.glob("navigation/**/*.py") if file.stem not in _NO_PART]
-    if row.sensor.partition("@")[0] in ("camera", "objects"):
-        files += [
-            *PACKAGE.glob("simulation/*.py"),
-            *PACKAGE.glob("perception/*.py"),
-            PACKAGE / "predictor.py",
-        ]
-    digest = hashlib.sha256()
-    for file in sorted(set(files)):
-        digest.update(
-            file.relative_to(PACKAGE).as_posix().encode() + file.read_bytes().replace(b"\r\n", b"\n")
-        )
-    return digest.hexdigest()
-
-
-def key_of(
-    row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
-) -> dict[str, str | None]:
+def key_of(row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> dict[str, Any]:
     """All that a row's crossings depend on: where any of it has changed, the row is made anew."""
-    kind = row.sensor.partition("@")[0]
-    network = None
-    if given.depth is not None and kind in ("camera", "objects"):
-        inner = Path(given.depth) / "model"
-        network = next(path for path in (inner, Path(given.depth)) if path.exists())
-        network = network / "model.safetensors" if network.is_dir() else network
+    versions = environment()["versions"]
     return {
         "arenas": arenas_hash(arenas),
-        "sources": sources_hash(row),
-        "policy": _digest(weights),
-        "depth": _digest(network),
-        "errors": _digest(errors_file(given.errors) if kind == "noisy" else None),
+        "sources": crossing_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
+        "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
+        "policy": None if weights is None else digest([weights]),
+        **input_hashes(row.sensor, given),
     }
-
-
-def _digest(path: Path | None) -> str | None:
-    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def measure(row: Row, given: Namespace) -> list[Crossing]:
@@ -216,7 +207,7 @@ def measure(row: Row, given: Namespace) -> list[Crossing]:
     started = time.process_time()
     walkers = True if row.method == "dqn_follows" else None
     make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, walkers=walkers, robots=robots))
-    crossings = cross(arenas, make, make_sensor(row, given), physics=row.physics)
+    crossings = cross(arenas, make, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
     write_rows(table, *as_rows(crossings))
     spent = round(time.process_time() - started, 1)
     write_json(note, {"key": key, "cpu_seconds": spent, **environment()})

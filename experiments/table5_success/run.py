@@ -3,45 +3,44 @@
 python experiments/table5_success/run.py                                      500 worlds, 3 trainings
 python experiments/table5_success/run.py --worlds 100 --packaged --methods dqn,,astar_dwa,,dwa
 
-Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results.md,
-results.csv and results.png. A killed command goes on where it stopped.
+Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results-500.md,
+.csv and .png at the end. A killed command goes on where it stopped.
 """
 
+from argparse import Namespace
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from comparisons import Tables, courses_of, loss, paired
+from inputs import fed_by
 from panels import draw_panels
-from rows import LEARNT, all_rows, arguments, measure
+from rows import LEARNT, all_rows, arguments, measure, refuse_to_drop, results_name, without_nan
 
 from eldenet.navigation.evaluation import Crossing, summarise
-from eldenet.navigation.statistics import mcnemar
 from eldenet.record import environment, write_rows
 from eldenet.robot import ROBOT
 
 HERE = Path(__file__).parent
-Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]  # physics, sensor, method, course -> per seed
 
 
 def main() -> None:
     given = arguments()
+    rows = list(all_rows(given))
+    asked = [(r.physics, r.sensor, r.method, str(r.seed or 0), r.course) for r in rows]
+    refuse_to_drop(HERE / f"{results_name(given)}.csv", asked)
     tables: Tables = defaultdict(list)
-    for row in all_rows(given):
+    for row in rows:
         tables[row.physics, row.sensor, row.method, row.course].append(measure(row, given))
-        write_results(tables, given.worlds)
+    write_results(tables, given)
 
 
-def courses_of(tables: Tables) -> list[str]:
-    """In the order in which they came."""
-    return list(dict.fromkeys(key[3] for key in tables))
-
-
-def write_results(tables: Tables, worlds: int) -> None:
-    where = environment()
+def write_results(tables: Tables, given: Namespace) -> None:
+    where, name = environment(), results_name(given)
     lines = [
         "# Success of crossing an arena (Table 5)",
         "",
-        f"{worlds} frozen test arenas per column (20 x 20 m, start to goal 10 m or more, any heading; "
+        f"{given.worlds} frozen test arenas per column (20 x 20 m, start to goal 10 m or more, any heading; "
         "20+10 are 20 obstacles and 10 people who walk), "
         f"time limit 60 s, goal within 0.5 m, robot {ROBOT.length} x {ROBOT.width} m, camera 69.4 degrees. "
         "Success [%] with its 95 % Wilson interval over worlds (mean over trainings), "
@@ -51,7 +50,9 @@ def write_results(tables: Tables, worlds: int) -> None:
     cells, courses = [], courses_of(tables)
     for physics, sensor in dict.fromkeys((key[0], key[1]) for key in tables):
         lines += [
-            f"## {sensor}, {physics}",
+            f"## {sensor}, {physics}, goal {given.goal}",
+            "",
+            fed_by(sensor, given),
             "",
             "| method | trainings | " + " | ".join(courses) + " |",
         ]
@@ -62,20 +63,23 @@ def write_results(tables: Tables, worlds: int) -> None:
                 seeds = tables.get((physics, sensor, method, course), [])
                 shown.append(cell(seeds))
                 for number, crossings in enumerate(seeds):
-                    cells.append([physics, sensor, method, number, course, *summarise(crossings).values()])
+                    values = [physics, sensor, method, number, course, *summarise(crossings).values()]
+                    cells.append(without_nan(values))
             trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNT else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), "", *loss(tables, physics, sensor), ""]
+    if given.any_sources:
+        lines += ["Taken with `--any-sources`: learnt methods may have been trained by other sources.", ""]
     lines += [
         f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
         f"mujoco {where['versions']['mujoco']}, "
         f"{where['date']}, commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table5_success/{where['command']}`.",
     ]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
+    (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "training", "course", *summarise(next(iter(tables.values()))[0])]
-    write_rows(HERE / "results.csv", names, cells)
-    plot(tables)
+    write_rows(HERE / f"{name}.csv", names, cells)
+    plot(tables, HERE / f"{name}.png")
 
 
 def cell(seeds: list[list[Crossing]]) -> str:
@@ -90,41 +94,7 @@ def cell(seeds: list[list[Crossing]]) -> str:
     )
 
 
-def paired(tables: Tables, physics: str, sensor: str) -> list[str]:
-    """dqn's first training against every other method on the same worlds."""
-    lines = []
-    for method in dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor)):
-        for course in courses_of(tables):
-            ours, theirs = (tables.get((physics, sensor, name, course)) for name in ("dqn", method))
-            if method == "dqn" or not ours or not theirs:
-                continue
-            solved = [[crossing.outcome == "success" for crossing in rows[0]] for rows in (ours, theirs)]
-            only_ours, only_theirs, p = mcnemar(*solved)
-            lines.append(f"| {method} | {course} | {only_ours} | {only_theirs} | {p:.2g} |")
-    head = [
-        "| dqn against | arenas | only dqn | only the other | McNemar p |",
-        "|---|---:|---:|---:|---:|",
-    ]
-    return [*head, *lines] if lines else []
-
-
-def loss(tables: Tables, physics: str, sensor: str) -> list[str]:
-    """Success that this sensor costs against true ranges, in points, mean over trainings."""
-    lines = []
-    for method in dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor)):
-        for course in courses_of(tables):
-            ours, theirs = (tables.get((physics, name, method, course)) for name in (sensor, "ranges"))
-            if sensor == "ranges" or not ours or not theirs or len(ours) != len(theirs):
-                continue
-            points = [
-                summarise(true)["success"] - summarise(seen)["success"]
-                for seen, true in zip(ours, theirs, strict=True)
-            ]
-            lines.append(f"| {method} | {course} | {np.mean(points):.1f} |")
-    return ["| method | arenas | success lost against `ranges` |", "|---|---:|---:|", *lines] if lines else []
-
-
-def plot(tables: Tables) -> None:
+def plot(tables: Tables, path: Path) -> None:
     """Success against density, one panel per physics and sensor."""
     shares = ("success", "success_low", "success_high")
 
@@ -144,7 +114,7 @@ def plot(tables: Tables) -> None:
         axis.set_ylim(0, 102)
 
     panels = list(dict.fromkeys((key[0], key[1]) for key in tables))
-    draw_panels(panels, draw, "success [%]", HERE / "results.png")
+    draw_panels(panels, draw, "success [%]", path)
 
 
 if __name__ == "__main__":

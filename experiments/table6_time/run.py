@@ -1,61 +1,82 @@
 """Table 6: how long a crossing takes, on the worlds that every method solved.
 
-python experiments/table6_time/run.py            takes the same options as table5_success/run.py, and its rows
+python experiments/table6_time/run.py            takes the options of table5_success/run.py, and its rows
 
 A method that fails often fails on the long ways; its mean time over its own successes flatters it. So the
 first figure counts the worlds alone that all methods of the table solved, and the ratio those that A* with
 the full map and the method both solved.
 """
 
+import math
 import sys
+from argparse import Namespace
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
+from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
-from rows import all_rows, arguments, measure  # noqa: E402
+from rows import all_rows, arguments, measure, refuse_to_drop, results_name, without_nan  # noqa: E402
 
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
+from eldenet.navigation.statistics import bootstrap_interval  # noqa: E402
 from eldenet.record import environment, write_rows  # noqa: E402
 
+# physics, sensor, course -> method -> crossings of every training
+Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]
+
 REFERENCE = "astar_dwa"
-BLIND = ("straight",)  # solves so few that it would leave nothing to compare
+# straight solves so few that it would leave nothing to compare; so would weak learnt methods, at 80
+METHODS = ("dqn", "astar_dwa", "astar_online_dwa", "dwa")
 
 
 def main() -> None:
-    given = arguments()
-    tables: dict[tuple[str, str, str], dict[str, list[Crossing]]] = defaultdict(dict)
-    for row in all_rows(given):
-        if row.method not in BLIND and row.seed in (None, 0):
-            tables[row.physics, row.sensor, row.course][row.method] = measure(row, given)
+    given = arguments(METHODS)
+    rows = list(all_rows(given))
+    refuse_to_drop(
+        HERE / f"{results_name(given)}.csv", [(r.physics, r.sensor, r.method, r.course) for r in rows]
+    )
+    tables: dict = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        tables[row.physics, row.sensor, row.course][row.method].append(measure(row, given))
+    write_results(tables, given)
+
+
+def write_results(tables: Tables, given: Namespace) -> None:
+    name = results_name(given)
     where, courses = environment(), list(dict.fromkeys(key[2] for key in tables))
     lines = [
         "# Time of crossing an arena (Table 6)",
         "",
-        f"The worlds and rows of table5_success, {given.worlds} test arenas per column, first training of "
-        "learnt methods. Mean time [s] on the worlds that all methods of the table solved (how many: last "
-        "row); "
-        f"in brackets the ratio to {REFERENCE} over the worlds that both solved.",
+        f"The worlds and rows of table5_success, {given.worlds} test arenas per column. Mean time [s] on "
+        "the worlds that all methods of the table, and all their trainings, solved (how many: last row); "
+        f"after it the ratio to {REFERENCE} over the worlds that both solved, mean over trainings, with its "
+        "paired 95 % bootstrap interval over worlds.",
         "",
     ]
     cells = []
     for physics, sensor in dict.fromkeys(key[:2] for key in tables):
         methods = list(tables[physics, sensor, courses[0]])
-        lines += [f"## {sensor}, {physics}", "", "| method | " + " | ".join(courses) + " |"]
-        lines.append("|---|" + "---:|" * len(courses))
-        common = {d: solved_by_all(list(tables[physics, sensor, d].values())) for d in courses}
+        lines += [f"## {sensor}, {physics}, goal {given.goal}", "", fed_by(sensor, given), ""]
+        lines += ["| method | " + " | ".join(courses) + " |", "|---|" + "---:|" * len(courses)]
+        common = {
+            d: solved_by_all([seed for seeds in tables[physics, sensor, d].values() for seed in seeds])
+            for d in courses
+        }
         for method in methods:
             shown = []
             for course in courses:
                 rows = tables[physics, sensor, course]
-                seconds = np.array([crossing.seconds for crossing in rows[method]])
-                mean = float(seconds[common[course]].mean()) if common[course].any() else float("nan")
-                ratio, both = ratio_to_reference(rows, method)
-                shown.append(f"{mean:.1f} ({ratio:.2f})")
-                cells.append([physics, sensor, method, course, mean, int(common[course].sum()), ratio, both])
+                seconds, mask = times(rows[method]).mean(axis=0), common[course]
+                mean = float(seconds[mask].mean()) if mask.any() else math.nan
+                ratio, low, high, both = ratio_to_reference(rows, method)
+                shown.append(cell(mean, ratio, low, high))
+                values = [mean, int(mask.sum()), ratio, low, high, both]
+                cells.append(without_nan([physics, sensor, method, course, *values]))
             lines.append(f"| {method} | " + " | ".join(shown) + " |")
         counts = " | ".join(str(int(common[course].sum())) for course in courses)
         lines += [f"| worlds that all solved | {counts} |", ""]
@@ -64,35 +85,61 @@ def main() -> None:
         f"commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
-    names = ["physics", "sensor", "method", "course", "seconds", "worlds", "ratio", "worlds_both"]
-    write_rows(HERE / "results.csv", names, cells)
-    plot(cells)
+    (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
+    names = ["physics", "sensor", "method", "course", "seconds", "worlds"]
+    names += ["ratio", "ratio_low", "ratio_high", "worlds_both"]
+    write_rows(HERE / f"{name}.csv", names, cells)
+    plot(cells, HERE / f"{name}.png")
     print("\n".join(lines))
 
 
-def ratio_to_reference(rows: dict[str, list[Crossing]], method: str) -> tuple[float, int]:
-    """Mean time over the reference's, on the worlds that both solved, and how many those are."""
+def times(trainings: list[list[Crossing]]) -> np.ndarray:
+    """``(trainings, worlds)`` [s]."""
+    return np.array([[crossing.seconds for crossing in rows] for rows in trainings])
+
+
+def cell(mean: float, ratio: float, low: float, high: float) -> str:
+    """Of the table; "-" for what there is not."""
+    shown = "-" if math.isnan(mean) else f"{mean:.1f}"
+    return shown if math.isnan(ratio) else f"{shown}, {ratio:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def ratio_to_reference(
+    rows: Mapping[str, list[list[Crossing]]], method: str
+) -> tuple[float, float, float, int]:
+    """Mean time over the reference's on the worlds that both solved, mean over trainings.
+
+    Returns:
+        The ratio, its paired 95 % bootstrap interval over worlds, and the fewest worlds that a training and
+        the reference both solved. nan where a training shares none.
+    """
     if REFERENCE not in rows:
-        return float("nan"), 0
-    both = solved_by_all([rows[method], rows[REFERENCE]])
-    if not both.any():
-        return float("nan"), 0
-    ours, theirs = (np.array([c.seconds for c in rows[name]])[both].mean() for name in (method, REFERENCE))
-    return float(ours / theirs), int(both.sum())
+        return math.nan, math.nan, math.nan, 0
+    reference = times(rows[REFERENCE])[0]
+    both = np.array([solved_by_all([training, rows[REFERENCE][0]]) for training in rows[method]])
+    ours = times(rows[method])
+
+    def ratio(worlds: np.ndarray) -> float:
+        mask = both[:, worlds]
+        if not mask.any(axis=1).all():
+            return math.nan
+        return float(np.mean((ours[:, worlds] * mask).sum(axis=1) / (reference[worlds] * mask).sum(axis=1)))
+
+    low, high = bootstrap_interval(ratio, len(reference))
+    return ratio(np.arange(len(reference))), low, high, int(both.sum(axis=1).min())
 
 
-def plot(cells: list[list]) -> None:
+def plot(cells: list[list], path: Path) -> None:
     """Time against density, one panel per physics and sensor."""
 
     def draw(axis, panel) -> None:
         mine = [row for row in cells if (row[0], row[1]) == panel and row[3].isdigit()]
         for method in dict.fromkeys(row[2] for row in mine):
-            points = [(int(row[3]), row[4]) for row in mine if row[2] == method]
-            axis.plot(*zip(*points, strict=True), marker="o", label=method)
+            points = [(int(row[3]), row[4]) for row in mine if row[2] == method and row[4] != ""]
+            axis.plot(*np.array(points).reshape(-1, 2).T, marker="o", label=method)
 
     panels = list(dict.fromkeys((row[0], row[1]) for row in cells))
-    draw_panels(panels, draw, "time on worlds all solved [s]", HERE / "results.png")
+    draw_panels(panels, draw, "time on worlds all solved [s]", path)
 
 
 if __name__ == "__main__":

@@ -98,7 +98,8 @@ class AStarDWA:
         self._goals[robot] = None
         fine = 0.05
         clearance = clearance_map(world.arena.obstacles, world.arena.side, fine)
-        edge = np.argwhere(clearance < fine / 2)
+        # a wall's cells lie half a cell from it, give or take rounding
+        edge = np.argwhere(clearance <= fine / 2 + 1e-6)
         self._points[robot] = (edge[:, ::-1] + 0.5) * fine - world.arena.side / 2
 
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
