@@ -180,8 +180,8 @@ def predict_video(
         total = frames or stream.announced
         with log.bar("predicting", total) as bar, open_video(file, stream.frames_per_second) as add:
             try:
-                for _, photo, depth in stream:
-                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame)
+                for _, photo, depth, taken in stream:
+                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
                     if "colour" in results.formats:
                         span = results.depth_range or _follow(span, visible_range(depth))
                         add(photo_beside_depth(photo, depth, *span))

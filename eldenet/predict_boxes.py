@@ -16,18 +16,20 @@ if TYPE_CHECKING:
     from eldenet.predictions import Results
     from eldenet.runlog import RunLog
 
-Add = Callable[[str, np.ndarray, np.ndarray], None]
+SHORTEST = 1e-3  # [s] between two frames, however fast they were read
+
+Add = Callable[[str, np.ndarray, np.ndarray, float | None], None]
 
 
 @contextmanager
 def box_results(
     config: "DictConfig", results: "Results", names: Sequence[str], rate: float | None, log: "RunLog"
 ) -> Iterator[Add | None]:
-    """Give a function that takes ``(name, photo, depth)`` of each picture; None without ``boxes=true``.
+    """Give a function that takes ``(name, photo, depth, time)`` of each picture; None without ``boxes=true``.
 
     Pictures become ``<name>_boxes.png`` and ``<name>_boxes.txt``, a video ``<name>_boxes.mp4`` and one text
     file per frame. At the end the time that each stage took is said. ``rate`` is a video's [frames/s], None
-    for pictures.
+    for pictures. Speeds follow from the frames' times [s], whatever was dropped between them.
 
     Raises:
         ValueError: no intrinsics or no detector were given, or a result is there already.
@@ -44,11 +46,14 @@ def box_results(
     spent: dict[str, list[float]] = {}
     with ExitStack() as stack:
         show: Callable[[np.ndarray], None] | None = None
-        step = 1.0 if rate is None else 1 / rate
+        last: float | None = None
         if rate is not None:
             show = stack.enter_context(open_video(results.folder / f"{names[0]}_boxes.mp4", rate))
 
-        def add(name: str, photo: np.ndarray, depth: np.ndarray) -> None:
+        def add(name: str, photo: np.ndarray, depth: np.ndarray, time: float | None) -> None:
+            nonlocal last
+            step = 1 / (rate or 1.0) if time is None or last is None else max(time - last, SHORTEST)
+            last = time
             scene = perception(photo, depth=depth, seconds=step)
             for stage, seconds in scene.seconds.items():
                 spent.setdefault(stage, []).append(seconds)

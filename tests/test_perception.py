@@ -247,6 +247,29 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
     assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
 
 
+def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, monkeypatch):
+    """One metre per second, of 30 frames a second every sixth: the rest were dropped."""
+    from types import SimpleNamespace
+
+    from eldenet import predict_boxes
+    from eldenet.predictions import Results
+
+    frames = [7 + 0.2 * step for step in range(15)]
+    tracker, seen = BoxTracker(), []
+
+    def perceive(photo, *, depth, seconds):
+        seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
+        return SimpleNamespace(seconds={}, picture=lambda: BLANK, write_kitti=lambda path: None)
+
+    monkeypatch.setattr(predict_boxes, "build_perception", lambda *args, **more: perceive)
+    results = Results(tmp_path, ())
+    config = SimpleNamespace(boxes=True)
+    with predict_boxes.box_results(config, results, ["cam"], 30.0, None) as results.also:
+        for number, time in enumerate(frames):
+            results.write(f"cam/{number}", BLANK, np.ones((120, 320)), (), time=time)
+    assert seen[-1].velocity[0, 2] == pytest.approx(1.0, abs=0.05)
+
+
 def test_predict_says_what_boxes_need(model_folder, detector, tmp_path):
     source = tmp_path / "photo.png"
     cv2.imwrite(str(source), np.full((128, 256, 3), 90, np.uint8))
