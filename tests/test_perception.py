@@ -1,5 +1,6 @@
 """The whole chain, its pictures, tracks over time, and ``eldenet.predict boxes=true``."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -187,6 +188,29 @@ def test_births_deaths_gaps_and_classes():
         tracker(boxes(here), 0.0)
     with pytest.raises(ValueError, match="gate"):
         BoxTracker(gate=0)
+
+
+def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
+    tracker = BoxTracker(births=1, report_unseen=True)
+    for frame in range(6):
+        # a person and a car beside it are seen in turn, each as class 0 of its frame
+        name, x = ("car", 0.0) if frame % 2 else ("person", 0.5)
+        out = tracker(replace(boxes([x, 0.8, 10.0]), names=(name,)), 0.1)
+        if frame:
+            assert dict(zip(out.track_id.tolist(), out.classes, strict=True)) == {1: "person", 2: "car"}
+
+
+def test_kittis_classes_have_one_number_in_every_file(tmp_path):
+    lines = {kind: f"{kind} 0 0 0 1 1 9 9 1.5 1.6 4 0 1 9 0" for kind in ("Car", "Pedestrian", "Rickshaw")}
+    numbers = []
+    for kinds in (("Car", "Pedestrian"), ("Pedestrian", "Rickshaw", "Car")):
+        path = tmp_path / "-".join(kinds)
+        path.write_text("\n".join(lines[kind] for kind in kinds))
+        found = read_labels(path)
+        assert found.boxes.classes == found.detections.classes == list(kinds)
+        numbers.append(dict(zip(kinds, found.boxes.label.tolist(), strict=True)))
+    assert numbers[0]["Car"] == numbers[1]["Car"]
+    assert numbers[0]["Pedestrian"] == numbers[1]["Pedestrian"]
 
 
 # --- the command ---

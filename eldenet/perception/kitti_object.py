@@ -27,6 +27,11 @@ _KITTI_OF = {
 }  # fmt: skip
 
 
+KITTI_NAMES = (
+    "Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "DontCare",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class KittiLabels:
     """Lines of a label file, as arrays.
@@ -63,18 +68,22 @@ class KittiLabels:
         return KittiLabels(tuple(self.types[number] for number in numbers), **arrays)
 
     @property
+    def _numbered(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Number of each object's class, and the names: KITTI's in every frame, then others as they come."""
+        names = tuple(dict.fromkeys((*KITTI_NAMES, *self.types)))
+        return np.array([names.index(name) for name in self.types], np.int64), names
+
+    @property
     def boxes(self) -> Boxes3D:
         """In the frame of rectified camera 0."""
-        names = tuple(dict.fromkeys(self.types))
-        label = np.array([names.index(name) for name in self.types], np.int64)
+        label, names = self._numbered
         center = self.location - self.size[:, [2]] * np.array([0.0, 0.5, 0.0])
         return Boxes3D(center, self.size, self.yaw, self.score, label, names)
 
     @property
     def detections(self) -> Detections2D:
         """The labelled 2D boxes. They are projections of the 3D boxes: using them leaks the answer."""
-        names = tuple(dict.fromkeys(self.types))
-        label = np.array([names.index(name) for name in self.types], np.int64)
+        label, names = self._numbered
         return Detections2D(self.xyxy, self.score, label, names, "projected")
 
 

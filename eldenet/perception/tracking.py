@@ -21,7 +21,7 @@ class Track:
 
     Attributes:
         number: its identity.
-        label: its class.
+        name: of its class; frames may number their classes differently.
         mean: ``(10,)`` x, y, z [m], yaw [rad], length, width, height [m], velocity [m/s].
         covariance: ``(10, 10)``.
         score: of the last detection.
@@ -31,7 +31,7 @@ class Track:
     """
 
     number: int
-    label: int
+    name: str
     mean: np.ndarray
     covariance: np.ndarray
     score: float
@@ -121,7 +121,7 @@ class BoxTracker:
             return [], []
         expected = np.stack([track.mean[:3] for track in self.tracks])
         cost = np.linalg.norm(expected[:, None, [0, 2]] - boxes.center[None][:, :, [0, 2]], axis=-1)
-        same = np.array([track.label for track in self.tracks])[:, None] == boxes.label[None]
+        same = np.array([track.name for track in self.tracks])[:, None] == np.array(boxes.classes)[None]
         # an object is as uncertain as its track says: a young one has no velocity yet
         reach = self.gate + np.sqrt(
             [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
@@ -160,7 +160,7 @@ class BoxTracker:
         quality = {name: float(values[index]) for name, values in boxes.quality.items()}
         self._next += 1
         return Track(
-            self._next, int(boxes.label[index]), mean, covariance, float(boxes.score[index]), quality=quality
+            self._next, boxes.classes[index], mean, covariance, float(boxes.score[index]), quality=quality
         )
 
     def _report(self, boxes: Boxes3D) -> Boxes3D:
@@ -173,13 +173,14 @@ class BoxTracker:
         if not shown:
             return replace(Boxes3D.empty(boxes.names), track_id=np.zeros(0, int), velocity=np.zeros((0, 3)))
         mean = np.stack([track.mean for track in shown])
+        names = tuple(dict.fromkeys([*boxes.names, *(track.name for track in shown)]))  # also of the unseen
         return Boxes3D(
             center=mean[:, :3],
             size=np.maximum(mean[:, 4:7], 0.01),
             yaw=mean[:, 3],
             score=np.array([track.score for track in shown]),
-            label=np.array([track.label for track in shown], np.int64),
-            names=boxes.names,
+            label=np.array([names.index(track.name) for track in shown], np.int64),
+            names=names,
             quality={
                 name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in boxes.quality
             },
