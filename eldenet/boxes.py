@@ -136,7 +136,8 @@ class Boxes3D:
         names: of the classes.
         quality: what is known of each box's making, ``(N,)`` arrays: ``points`` (foreground pixels used),
             ``depth_scale`` (factor on the depth that fits best), ``truncated``, ``occluded`` (share of its
-            2D box), ``fallback`` (1 where the method could not be used), ``cost`` (of the fit).
+            2D box), ``fallback`` (1 where the method could not be used), ``cost`` (of the fit); of tracks
+            ``heading`` (1 where front and back are known).
         track_id: ``(N,)``, or None.
         velocity: ``(N, 3)`` [m/s], or None: from tracking.
     """

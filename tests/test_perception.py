@@ -119,6 +119,11 @@ def test_the_front_face_is_shaded_where_it_is_known():
     one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
     plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
     assert (shaded != plain).any(-1).sum() > 200
+    two = boxes([[-2.0, 0.8, 10.0], [2.0, 0.8, 10.0]], yaw=np.pi / 2)
+    one_known = draw_boxes(BLANK, two, CAMERA, front=np.array([False, True]), labels=False)
+    changed = (one_known != draw_boxes(BLANK, two, CAMERA, labels=False)).any(-1)
+    assert changed[:, 160:].any()
+    assert not changed[:, :160].any()
 
 
 def test_the_view_from_above_shows_a_box_at_its_place():
@@ -141,7 +146,7 @@ def test_detections_are_drawn():
 
 def test_two_cars_keep_their_numbers_and_get_their_speeds():
     rng = np.random.default_rng(0)
-    tracker = BoxTracker()
+    tracker = BoxTracker(still_camera=True)
     start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
     for frame in range(25):
         order = rng.permutation(2)
@@ -156,6 +161,17 @@ def test_two_cars_keep_their_numbers_and_get_their_speeds():
     heading = np.stack([np.cos(found.yaw), -np.sin(found.yaw)], 1)  # x, z of the fronts
     assert heading[first, 1] > 0.95
     assert heading[second, 1] < -0.95
+
+
+@pytest.mark.parametrize("still_camera", [False, True])
+def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
+    """It faces away from the camera (yaw -pi/2) and comes closer by 10 m/s."""
+    tracker = BoxTracker(still_camera=still_camera)
+    for frame in range(10):
+        found = tracker(boxes([3.0, 0.8, 30.0 - frame], yaw=-np.pi / 2), 0.1)
+    assert found.velocity[0, 2] == pytest.approx(-10, abs=0.3)
+    assert np.cos(found.yaw[0] + np.pi / 2) == pytest.approx(-1 if still_camera else 1)
+    assert found.quality["heading"][0] == still_camera
 
 
 def test_a_filter_is_calmer_than_its_measurements():

@@ -49,7 +49,8 @@ class Scene:
     def picture(self) -> np.ndarray:
         """Boxes in the photo, beside the view from above: ``(h, w, 3)`` uint8 RGB."""
         height, width = self.depth.shape
-        drawn = draw_boxes(self.image, self.boxes, self.camera, front=self.boxes.velocity is not None)
+        heading_known = self.boxes.quality.get("heading", np.zeros(len(self.boxes))) == 1
+        drawn = draw_boxes(self.image, self.boxes, self.camera, front=heading_known)
         tall = max(height, 240)
         panel = draw_bev(self.boxes, self.camera, width, size=(tall, max(200, round(tall * 0.9))))
         return picture_beside_bev(drawn, panel)
