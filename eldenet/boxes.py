@@ -224,7 +224,7 @@ class Boxes3D:
     def project(self, camera: PinholeCamera, size: tuple[int, int], near: float = 0.1) -> np.ndarray:
         """``(N, 4)`` 2D boxes around the corners, cut at ``near`` and at a picture of ``(height, width)``.
 
-        NaN for a box that is wholly behind the camera.
+        NaN for a box of which nothing is in the picture: behind the camera, or beside the view.
         """
         boxes = np.full((len(self), 4), np.nan)
         for index, corners in enumerate(camera.to_camera(self.corners)):
@@ -232,8 +232,9 @@ class Boxes3D:
             if len(ends):
                 pixels = ((ends / ends[:, 2:]) @ camera.intrinsics.T)[:, :2]
                 limits = np.array([size[1] - 1, size[0] - 1])
-                low, high = (np.clip(way(0), 0, limits) for way in (pixels.min, pixels.max))
-                boxes[index] = (*low, *high)
+                low, high = pixels.min(0), pixels.max(0)
+                if (low < limits).all() and (high > 0).all():
+                    boxes[index] = (*np.clip(low, 0, limits), *np.clip(high, 0, limits))
         return boxes
 
 

@@ -129,6 +129,14 @@ def test_boxes_project_into_the_picture_even_from_behind():
     assert np.isnan(xyxy[2]).all()  # wholly behind
 
 
+@pytest.mark.parametrize("center", [(-30, 1, 8.0), (30, 1, 8.0), (0, -30, 8.0), (0, 30, 8.0)])
+def test_boxes_beside_the_view_have_no_place_in_the_picture(center):
+    beside = Boxes3D(
+        np.array([center], float), np.full((1, 3), 2.0), np.zeros(1), np.ones(1), np.zeros(1, int), ("car",)
+    )
+    assert np.isnan(beside.project(CAMERA, (256, 832))).all()
+
+
 def test_edges_are_cut_at_the_near_plane():
     corners = corners_of(np.array([[0, 0, 0.5]]), np.full((1, 3), 2.0), np.zeros(1))[0]
     edges = clipped_edges(corners, 0.1)

@@ -206,6 +206,22 @@ def test_births_deaths_gaps_and_classes():
         BoxTracker(gate=0)
 
 
+def test_results_keep_a_detectors_boxes_unless_a_tracker_moved_them(view, tmp_path):
+    numbered = replace(view.detections, track_id=np.arange(len(view.detections)))
+    scene = Perception(lambda frame: view.depth, FixedDetections([numbered]), BoxLifter(), view.camera)(
+        view.image
+    )
+    np.testing.assert_array_equal(scene.xyxy, view.detections.xyxy)
+    # one track in view, one beside it, one behind
+    tracked = BoxTracker()(boxes([[0.0, 0.8, 10.0], [60.0, 0.8, 10.0], [0.0, 0.8, -10.0]]), 0.1)
+    scene = replace(scene, boxes=tracked, camera=CAMERA)
+    assert np.isnan(scene.xyxy).all(1).tolist() == [False, True, True]
+    scene.write_kitti(tmp_path / "a.txt")
+    read = read_labels(tmp_path / "a.txt")
+    assert read.types == ("Car",)
+    assert (read.xyxy[:, 2:] - read.xyxy[:, :2] > 30).all()
+
+
 def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
     tracker = BoxTracker(births=1, report_unseen=True)
     for frame in range(6):
