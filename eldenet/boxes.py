@@ -40,7 +40,8 @@ class Detections2D:
         track_id: ``(N,)``, or None.
 
     Raises:
-        ValueError: arrays of different lengths, labels without a name, boxes that are not finite.
+        ValueError: arrays of different lengths, labels without a name, boxes or scores that are not finite,
+            boxes whose right or lower edge comes before the other.
     """
 
     xyxy: np.ndarray
@@ -62,6 +63,14 @@ class Detections2D:
             raise ValueError(f"labels up to {self.label.max()}, but {len(self.names)} class names")
         if not np.isfinite(self.xyxy).all():
             raise ValueError("boxes with coordinates that are not finite")
+        if not np.isfinite(self.score).all():
+            raise ValueError("scores that are not finite")
+        wrong = np.nonzero((self.xyxy[:, 2:] < self.xyxy[:, :2]).any(1))[0]
+        if len(wrong):
+            raise ValueError(
+                f"box {wrong[0]} is {self.xyxy[wrong[0]].tolist()}: give left, top, right, bottom, "
+                "left <= right and top <= bottom"
+            )
         if self.box_style not in ("tight", "projected"):
             raise ValueError(f"box_style={self.box_style!r}: give 'tight' or 'projected'")
         for name, extra in (("mask", self.mask), ("track_id", self.track_id)):

@@ -154,11 +154,17 @@ def test_edges_are_cut_at_the_near_plane():
         (np.zeros((2, 4)), np.zeros(1, int), "give"),
         (np.zeros((1, 4)), np.array([3]), "class names"),
         (np.full((1, 4), np.nan), np.zeros(1, int), "finite"),
+        (np.array([[300.0, 200, 250, 100]]), np.zeros(1, int), "left <= right"),
     ],
 )
 def test_detections_that_do_not_fit_are_refused(xyxy, label, message):
     with pytest.raises(ValueError, match=message):
         Detections2D(xyxy, np.ones(1), label, ("car",))
+
+
+def test_scores_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="scores"):
+        Detections2D(np.zeros((1, 4)), np.array([np.nan]), np.zeros(1, int), ("car",))
 
 
 def test_detections_select_and_name():

@@ -290,6 +290,10 @@ def test_figures_by_hand():
     assert summary(Pairs.join([pairs.select(np.zeros(2, bool))]))["pairs"] == 0
 
 
+def test_no_frames_have_no_pairs():
+    assert summary(Pairs.join([])) == {"pairs": 0.0, "truths": 0.0}
+
+
 def test_the_interval_draws_frames():
     rng = np.random.default_rng(0)
     frames = np.repeat(np.arange(50), 8)

@@ -316,6 +316,15 @@ def test_boxes_of_a_larger_picture_are_refused():
         BoxLifter()(np.ones((1, 60, 160)), detection(xyxy), CAMERA)
 
 
+def test_masks_of_another_size_are_refused_and_millimetres_noticed():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
+    with pytest.raises(ValueError, match="masks"):
+        BoxLifter()(depth, masked, CAMERA)
+    with pytest.warns(UserWarning, match="millimetres"):
+        BoxLifter()(depth * 1000, detection(xyxy), CAMERA)
+
+
 # --- the fit's derivatives ---
 
 
@@ -352,6 +361,16 @@ def test_ground_is_found_beside_walls_and_objects(views):
         assert plane is not None
         assert plane.offset == pytest.approx(view.height, abs=0.05)
         assert plane.normal[1] > 0.999
+
+
+@pytest.mark.parametrize("turn", [np.pi, np.pi / 2])
+def test_ground_is_found_whatever_way_the_camera_looks(turn):
+    depth, _ = block((30.0, 0.85, 70.0))
+    c, s = np.cos(turn), np.sin(turn)
+    camera = PinholeCamera(CAMERA.intrinsics, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
+    plane = fit_ground(depth, camera)
+    assert plane is not None
+    assert plane.offset == pytest.approx(1.6, abs=0.02)
 
 
 def test_no_ground_where_there_is_none():
@@ -395,6 +414,14 @@ def test_the_view_from_above_puts_a_mark_where_it_lies():
     rows, columns = np.nonzero(above[..., 0] > 100)
     assert columns.mean() * 0.05 - 5 == pytest.approx(1.0, abs=0.1)
     assert 15 - rows.mean() * 0.05 == pytest.approx(10.0, abs=0.35)
+
+
+def test_the_ground_behind_the_camera_is_not_seen_from_above():
+    image = np.full((240, 640, 3), 200, np.uint8)
+    known = GroundHomography.from_camera(CAMERA, 1.6)
+    above = known.warp(image, across=(-5, 5), ahead=(-15, 15), cell=0.1)
+    assert (above[:100] == 200).any()
+    assert not above[150:].any()
 
 
 # --- priors ---

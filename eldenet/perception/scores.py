@@ -61,7 +61,10 @@ class Pairs:
 
     @classmethod
     def join(cls, parts: Sequence["Pairs"]) -> "Pairs":
-        """Of several frames, numbered in order."""
+        """Of several frames, numbered in order; of none, no pairs."""
+        if not parts:
+            none = np.zeros(0)
+            return cls(none.astype(int), none.astype(int), none, none, none, none, none, none, 0)
         arrays = {
             f.name: np.concatenate([getattr(part, f.name) for part in parts])
             for f in fields(cls)
