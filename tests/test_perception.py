@@ -1,5 +1,6 @@
 """The whole chain, its pictures, tracks over time, and ``eldenet.predict boxes=true``."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -269,7 +270,7 @@ def run(model_folder: Path, source: Path, output: Path, *overrides: str):
 CAMERA_OPTION = "intrinsics=[200,200,128,64]"
 
 
-def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tmp_path):
+def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tmp_path, capsys):
     source = tmp_path / "photo.png"
     cv2.imwrite(str(source), np.full((128, 256, 3), 90, np.uint8))
     option = f"perception.detector.path='{detector}'"
@@ -277,6 +278,8 @@ def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tm
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_colour.png"}
     assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
+    said = capsys.readouterr().out
+    assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
     with pytest.raises(ValueError, match="there already"):
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[colour]")
 
