@@ -77,7 +77,7 @@ class Pairs:
 def pair_up(
     truth_xyxy: np.ndarray, found_xyxy: np.ndarray, least: float = PAIR_OVERLAP
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers ``(P,)`` of truths and of what was found: one to one, the largest 2D overlaps first."""
+    """Numbers ``(P,)`` of truths and of finds: one to one, the largest 2D overlaps first, of any class."""
     overlap = iou_2d(truth_xyxy, found_xyxy)
     rows, columns = [], []
     while overlap.size and overlap.max() >= least:
