@@ -40,7 +40,8 @@ class Detections2D:
         track_id: ``(N,)``, or None.
 
     Raises:
-        ValueError: arrays of different lengths, labels without a name, boxes that are not finite.
+        ValueError: arrays of different lengths, labels without a name, boxes or scores that are not finite,
+            boxes whose right or lower edge comes before the other.
     """
 
     xyxy: np.ndarray
@@ -62,6 +63,14 @@ class Detections2D:
             raise ValueError(f"labels up to {self.label.max()}, but {len(self.names)} class names")
         if not np.isfinite(self.xyxy).all():
             raise ValueError("boxes with coordinates that are not finite")
+        if not np.isfinite(self.score).all():
+            raise ValueError("scores that are not finite")
+        wrong = np.nonzero((self.xyxy[:, 2:] < self.xyxy[:, :2]).any(1))[0]
+        if len(wrong):
+            raise ValueError(
+                f"box {wrong[0]} is {self.xyxy[wrong[0]].tolist()}: give left, top, right, bottom, "
+                "left <= right and top <= bottom"
+            )
         if self.box_style not in ("tight", "projected"):
             raise ValueError(f"box_style={self.box_style!r}: give 'tight' or 'projected'")
         for name, extra in (("mask", self.mask), ("track_id", self.track_id)):
@@ -136,7 +145,8 @@ class Boxes3D:
         names: of the classes.
         quality: what is known of each box's making, ``(N,)`` arrays: ``points`` (foreground pixels used),
             ``depth_scale`` (factor on the depth that fits best), ``truncated``, ``occluded`` (share of its
-            2D box), ``fallback`` (1 where the method could not be used), ``cost`` (of the fit).
+            2D box), ``fallback`` (1 where the method could not be used), ``cost`` (of the fit); of tracks
+            ``heading`` (1 where front and back are known).
         track_id: ``(N,)``, or None.
         velocity: ``(N, 3)`` [m/s], or None: from tracking.
     """
@@ -223,7 +233,7 @@ class Boxes3D:
     def project(self, camera: PinholeCamera, size: tuple[int, int], near: float = 0.1) -> np.ndarray:
         """``(N, 4)`` 2D boxes around the corners, cut at ``near`` and at a picture of ``(height, width)``.
 
-        NaN for a box that is wholly behind the camera.
+        NaN for a box of which nothing is in the picture: behind the camera, or beside the view.
         """
         boxes = np.full((len(self), 4), np.nan)
         for index, corners in enumerate(camera.to_camera(self.corners)):
@@ -231,8 +241,9 @@ class Boxes3D:
             if len(ends):
                 pixels = ((ends / ends[:, 2:]) @ camera.intrinsics.T)[:, :2]
                 limits = np.array([size[1] - 1, size[0] - 1])
-                low, high = (np.clip(way(0), 0, limits) for way in (pixels.min, pixels.max))
-                boxes[index] = (*low, *high)
+                low, high = pixels.min(0), pixels.max(0)
+                if (low < limits).all() and (high > 0).all():
+                    boxes[index] = (*np.clip(low, 0, limits), *np.clip(high, 0, limits))
         return boxes
 
 

@@ -9,12 +9,16 @@ import numpy as np
 from eldenet import config as cfg
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from omegaconf import DictConfig
 
     from eldenet.predictions import Results
     from eldenet.predictor import DepthPredictor
     from eldenet.resources import Resources
     from eldenet.runlog import RunLog
+
+    Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 RANGE_MEMORY = 0.9  # of a video's colours: the share of the range that the frame before decides
@@ -29,7 +33,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 def predict(config: "DictConfig") -> "Results":
     """Check everything that can be checked, load the network, predict, write, say what was done."""
     import eldenet
-    from eldenet.predict_boxes import box_results, frames_per_second
+    from eldenet.predict_boxes import Timed, box_results, frames_per_second
     from eldenet.predictions import name_results
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
@@ -58,12 +62,13 @@ def predict(config: "DictConfig") -> "Results":
     rate = None  # [frames/s]; a camera says its own only while it is open
     if is_video:
         rate = 30.0 if live else frames_per_second(source)
-    with box_results(config, results, list(names.values()), rate, log) as results.also:
+    timed = Timed(predictor)
+    with box_results(config, results, list(names.values()), rate, log, timed.seconds) as results.also:
         if is_video:
             stream = str(config.source) if live else source
-            predict_video(stream, names[source], predictor, results, log, frames=config.frames)
+            predict_video(stream, names[source], timed, results, log, frames=config.frames)
         else:
-            predict_pictures(names, predictor, results, log, skip=config.on_error == "skip")
+            predict_pictures(names, timed, results, log, skip=config.on_error == "skip")
     return results
 
 
@@ -133,7 +138,7 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
 
 
 def predict_pictures(
-    pictures: dict[Path, str], predictor: "DepthPredictor", results: "Results", log: "RunLog", *, skip: bool
+    pictures: dict[Path, str], predictor: "Predictor", results: "Results", log: "RunLog", *, skip: bool
 ) -> None:
     """Predict every picture; with ``skip``, those that cannot be read are listed instead."""
     from eldenet.data.io import read_image
@@ -159,7 +164,7 @@ def predict_pictures(
 def predict_video(
     source: Path | str,
     name: str,
-    predictor: "DepthPredictor",
+    predictor: "Predictor",
     results: "Results",
     log: "RunLog",
     *,
@@ -180,8 +185,8 @@ def predict_video(
         total = frames or stream.announced
         with log.bar("predicting", total) as bar, open_video(file, stream.frames_per_second) as add:
             try:
-                for _, photo, depth in stream:
-                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame)
+                for _, photo, depth, taken in stream:
+                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
                     if "colour" in results.formats:
                         span = results.depth_range or _follow(span, visible_range(depth))
                         add(photo_beside_depth(photo, depth, *span))

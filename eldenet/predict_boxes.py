@@ -1,5 +1,6 @@
 """What ``boxes=true`` adds to ``eldenet.predict``: pictures with 3D boxes, and KITTI result files."""
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,18 +17,26 @@ if TYPE_CHECKING:
     from eldenet.predictions import Results
     from eldenet.runlog import RunLog
 
-Add = Callable[[str, np.ndarray, np.ndarray], None]
+SHORTEST = 1e-3  # [s] between two frames, however fast they were read
+
+Add = Callable[[str, np.ndarray, np.ndarray, float | None], None]
 
 
 @contextmanager
 def box_results(
-    config: "DictConfig", results: "Results", names: Sequence[str], rate: float | None, log: "RunLog"
+    config: "DictConfig",
+    results: "Results",
+    names: Sequence[str],
+    rate: float | None,
+    log: "RunLog",
+    depth_seconds: Sequence[float] = (),
 ) -> Iterator[Add | None]:
-    """Give a function that takes ``(name, photo, depth)`` of each picture; None without ``boxes=true``.
+    """Give a function that takes ``(name, photo, depth, time)`` of each picture; None without ``boxes=true``.
 
     Pictures become ``<name>_boxes.png`` and ``<name>_boxes.txt``, a video ``<name>_boxes.mp4`` and one text
     file per frame. At the end the time that each stage took is said. ``rate`` is a video's [frames/s], None
-    for pictures.
+    for pictures. ``depth_seconds`` are those that depth took, once it is over.
+    Speeds follow from the frames' times [s], whatever was dropped between them.
 
     Raises:
         ValueError: no intrinsics or no detector were given, or a result is there already.
@@ -44,11 +53,14 @@ def box_results(
     spent: dict[str, list[float]] = {}
     with ExitStack() as stack:
         show: Callable[[np.ndarray], None] | None = None
-        step = 1.0 if rate is None else 1 / rate
+        last: float | None = None
         if rate is not None:
             show = stack.enter_context(open_video(results.folder / f"{names[0]}_boxes.mp4", rate))
 
-        def add(name: str, photo: np.ndarray, depth: np.ndarray) -> None:
+        def add(name: str, photo: np.ndarray, depth: np.ndarray, taken: float | None) -> None:
+            nonlocal last
+            step = 1 / (rate or 1.0) if taken is None or last is None else max(taken - last, SHORTEST)
+            last = taken
             scene = perception(photo, depth=depth, seconds=step)
             for stage, seconds in scene.seconds.items():
                 spent.setdefault(stage, []).append(seconds)
@@ -59,13 +71,33 @@ def box_results(
             scene.write_kitti(results.folder / f"{name}_boxes.txt")
 
         yield add
+    spent["depth"] = list(depth_seconds)  # it came with each picture
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
-        if stage != "depth" and (stage != "track" or rate is not None)
+        if times and (stage != "track" or rate is not None)
     ]
     if parts:
-        log.say(f"boxes: median {', '.join(parts)} per picture, besides depth")
+        log.say(f"boxes: median {', '.join(parts)} per picture")
+
+
+class Timed:
+    """A depth predictor that notes how long each picture took.
+
+    Attributes:
+        seconds: of each picture so far.
+    """
+
+    def __init__(self, predictor: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.predictor = predictor
+        self.seconds: list[float] = []
+
+    def __call__(self, frame: np.ndarray) -> np.ndarray:
+        """Depth ``(H, W)`` [m] of a frame."""
+        start = time.perf_counter()
+        depth = self.predictor(frame)
+        self.seconds.append(time.perf_counter() - start)
+        return depth
 
 
 def build_perception(config: "DictConfig", intrinsics: np.ndarray | None, *, tracked: bool) -> "Perception":

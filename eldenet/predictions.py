@@ -32,7 +32,7 @@ class Results:
         skipped: what could not be read.
         too_far: pixels beyond what 16 bits of millimetres hold.
         size: ``(height, width)`` of the first picture [px]; the intrinsics hold for this size alone.
-        also: is given the name, photo and depth of each picture too.
+        also: is given the name, photo, depth and time of each picture too.
     """
 
     folder: Path
@@ -44,7 +44,7 @@ class Results:
     skipped: list[str] = field(default_factory=list)
     too_far: int = 0
     size: tuple[int, int] | None = None
-    also: Callable[[str, np.ndarray, np.ndarray], None] | None = None
+    also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
@@ -66,8 +66,19 @@ class Results:
                 "another output=, or overwrite=true"
             )
 
-    def write(self, name: str, photo: np.ndarray, depth: np.ndarray, formats: Sequence[str]) -> None:
-        """Write one picture's results: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m]."""
+    def write(
+        self,
+        name: str,
+        photo: np.ndarray,
+        depth: np.ndarray,
+        formats: Sequence[str],
+        *,
+        time: float | None = None,
+    ) -> None:
+        """Write one picture's results: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
+
+        ``time`` is when a frame of a video was taken [s], from any zero.
+        """
         height, width = depth.shape
         if "ply" in formats and self.intrinsics is not None:
             self.size = self.size or (height, width)
@@ -85,7 +96,7 @@ class Results:
             near, far = self.depth_range or visible_range(depth)
             write_picture(self.folder / f"{name}_colour.png", photo_beside_depth(photo, depth, near, far))
         if self.also is not None:
-            self.also(name, photo, depth)
+            self.also(name, photo, depth, time)
 
 
 @contextmanager

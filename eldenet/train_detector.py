@@ -59,9 +59,11 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
         f"YOLOv9-{config.detector.size}, {config.training.epochs} epochs of {counts['train']} pictures on "
         f"{resources.device}, {resources.threads} threads"
     )
+    # a run that was killed before its first checkpoint starts afresh
+    resume = bool(config.resume) and (folder / "train/weights/last.pt").is_file()
     checkpoint = detector.train(
         data, folder / "train", **cfg.plain(config.training), workers=resources.workers,
-        device=resources.device, seed=int(config.seed), resume=bool(config.resume),
+        device=resources.device, seed=int(config.seed), resume=resume,
     )  # fmt: skip
     clock.append(time.perf_counter())
     file = detector.export(folder / EXPORT)

@@ -129,6 +129,14 @@ def test_boxes_project_into_the_picture_even_from_behind():
     assert np.isnan(xyxy[2]).all()  # wholly behind
 
 
+@pytest.mark.parametrize("center", [(-30, 1, 8.0), (30, 1, 8.0), (0, -30, 8.0), (0, 30, 8.0)])
+def test_boxes_beside_the_view_have_no_place_in_the_picture(center):
+    beside = Boxes3D(
+        np.array([center], float), np.full((1, 3), 2.0), np.zeros(1), np.ones(1), np.zeros(1, int), ("car",)
+    )
+    assert np.isnan(beside.project(CAMERA, (256, 832))).all()
+
+
 def test_edges_are_cut_at_the_near_plane():
     corners = corners_of(np.array([[0, 0, 0.5]]), np.full((1, 3), 2.0), np.zeros(1))[0]
     edges = clipped_edges(corners, 0.1)
@@ -146,11 +154,17 @@ def test_edges_are_cut_at_the_near_plane():
         (np.zeros((2, 4)), np.zeros(1, int), "give"),
         (np.zeros((1, 4)), np.array([3]), "class names"),
         (np.full((1, 4), np.nan), np.zeros(1, int), "finite"),
+        (np.array([[300.0, 200, 250, 100]]), np.zeros(1, int), "left <= right"),
     ],
 )
 def test_detections_that_do_not_fit_are_refused(xyxy, label, message):
     with pytest.raises(ValueError, match=message):
         Detections2D(xyxy, np.ones(1), label, ("car",))
+
+
+def test_scores_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="scores"):
+        Detections2D(np.zeros((1, 4)), np.array([np.nan]), np.zeros(1, int), ("car",))
 
 
 def test_detections_select_and_name():

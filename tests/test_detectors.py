@@ -19,7 +19,7 @@ from eldenet.perception.detectors import (
     only,
     rename,
 )
-from eldenet.perception.letterbox import class_wise_nms, fit_picture
+from eldenet.perception.letterbox import class_wise_nms, fit_picture, in_frame
 from eldenet.perception.onnx_detector import OnnxDetector
 
 SIZE = (64, 128)
@@ -29,8 +29,13 @@ WANTED = np.array([[20.0, 10, 60, 50], [100, 30, 160, 100]])  # [px of the frame
 NAMES = ("cat", "dog", "cow")
 
 
-def save(path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE) -> Path:
-    """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it."""
+def save(
+    path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *, by_first_channel=False
+) -> Path:
+    """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it.
+
+    ``by_first_channel``: with zeros, where the first channel is dark.
+    """
     constant = numpy_helper.from_array(output.astype(np.float32), "boxes")
     zero = numpy_helper.from_array(np.zeros(1, np.float32), "zero")
     nodes = [
@@ -38,10 +43,23 @@ def save(path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE) ->
         helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
         helper.make_node("Add", ["boxes", "nothing"], ["output"]),
     ]
+    constants = [constant, zero]
+    if by_first_channel:
+        constants += [
+            numpy_helper.from_array(np.array(value, kind), name)
+            for name, value, kind in (("first", 0, np.int64), ("dark", 0.02, np.float32))
+        ]
+        nodes = [
+            helper.make_node("Gather", ["images", "first"], ["channel"], axis=1),
+            helper.make_node("ReduceMean", ["channel"], ["mean"], keepdims=0),
+            helper.make_node("Greater", ["mean", "dark"], ["bright"]),
+            helper.make_node("Cast", ["bright"], ["factor"], to=TensorProto.FLOAT),
+            helper.make_node("Mul", ["boxes", "factor"], ["output"]),
+        ]
     picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, *size])
     result = helper.make_tensor_value_info("output", TensorProto.FLOAT, list(output.shape))
     model = helper.make_model(
-        helper.make_graph(nodes, "g", [picture], [result], [constant, zero]),
+        helper.make_graph(nodes, "g", [picture], [result], constants),
         opset_imports=[helper.make_opsetid("", 13)],
         ir_version=8,
     )
@@ -120,6 +138,9 @@ def test_classes_and_scores_can_be_chosen(tmp_path):
     assert OnnxDetector(path, threshold=0.8)(FRAME).classes == ["dog"]
     assert len(OnnxDetector(path, threshold=0.95)(FRAME)) == 0
     assert len(OnnxDetector(path, nms=0.999)(FRAME)) == 4
+    for name, wrong in (("threshold", 30), ("nms", -1), ("threads", -3)):
+        with pytest.raises(ValueError, match=name):
+            OnnxDetector(path, **{name: wrong})
     with pytest.raises(ValueError, match="horse"):
         OnnxDetector(path, keep=["horse"])
 
@@ -132,8 +153,23 @@ def test_boxes_come_back_from_every_letterbox(letterbox, tmp_path):
     picture, scale, shift = fit_picture(frame, SIZE, letterbox)
     assert picture.shape == (*SIZE, 3)
     rows, columns = np.nonzero((picture > 200).all(-1))
-    box = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-    np.testing.assert_allclose((box - np.tile(shift, 2)) / np.tile(scale, 2), [20, 40, 50, 60], atol=2)
+    box = np.array([[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]], float)
+    found, score, label = in_frame(
+        box, np.array([[0.1, 0.9]]), scale, shift, frame.shape[:2], threshold=0.3, nms=0.5
+    )
+    np.testing.assert_allclose(found, [[20, 40, 50, 60]], atol=2)
+    assert (score.tolist(), label.tolist()) == ([0.9], [1])
+
+
+@pytest.mark.parametrize("layout", sorted(FILES))
+def test_every_layout_gets_its_order_of_colours(layout, tmp_path):
+    """The file finds objects only where the first channel it is given is bright."""
+    path = save(tmp_path / "d.onnx", *FILES[layout], by_first_channel=True)
+    red, blue = FRAME.copy(), FRAME.copy()
+    red[..., 0] = blue[..., 2] = 255
+    found = {name: len(OnnxDetector(path)(frame)) for name, frame in (("red", red), ("blue", blue))}
+    bgr = layout in ("yolox", "fastestdet")  # as their authors train them, with OpenCV's pictures
+    assert found == {"red": 0 if bgr else 2, "blue": 2 if bgr else 0}
 
 
 def test_unknown_layouts_sizes_and_names_are_refused(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.boxes import Boxes3D
+from eldenet.geometry import PinholeCamera
 from eldenet.perception.kitti_ap import average_precision, kitti_table
 from eldenet.perception.kitti_object import KittiLabels, KittiObjects, read_labels, to_labels, write_labels
 from eldenet.perception.scores import Pairs, bootstrap, by_distance, compare, pair_up, summary
@@ -70,6 +71,38 @@ def test_boxes_become_results_and_come_back(tmp_path):
     np.testing.assert_allclose(back.boxes.center, boxes.center, atol=2e-4)
     np.testing.assert_allclose(back.score, boxes.score, atol=1e-4)
     assert (tmp_path / "r.txt").read_text().splitlines()[0].count(" ") == 15
+
+
+def test_results_have_the_axes_of_the_camera():
+    """Of a camera that looks down by 0.12 rad: by hand, and as the benchmark projects them."""
+    c, s = np.cos(0.12), np.sin(0.12)
+    camera = PinholeCamera(
+        np.array([[400.0, 0, 320], [0, 400, 100], [0, 0, 1]]), np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+    )
+    boxes = Boxes3D(
+        np.array([[-2.0, 0.85, 12.0]]), np.array([[4.0, 1.6, 1.5]]), np.array([0.4]), np.ones(1),
+        np.zeros(1, int), ("car",),
+    )  # fmt: skip
+    given = to_labels(boxes, np.zeros((1, 4)), camera.rotation)
+    np.testing.assert_allclose(given.location[0], [-2, 1.6 * c - 12 * s, 1.6 * s + 12 * c], atol=1e-9)
+    projected = np.append(given.location[0], 1) @ np.column_stack([camera.intrinsics, np.zeros(3)]).T
+    np.testing.assert_allclose(projected[:2] / projected[2], camera.project(boxes.bottom_center)[0])
+    front = camera.rotation.T @ np.array([np.cos(0.4), 0, -np.sin(0.4)])
+    assert given.yaw[0] == pytest.approx(np.arctan2(-front[2], front[0]))
+    np.testing.assert_allclose(given.alpha, given.yaw - np.arctan2(*given.location[0, [0, 2]]))
+
+
+def test_the_observation_angle_is_that_of_the_labels():
+    """A label of KITTI's far to the side: alpha = rotation_y - atan2(x, z)."""
+    boxes = Boxes3D(
+        np.array([[10.0, 1.0, 10.0]]),
+        np.ones((1, 3)),
+        np.array([1.0]),
+        np.ones(1),
+        np.zeros(1, int),
+        ("car",),
+    )
+    assert to_labels(boxes, np.zeros((1, 4))).alpha[0] == pytest.approx(1.0 - np.pi / 4)
 
 
 @pytest.mark.parametrize("line", ["Car 1 2 3", CAR.replace("13.22", "far"), CAR + " 1 2"])
@@ -255,6 +288,10 @@ def test_figures_by_hand():
     bins = by_distance(pairs)
     assert [part["pairs"] for _, _, part in bins] == [0, 1, 1, 0]
     assert summary(Pairs.join([pairs.select(np.zeros(2, bool))]))["pairs"] == 0
+
+
+def test_no_frames_have_no_pairs():
+    assert summary(Pairs.join([])) == {"pairs": 0.0, "truths": 0.0}
 
 
 def test_the_interval_draws_frames():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -82,15 +83,36 @@ def test_known_boxes_hold_their_pixels(views):
             np.testing.assert_allclose(xyxy, [drawn[1].min(), drawn[0].min(), drawn[1].max(), drawn[0].max()])
 
 
+def neighbours(view, number: int) -> set[int]:
+    """Objects that stand nearer right beside the pixels of one."""
+    mine = view.instance == number
+    beside = cv2.dilate(mine.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & (view.instance >= 0)
+    near = view.depth < np.median(view.depth[mine])
+    return set(view.instance[beside & near & ~mine].tolist())
+
+
 def test_visibility_is_one_for_what_stands_free():
-    views = [render_street("val", index, (120, 160), "hall") for index in range(4)]
-    shares = np.concatenate([view.visible for view in views])
-    assert (shares <= 1).all()
-    assert (shares > 0.9).any()
-    cut = np.concatenate([view.truncated for view in views])
-    xyxy = np.concatenate([view.detections.xyxy for view in views])
-    at_border = (xyxy[:, 0] <= 1) | (xyxy[:, 1] <= 1) | (xyxy[:, 2] >= 158) | (xyxy[:, 3] >= 118)
-    assert (at_border[cut & (shares < 0.8)]).mean() > 0.5
+    free, hidden, touching, inside = [], [], [], []
+    for index in range(6):
+        view = render_street("val", index, (120, 160), "hall")
+        for number in range(len(view.boxes)):
+            rows, columns = np.nonzero(view.instance == number)
+            if len(rows) < 300:  # visibility counts every 16th pixel
+                continue
+            at_border = bool(
+                rows.min() == 0 or columns.min() == 0 or rows.max() == 119 or columns.max() == 159
+            )
+            alone = not neighbours(view, number)
+            if alone:
+                (touching if at_border else inside).append(view.truncated[number])
+            if not view.truncated[number]:
+                (free if alone else hidden).append(view.visible[number])
+    assert min(len(free), len(inside), len(touching)) > 3
+    assert min(free) > 0.85
+    assert max(free) <= 1
+    assert min(hidden) < 0.6
+    assert np.mean(touching) > 0.8
+    assert not any(inside)
 
 
 # --- what the methods reach ---
@@ -138,6 +160,30 @@ def test_a_wrong_depth_scale_is_seen_and_mended():
     error = {name: np.linalg.norm(boxes.center[0] - center) for name, boxes in wrong.items()}
     assert error["refine"] < 0.6 * error["lshape"]
     assert wrong["refine"].quality["depth_scale"][0] < 0.96
+
+
+def test_small_objects_trust_their_depth_less():
+    """30 pixels wide, its own depth a fifth too far: with ``small_sigma`` ground and size win."""
+    center = (-2.0, 0.85, 45.0)
+    depth, xyxy = block(center)
+    near = (slice(int(xyxy[0, 1]), int(xyxy[0, 3]) + 1), slice(int(xyxy[0, 0]), int(xyxy[0, 2]) + 1))
+    depth[near] = np.where(np.abs(depth[near] - 45) < 4, depth[near] * 1.2, depth[near])
+    options = {"depth_sigma": 0.02, "ground": flat_ground(1.6)}
+    trusting, careful = (
+        BoxLifter(small_sigma=small, **options)(depth, detection(xyxy), CAMERA) for small in (None, 0.4)
+    )
+    assert abs(careful.center[0, 2] - 45) < 0.6 * abs(trusting.center[0, 2] - 45)
+
+
+def test_the_cameras_height_mends_a_depth_map_of_wrong_scale():
+    """Ground and object are both too far by 15 %: only the height that is known tells."""
+    center = (-2.0, 0.85, 12.0)
+    depth, xyxy = block(center)
+    errors = []
+    for height in (None, 1.6):
+        boxes = BoxLifter(depth_sigma=0.1, camera_height=height)(depth * 1.15, detection(xyxy), CAMERA)
+        errors.append(np.linalg.norm(boxes.center[0] - center))
+    assert errors[1] < 0.95 * errors[0]  # equal if the height were not used
 
 
 def test_a_mirrored_picture_gives_mirrored_boxes():
@@ -316,6 +362,15 @@ def test_boxes_of_a_larger_picture_are_refused():
         BoxLifter()(np.ones((1, 60, 160)), detection(xyxy), CAMERA)
 
 
+def test_masks_of_another_size_are_refused_and_millimetres_noticed():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
+    with pytest.raises(ValueError, match="masks"):
+        BoxLifter()(depth, masked, CAMERA)
+    with pytest.warns(UserWarning, match="millimetres"):
+        BoxLifter()(depth * 1000, detection(xyxy), CAMERA)
+
+
 # --- the fit's derivatives ---
 
 
@@ -352,6 +407,16 @@ def test_ground_is_found_beside_walls_and_objects(views):
         assert plane is not None
         assert plane.offset == pytest.approx(view.height, abs=0.05)
         assert plane.normal[1] > 0.999
+
+
+@pytest.mark.parametrize("turn", [np.pi, np.pi / 2])
+def test_ground_is_found_whatever_way_the_camera_looks(turn):
+    depth, _ = block((30.0, 0.85, 70.0))
+    c, s = np.cos(turn), np.sin(turn)
+    camera = PinholeCamera(CAMERA.intrinsics, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
+    plane = fit_ground(depth, camera)
+    assert plane is not None
+    assert plane.offset == pytest.approx(1.6, abs=0.02)
 
 
 def test_no_ground_where_there_is_none():
@@ -395,6 +460,14 @@ def test_the_view_from_above_puts_a_mark_where_it_lies():
     rows, columns = np.nonzero(above[..., 0] > 100)
     assert columns.mean() * 0.05 - 5 == pytest.approx(1.0, abs=0.1)
     assert 15 - rows.mean() * 0.05 == pytest.approx(10.0, abs=0.35)
+
+
+def test_the_ground_behind_the_camera_is_not_seen_from_above():
+    image = np.full((240, 640, 3), 200, np.uint8)
+    known = GroundHomography.from_camera(CAMERA, 1.6)
+    above = known.warp(image, across=(-5, 5), ahead=(-15, 15), cell=0.1)
+    assert (above[:100] == 200).any()
+    assert not above[150:].any()
 
 
 # --- priors ---

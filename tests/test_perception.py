@@ -1,5 +1,7 @@
 """The whole chain, its pictures, tracks over time, and ``eldenet.predict boxes=true``."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -118,6 +120,11 @@ def test_the_front_face_is_shaded_where_it_is_known():
     one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
     plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
     assert (shaded != plain).any(-1).sum() > 200
+    two = boxes([[-2.0, 0.8, 10.0], [2.0, 0.8, 10.0]], yaw=np.pi / 2)
+    one_known = draw_boxes(BLANK, two, CAMERA, front=np.array([False, True]), labels=False)
+    changed = (one_known != draw_boxes(BLANK, two, CAMERA, labels=False)).any(-1)
+    assert changed[:, 160:].any()
+    assert not changed[:, :160].any()
 
 
 def test_the_view_from_above_shows_a_box_at_its_place():
@@ -140,7 +147,7 @@ def test_detections_are_drawn():
 
 def test_two_cars_keep_their_numbers_and_get_their_speeds():
     rng = np.random.default_rng(0)
-    tracker = BoxTracker()
+    tracker = BoxTracker(still_camera=True)
     start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
     for frame in range(25):
         order = rng.permutation(2)
@@ -155,6 +162,17 @@ def test_two_cars_keep_their_numbers_and_get_their_speeds():
     heading = np.stack([np.cos(found.yaw), -np.sin(found.yaw)], 1)  # x, z of the fronts
     assert heading[first, 1] > 0.95
     assert heading[second, 1] < -0.95
+
+
+@pytest.mark.parametrize("still_camera", [False, True])
+def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
+    """It faces away from the camera (yaw -pi/2) and comes closer by 10 m/s."""
+    tracker = BoxTracker(still_camera=still_camera)
+    for frame in range(10):
+        found = tracker(boxes([3.0, 0.8, 30.0 - frame], yaw=-np.pi / 2), 0.1)
+    assert found.velocity[0, 2] == pytest.approx(-10, abs=0.3)
+    assert np.cos(found.yaw[0] + np.pi / 2) == pytest.approx(-1 if still_camera else 1)
+    assert found.quality["heading"][0] == still_camera
 
 
 def test_a_filter_is_calmer_than_its_measurements():
@@ -189,6 +207,45 @@ def test_births_deaths_gaps_and_classes():
         BoxTracker(gate=0)
 
 
+def test_results_keep_a_detectors_boxes_unless_a_tracker_moved_them(view, tmp_path):
+    numbered = replace(view.detections, track_id=np.arange(len(view.detections)))
+    scene = Perception(lambda frame: view.depth, FixedDetections([numbered]), BoxLifter(), view.camera)(
+        view.image
+    )
+    np.testing.assert_array_equal(scene.xyxy, view.detections.xyxy)
+    # one track in view, one beside it, one behind
+    tracked = BoxTracker()(boxes([[0.0, 0.8, 10.0], [60.0, 0.8, 10.0], [0.0, 0.8, -10.0]]), 0.1)
+    scene = replace(scene, boxes=tracked, camera=CAMERA)
+    assert np.isnan(scene.xyxy).all(1).tolist() == [False, True, True]
+    scene.write_kitti(tmp_path / "a.txt")
+    read = read_labels(tmp_path / "a.txt")
+    assert read.types == ("Car",)
+    assert (read.xyxy[:, 2:] - read.xyxy[:, :2] > 30).all()
+
+
+def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
+    tracker = BoxTracker(births=1, report_unseen=True)
+    for frame in range(6):
+        # a person and a car beside it are seen in turn, each as class 0 of its frame
+        name, x = ("car", 0.0) if frame % 2 else ("person", 0.5)
+        out = tracker(replace(boxes([x, 0.8, 10.0]), names=(name,)), 0.1)
+        if frame:
+            assert dict(zip(out.track_id.tolist(), out.classes, strict=True)) == {1: "person", 2: "car"}
+
+
+def test_kittis_classes_have_one_number_in_every_file(tmp_path):
+    lines = {kind: f"{kind} 0 0 0 1 1 9 9 1.5 1.6 4 0 1 9 0" for kind in ("Car", "Pedestrian", "Rickshaw")}
+    numbers = []
+    for kinds in (("Car", "Pedestrian"), ("Pedestrian", "Rickshaw", "Car")):
+        path = tmp_path / "-".join(kinds)
+        path.write_text("\n".join(lines[kind] for kind in kinds))
+        found = read_labels(path)
+        assert found.boxes.classes == found.detections.classes == list(kinds)
+        numbers.append(dict(zip(kinds, found.boxes.label.tolist(), strict=True)))
+    assert numbers[0]["Car"] == numbers[1]["Car"]
+    assert numbers[0]["Pedestrian"] == numbers[1]["Pedestrian"]
+
+
 # --- the command ---
 
 
@@ -213,7 +270,7 @@ def run(model_folder: Path, source: Path, output: Path, *overrides: str):
 CAMERA_OPTION = "intrinsics=[200,200,128,64]"
 
 
-def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tmp_path):
+def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tmp_path, capsys):
     source = tmp_path / "photo.png"
     cv2.imwrite(str(source), np.full((128, 256, 3), 90, np.uint8))
     option = f"perception.detector.path='{detector}'"
@@ -221,6 +278,8 @@ def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tm
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_colour.png"}
     assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
+    said = capsys.readouterr().out
+    assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
     with pytest.raises(ValueError, match="there already"):
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[colour]")
 
@@ -245,6 +304,29 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
     capture = cv2.VideoCapture(str(tmp_path / "out/walk_boxes.mp4"))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 4
     assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
+
+
+def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, monkeypatch):
+    """One metre per second, of 30 frames a second every sixth: the rest were dropped."""
+    from types import SimpleNamespace
+
+    from eldenet import predict_boxes
+    from eldenet.predictions import Results
+
+    frames = [7 + 0.2 * step for step in range(15)]
+    tracker, seen = BoxTracker(), []
+
+    def perceive(photo, *, depth, seconds):
+        seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
+        return SimpleNamespace(seconds={}, picture=lambda: BLANK, write_kitti=lambda path: None)
+
+    monkeypatch.setattr(predict_boxes, "build_perception", lambda *args, **more: perceive)
+    results = Results(tmp_path, ())
+    config = SimpleNamespace(boxes=True)
+    with predict_boxes.box_results(config, results, ["cam"], 30.0, None) as results.also:
+        for number, time in enumerate(frames):
+            results.write(f"cam/{number}", BLANK, np.ones((120, 320)), (), time=time)
+    assert seen[-1].velocity[0, 2] == pytest.approx(1.0, abs=0.05)
 
 
 def test_predict_says_what_boxes_need(model_folder, detector, tmp_path):

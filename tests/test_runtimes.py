@@ -368,7 +368,7 @@ def depth_of(frame: np.ndarray) -> np.ndarray:
 
 def test_a_stream_keeps_every_frame_of_a_file() -> None:
     with runtimes.DepthStream(numbered(20), depth_of, queue_size=2) as stream:
-        seen = [(number, int(depth[0, 0])) for number, _, depth in stream]
+        seen = [(number, int(depth[0, 0])) for number, _, depth, _ in stream]
     assert seen == [(number, number) for number in range(20)]
     assert stream.dropped == 0
     assert stream.fps > 0
@@ -388,11 +388,30 @@ def test_a_slow_network_never_delays_the_camera() -> None:
         return depth_of(frame)
 
     with runtimes.DepthStream(camera(), slow, queue_size=2, drop=True) as stream:
-        seen = [number for number, _, _ in stream]
+        seen = [number for number, *_ in stream]
     assert given == list(range(50))
     assert seen[-2:] == [48, 49]  # the newest
     assert len(seen) <= 3
     assert stream.dropped == 50 - len(seen)
+
+
+def test_dropped_frames_still_take_time() -> None:
+    """Between two frames lies the time between their arrivals, not one frame's share."""
+
+    def camera() -> Iterator[np.ndarray]:
+        for frame in numbered(12):
+            yield frame
+            time.sleep(0.02)
+
+    def slow(frame: np.ndarray) -> np.ndarray:
+        time.sleep(0.1)
+        return depth_of(frame)
+
+    with runtimes.DepthStream(camera(), slow, queue_size=1, drop=True) as stream:
+        seen = list(stream)
+    assert stream.dropped > 2
+    frames, seconds = seen[-1].number - seen[0].number, seen[-1].time - seen[0].time
+    assert seconds >= 0.02 * frames  # a busy machine sleeps longer, never shorter
 
 
 def test_a_stream_ends_when_it_is_closed_and_passes_errors_on() -> None:
@@ -426,7 +445,9 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
         writer.write(np.full((48, 64, 3), (40 * number, 0, 0), np.uint8))  # blue, as OpenCV orders colours
     writer.release()
     with runtimes.DepthStream(path, depth_of) as stream:
-        frames = [frame for _, frame, _ in stream]
+        seen = list(stream)
+    frames = [item.frame for item in seen]
+    np.testing.assert_allclose([item.time for item in seen], np.arange(5) / 12)
     assert (stream.frames_per_second, stream.announced, len(frames)) == (12.0, 5, 5)
     assert frames[4][..., 2].mean() > 100 > frames[4][..., 0].mean()  # RGB
     for wrong, message in ((tmp_path / "none.mp4", "no video"), ("camera:x", "camera:0")):

@@ -25,7 +25,12 @@ def colour_of(name: str) -> tuple[int, int, int]:
 
 
 def draw_boxes(
-    image: np.ndarray, boxes: Boxes3D, camera: PinholeCamera, *, front: bool = False, labels: bool = True
+    image: np.ndarray,
+    boxes: Boxes3D,
+    camera: PinholeCamera,
+    *,
+    front: bool | np.ndarray = False,
+    labels: bool = True,
 ) -> np.ndarray:
     """A copy of ``image (H, W, 3)`` uint8 RGB with the twelve edges of every box, far ones first.
 
@@ -33,15 +38,17 @@ def draw_boxes(
         image: the picture.
         boxes: in the camera's level frame.
         camera: of the picture.
-        front: shade the front face; only where it is known (labels, tracks), for geometry cannot tell it.
+        front: shade the front face, of all or of those chosen ``(N,)``: of boxes whose front is known, for
+            geometry cannot tell it.
         labels: class and distance [m] above each box.
     """
     picture = np.ascontiguousarray(image).copy()
     thick = max(1, round(image.shape[0] / 300))
+    front = np.broadcast_to(front, len(boxes))
     for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):
         corners = camera.to_camera(boxes.corners[index])
         colour = colour_of(boxes.names[boxes.label[index]])
-        if front and (corners[list(FRONT_FACE), 2] > _NEAR).all():
+        if front[index] and (corners[list(FRONT_FACE), 2] > _NEAR).all():
             face = _pixels(corners[list(FRONT_FACE)], camera)
             shade = picture.copy()
             cv2.fillPoly(shade, [_fixed(face)], colour, cv2.LINE_AA, 4)

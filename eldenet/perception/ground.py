@@ -53,7 +53,8 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
     rows, columns = _known_pixels(depth, rng)
     if len(rows) < 50:
         return None
-    points = camera.back_project(columns, rows, depth[rows, columns])
+    away = depth[rows, columns]  # along the view, wherever that points in the level frame
+    points = camera.back_project(columns, rows, away)
     triple = points[rng.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(triple[:, 1] - triple[:, 0], triple[:, 2] - triple[:, 0])
     length = np.linalg.norm(normals, axis=1)
@@ -62,11 +63,11 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
     offsets = (normals * triple[:, 0]).sum(1)
     # Depth errors grow with depth, and so does the tolerance; what they do to heights is the ray's share
     # of y.
-    tolerance = 0.03 + 0.012 * points[:, 2]
+    tolerance = 0.03 + 0.012 * away
     misses = np.abs(normals @ points.T - offsets[:, None])
     near = misses < tolerance
     # Far points outnumber none here, but hold little about the height: near ones count more.
-    votes = (near / (1.0 + 0.05 * points[:, 2])).sum(1)
+    votes = (near / (1.0 + 0.05 * away)).sum(1)
     votes[(length < 1e-9) | (normals[:, 1] < np.cos(STEEPEST)) | (offsets <= 0)] = -1
     best = int(np.argmax(votes))
     if votes[best] <= 0:
@@ -164,6 +165,12 @@ class GroundHomography:
             across: range of x [m].
             ahead: range of z [m].
             cell: size of a pixel of the result [m].
+
+        Returns:
+            ``(rows, columns, 3)`` uint8, black where the camera does not look.
+
+        Raises:
+            ValueError: the grid is empty.
         """
         import cv2
 
@@ -173,4 +180,10 @@ class GroundHomography:
         grid = np.array(
             [[1 / cell, 0, -across[0] / cell - 0.5], [0, -1 / cell, ahead[1] / cell - 0.5], [0, 0, 1]]
         )
-        return np.asarray(cv2.warpPerspective(image, grid @ self.matrix, (width, height)))
+        warp = grid @ self.matrix
+        above = np.asarray(cv2.warpPerspective(image, warp, (width, height)))
+        # the ground behind the camera has pixels too, by the same formula: they are mirrored, and not seen
+        rows, columns = np.indices((height, width), dtype=np.float64)
+        back = np.linalg.inv(warp)[2]
+        above[back[0] * columns + back[1] * rows + back[2] <= 0] = 0
+        return above

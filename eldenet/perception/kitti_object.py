@@ -27,6 +27,11 @@ _KITTI_OF = {
 }  # fmt: skip
 
 
+KITTI_NAMES = (
+    "Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "DontCare",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class KittiLabels:
     """Lines of a label file, as arrays.
@@ -63,18 +68,22 @@ class KittiLabels:
         return KittiLabels(tuple(self.types[number] for number in numbers), **arrays)
 
     @property
+    def _numbered(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Number of each object's class, and the names: KITTI's in every frame, then others as they come."""
+        names = tuple(dict.fromkeys((*KITTI_NAMES, *self.types)))
+        return np.array([names.index(name) for name in self.types], np.int64), names
+
+    @property
     def boxes(self) -> Boxes3D:
         """In the frame of rectified camera 0."""
-        names = tuple(dict.fromkeys(self.types))
-        label = np.array([names.index(name) for name in self.types], np.int64)
+        label, names = self._numbered
         center = self.location - self.size[:, [2]] * np.array([0.0, 0.5, 0.0])
         return Boxes3D(center, self.size, self.yaw, self.score, label, names)
 
     @property
     def detections(self) -> Detections2D:
         """The labelled 2D boxes. They are projections of the 3D boxes: using them leaks the answer."""
-        names = tuple(dict.fromkeys(self.types))
-        label = np.array([names.index(name) for name in self.types], np.int64)
+        label, names = self._numbered
         return Detections2D(self.xyxy, self.score, label, names, "projected")
 
 
@@ -107,16 +116,28 @@ def read_labels(path: Path) -> KittiLabels:
     )  # fmt: skip
 
 
-def to_labels(boxes: Boxes3D, xyxy: np.ndarray) -> KittiLabels:
-    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names."""
+def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = None) -> KittiLabels:
+    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names.
+
+    KITTI's frame has the camera's axes. Its origin is camera 0, not the colour camera, which P2's fourth
+    column places in it: so boxes are turned, but keep the origin of the level frame.
+
+    Args:
+        boxes: in a level frame.
+        xyxy: of each box [px].
+        rotation: ``(3, 3)`` level from camera; None: the level frame has the camera's axes.
+    """
     count = len(boxes)
-    location = boxes.bottom_center
-    alpha = boxes.yaw - np.arctan2(location[:, 0], location[:, 2])
+    turn = np.eye(3) if rotation is None else rotation
+    location = boxes.bottom_center @ turn
+    along = np.stack([np.cos(boxes.yaw), np.zeros(count), -np.sin(boxes.yaw)], axis=1) @ turn
+    yaw = np.arctan2(-along[:, 2], along[:, 0])
+    alpha = yaw - np.arctan2(location[:, 0], location[:, 2])
     alpha = (alpha + np.pi) % (2 * np.pi) - np.pi
     types = tuple(_KITTI_OF.get(name.lower(), name.replace(" ", "_")) for name in boxes.classes)
     return KittiLabels(
         types, np.full(count, -1.0), np.full(count, -1), alpha, np.asarray(xyxy, np.float64).reshape(-1, 4),
-        boxes.size, location, boxes.yaw, boxes.score,
+        boxes.size, location, yaw, boxes.score,
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """From 2D boxes and depth to boxes in metres: four methods side by side."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
@@ -16,6 +17,7 @@ from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
 Method = Literal["refine", "lshape", "paper", "no_depth"]
 METHODS = ("refine", "lshape", "paper", "no_depth")
 SMALL, LARGE = 10.0, 100.0  # [px] shorter sides of 2D boxes
+_FARTHEST = 500.0  # [m]: no camera's median depth is beyond
 
 
 class BoxLifter:
@@ -85,7 +87,7 @@ class BoxLifter:
             camera: of the picture.
 
         Raises:
-            ValueError: the depth is no map, or the detections are of a larger picture.
+            ValueError: the depth is no map, or the detections or their masks are of another picture.
         """
         if depth.ndim != 2 or 0 in depth.shape:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in metres")
@@ -99,6 +101,11 @@ class BoxLifter:
                 f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, but depth is {height} x {width}: "
                 "both must be of one picture"
             )
+        if detections.mask is not None and detections.mask.shape[1:] != depth.shape:
+            raise ValueError(
+                f"masks are {detections.mask.shape[1:]}, depth is {depth.shape}: both must be of one picture"
+            )
+        _warn_of_millimetres(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]
         plane = self._plane(depth, camera)
         sigma = sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma)
@@ -148,6 +155,16 @@ class BoxLifter:
         if self.ground is None or self.method in ("no_depth", "paper"):
             return self._nominal
         return fit_ground(depth, camera) or self._nominal
+
+
+def _warn_of_millimetres(depth: np.ndarray) -> None:
+    known = depth[::8, ::8]
+    known = known[np.isfinite(known) & (known > 0)]
+    if len(known) and np.median(known) > _FARTHEST:
+        warnings.warn(
+            f"half of the depth is beyond {_FARTHEST:.0f} m: is it in millimetres? metres are needed",
+            stacklevel=3,
+        )
 
 
 def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.ndarray:

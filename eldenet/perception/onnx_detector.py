@@ -114,12 +114,12 @@ class OnnxDetector:
         nms: of two boxes of one class that overlap by this IoU, the better is kept.
         keep: names of the classes to keep; None: all.
         box_style: how its boxes lie around objects.
-        threads: of ONNX Runtime.
+        threads: of ONNX Runtime; 0: its own choice.
         providers: of ONNX Runtime.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no ONNX file, or a layout that is not known.
+        ValueError: no ONNX file, a layout that is not known, or a number out of range.
     """
 
     def __init__(
@@ -138,6 +138,11 @@ class OnnxDetector:
         providers: Sequence[str] = ("CPUExecutionProvider",),
     ) -> None:
         one_of("layout", layout, ("auto", *LAYOUTS))
+        for name, share in (("threshold", threshold), ("nms", nms)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
+        if threads < 0:
+            raise ValueError(f"threads={threads}: give their number, or 0 for ONNX Runtime's own choice")
         self.session = _open(Path(path), threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
         _warn_of_licence(Path(path), metadata)

@@ -41,22 +41,28 @@ class Scene:
 
     @property
     def xyxy(self) -> np.ndarray:
-        """``(N, 4)`` 2D box of every 3D box: its detection, or with a tracker its projection [px]."""
-        if self.boxes.track_id is None or len(self.boxes) == len(self.detections) == 0:
+        """``(N, 4)`` 2D box of every 3D box [px]: its detection, or with a tracker its projection.
+
+        NaN for a track of which nothing is in the picture.
+        """
+        if self.boxes.velocity is None:  # no tracker's boxes (a detector may number its objects itself)
             return self.detections.xyxy
-        return np.nan_to_num(self.boxes.project(self.camera, self.depth.shape), nan=0.0)
+        return self.boxes.project(self.camera, self.depth.shape)
 
     def picture(self) -> np.ndarray:
         """Boxes in the photo, beside the view from above: ``(h, w, 3)`` uint8 RGB."""
         height, width = self.depth.shape
-        drawn = draw_boxes(self.image, self.boxes, self.camera, front=self.boxes.velocity is not None)
+        heading_known = self.boxes.quality.get("heading", np.zeros(len(self.boxes))) == 1
+        drawn = draw_boxes(self.image, self.boxes, self.camera, front=heading_known)
         tall = max(height, 240)
         panel = draw_bev(self.boxes, self.camera, width, size=(tall, max(200, round(tall * 0.9))))
         return picture_beside_bev(drawn, panel)
 
     def write_kitti(self, path: Path) -> None:
-        """Boxes as a KITTI result file."""
-        write_labels(path, to_labels(self.boxes, self.xyxy))
+        """Boxes as a KITTI result file, along the camera's axes; those out of the picture are left out."""
+        xyxy = self.xyxy
+        seen = np.isfinite(xyxy).all(1)
+        write_labels(path, to_labels(self.boxes.select(seen), xyxy[seen], self.camera.rotation))
 
     def log_to_rerun(self, path: str = "world") -> None:
         """Send the scene to a rerun viewer (``pip install rerun-sdk``; ``rerun.init`` is the caller's)."""

@@ -61,7 +61,10 @@ class Pairs:
 
     @classmethod
     def join(cls, parts: Sequence["Pairs"]) -> "Pairs":
-        """Of several frames, numbered in order."""
+        """Of several frames, numbered in order; of none, no pairs."""
+        if not parts:
+            none = np.zeros(0)
+            return cls(none.astype(int), none.astype(int), none, none, none, none, none, none, 0)
         arrays = {
             f.name: np.concatenate([getattr(part, f.name) for part in parts])
             for f in fields(cls)
@@ -74,7 +77,7 @@ class Pairs:
 def pair_up(
     truth_xyxy: np.ndarray, found_xyxy: np.ndarray, least: float = PAIR_OVERLAP
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers ``(P,)`` of truths and of what was found: one to one, the largest 2D overlaps first."""
+    """Numbers ``(P,)`` of truths and of finds: one to one, the largest 2D overlaps first, of any class."""
     overlap = iou_2d(truth_xyxy, found_xyxy)
     rows, columns = [], []
     while overlap.size and overlap.max() >= least:

@@ -1,4 +1,4 @@
-"""Boxes over time: which is which, how fast it moves, and where its front is.
+"""Boxes over time: which is which, how fast it moves, and, where the camera stands still, its front.
 
 A constant-velocity Kalman filter per object and an optimal assignment per frame, in the spirit of Weng et
 al., "3D Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
@@ -13,6 +13,7 @@ from eldenet.boxes import Boxes3D
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
 _MEASURED = 7
 _FAR = 1e6  # cost of a pair that may not be
+_MOVING = 1.0  # [m/s]: slower things may be noise
 
 
 @dataclass
@@ -21,30 +22,33 @@ class Track:
 
     Attributes:
         number: its identity.
-        label: its class.
+        name: of its class; frames may number their classes differently.
         mean: ``(10,)`` x, y, z [m], yaw [rad], length, width, height [m], velocity [m/s].
         covariance: ``(10, 10)``.
         score: of the last detection.
         hits: frames in which it was seen.
         missed: frames since it was seen.
         quality: of the last detection.
+        heading_known: its motion has told its front from its back.
     """
 
     number: int
-    label: int
+    name: str
     mean: np.ndarray
     covariance: np.ndarray
     score: float
     hits: int = 1
     missed: int = 0
     quality: dict[str, float] = field(default_factory=dict)
+    heading_known: bool = False
 
 
 class BoxTracker:
-    """``tracker(boxes, seconds) -> Boxes3D`` with identities, velocities and headings.
+    """``tracker(boxes, seconds) -> Boxes3D`` with identities and velocities.
 
-    Boxes must be in one frame that stands still, or moves slowly against the objects. Where an object moves,
-    its yaw points along its motion, which settles front and back.
+    Velocities are relative to the frame of the boxes: from a moving camera, a parked car comes closer. Only
+    where that frame stands still (``still_camera``) do things drive where their velocity points; their yaw
+    then points along it, which settles front and back, and ``quality["heading"]`` is 1.
 
     Args:
         gate: farthest that a box may be from where its track expects it [m].
@@ -54,6 +58,7 @@ class BoxTracker:
         position_sigma: of a measured centre at 10 m [m]; it grows with distance.
         acceleration: of the objects, standard deviation [m/s2].
         report_unseen: also report objects that this frame's detector missed.
+        still_camera: the boxes' frame stands still. False: yaw stays known modulo pi.
 
     Raises:
         ValueError: a number out of range.
@@ -68,6 +73,7 @@ class BoxTracker:
         position_sigma: float = 0.3,
         acceleration: float = 2.0,
         report_unseen: bool = False,
+        still_camera: bool = False,
     ) -> None:
         if gate <= 0 or births < 1 or deaths < 1 or position_sigma <= 0 or acceleration <= 0:
             raise ValueError("gate, births, deaths, position_sigma and acceleration must be above 0")
@@ -77,6 +83,7 @@ class BoxTracker:
             acceleration,
             report_unseen,
         )
+        self.still_camera = still_camera
         self.tracks: list[Track] = []
         self._next = 0
         self._frames = 0
@@ -121,7 +128,7 @@ class BoxTracker:
             return [], []
         expected = np.stack([track.mean[:3] for track in self.tracks])
         cost = np.linalg.norm(expected[:, None, [0, 2]] - boxes.center[None][:, :, [0, 2]], axis=-1)
-        same = np.array([track.label for track in self.tracks])[:, None] == boxes.label[None]
+        same = np.array([track.name for track in self.tracks])[:, None] == np.array(boxes.classes)[None]
         # an object is as uncertain as its track says: a young one has no velocity yet
         reach = self.gate + np.sqrt(
             [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
@@ -144,9 +151,10 @@ class BoxTracker:
         )
         track.mean = track.mean + gain @ (measured - track.mean[:_MEASURED])
         track.covariance = track.covariance - gain @ track.covariance[:_MEASURED]
-        along = np.array([np.cos(track.mean[3]), -np.sin(track.mean[3])]) @ track.mean[[7, 9]]
-        if along < 0 and np.hypot(*track.mean[[7, 9]]) > 1.0:
-            track.mean[3] += np.pi  # things drive forwards
+        if self.still_camera and np.hypot(*track.mean[[7, 9]]) > _MOVING:
+            along = np.array([np.cos(track.mean[3]), -np.sin(track.mean[3])]) @ track.mean[[7, 9]]
+            track.mean[3] += np.pi * (along < 0)  # things drive forwards
+            track.heading_known = True
         track.mean[3] = (track.mean[3] + np.pi) % (2 * np.pi) - np.pi
         track.hits, track.missed = track.hits + 1, 0
         track.score = float(boxes.score[index])
@@ -160,7 +168,7 @@ class BoxTracker:
         quality = {name: float(values[index]) for name, values in boxes.quality.items()}
         self._next += 1
         return Track(
-            self._next, int(boxes.label[index]), mean, covariance, float(boxes.score[index]), quality=quality
+            self._next, boxes.classes[index], mean, covariance, float(boxes.score[index]), quality=quality
         )
 
     def _report(self, boxes: Boxes3D) -> Boxes3D:
@@ -173,16 +181,18 @@ class BoxTracker:
         if not shown:
             return replace(Boxes3D.empty(boxes.names), track_id=np.zeros(0, int), velocity=np.zeros((0, 3)))
         mean = np.stack([track.mean for track in shown])
+        names = tuple(dict.fromkeys([*boxes.names, *(track.name for track in shown)]))  # also of the unseen
         return Boxes3D(
             center=mean[:, :3],
             size=np.maximum(mean[:, 4:7], 0.01),
             yaw=mean[:, 3],
             score=np.array([track.score for track in shown]),
-            label=np.array([track.label for track in shown], np.int64),
-            names=boxes.names,
+            label=np.array([names.index(track.name) for track in shown], np.int64),
+            names=names,
             quality={
                 name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in boxes.quality
-            },
+            }
+            | {"heading": np.array([float(track.heading_known) for track in shown])},
             track_id=np.array([track.number for track in shown]),
             velocity=mean[:, 7:],
         )

@@ -19,11 +19,14 @@ class StreamFrame(NamedTuple):
         number: of the frame in the source, from 0; dropped ones count.
         frame: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m].
+        time: when it was taken [s], from any zero: a camera's frames by the clock, others by the source's
+            frame rate.
     """
 
     number: int
     frame: np.ndarray
     depth: np.ndarray
+    time: float
 
 
 class DepthStream:
@@ -32,7 +35,7 @@ class DepthStream:
     ::
 
         with DepthStream("camera:0", predictor) as stream:
-            for number, frame, depth in stream:
+            for number, frame, depth, time in stream:
                 print(f"{stream.fps:.0f} frames/s, {stream.dropped} dropped")
 
     Args:
@@ -70,7 +73,9 @@ class DepthStream:
         else:
             self.drop = bool(drop)
             frames = iter(source)
-        self._waiting: deque[tuple[int, np.ndarray]] = deque()
+        # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
+        self._by_clock = is_live(source) if isinstance(source, str | Path) else self.drop
+        self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
         self._error: BaseException | None = None
@@ -91,11 +96,11 @@ class DepthStream:
                 self._changed.wait_for(lambda: self._waiting or self._ended or self._stop)
                 if not self._waiting or self._stop:
                     break
-                number, frame = self._waiting.popleft()
+                number, frame, taken = self._waiting.popleft()
                 self._changed.notify_all()
             depth = self.predictor(frame)
             self._times.append(time.monotonic())
-            yield StreamFrame(number, frame, depth)
+            yield StreamFrame(number, frame, depth, taken)
         if self._error is not None:
             raise self._error
 
@@ -129,6 +134,7 @@ class DepthStream:
 
     def _put(self, number: int, frame: np.ndarray) -> bool:
         """Queue a frame; False once nobody wants more."""
+        taken = time.monotonic() if self._by_clock else number / self.frames_per_second
         with self._changed:
             if self.drop:
                 while len(self._waiting) >= self.queue_size:
@@ -136,7 +142,7 @@ class DepthStream:
                     self.dropped += 1
             else:
                 self._changed.wait_for(lambda: len(self._waiting) < self.queue_size or self._stop)
-            self._waiting.append((number, frame))
+            self._waiting.append((number, frame, taken))
             self._changed.notify_all()
             return not self._stop
 

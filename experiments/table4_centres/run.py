@@ -142,6 +142,7 @@ def differences(name: str, pairs: dict[str, Pairs]) -> list[str]:
         parts = []
         for title, pick in (
             ("accuracy", lambda p: p.accuracy),
+            ("BEV > 0.25", lambda p: (p.bev >= 0.25) * 1.0),
             ("BEV > 0.5", lambda p: (p.bev >= 0.5) * 1.0),
         ):
             gap = pick(pairs["refine"]) - pick(pairs[other])
@@ -188,7 +189,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--frames", type=int, default=60, help="test scenes of each kind")
     options.add_argument("--sim-model", help="folder of a network trained on rendered streets")
-    options.add_argument("--hall-model", help="folder of a network trained on rendered rooms")
+    options.add_argument("--hall-model", help="folder of a network trained on rendered halls")
     options.add_argument("--kitti-model", help="folder of a network for KITTI's pictures")
     options.add_argument("--kitti-sigma", type=float, default=0.12, help="its relative error on objects")
     options.add_argument("--detector", help="an .onnx file, for KITTI")
