@@ -43,9 +43,8 @@ def train(config: "DictConfig", folder: Path) -> float:
     with main_process_first(resources):  # it renders or prepares what the others then find
         train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
         val_set = cfg.build_split(config, "val", protocol)
-        cfg.build_split(
-            config, "test", protocol, score=True
-        )  # what it lacks shows now, not after the training
+        # what the test split lacks shows now, not after the training
+        cfg.build_split(config, "test", protocol, score=True)
     trainer = cfg.instantiate(
         config.trainer,
         optimizer=cfg.instantiate(config.optimizer),
