@@ -19,7 +19,7 @@ LONGEST_FILE = 320  # lines
 
 # A file or package may import from its own layer and from those below it; in layer 2 from those below alone.
 LAYERS = {
-    0: "types configurable robot",
+    0: "types configurable robot bootstrap",
     1: "boxes layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",

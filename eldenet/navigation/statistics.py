@@ -1,7 +1,7 @@
 """What a success rate is worth: Wilson intervals, SPL, paired tests."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,32 +31,6 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int, fl
     if only_first + only_second == 0:
         return 0, 0, 1.0
     return only_first, only_second, float(binomtest(only_first, only_first + only_second).pvalue)
-
-
-def bootstrap_interval(
-    statistic: Callable[[np.ndarray], float], worlds: int, *, draws: int = 2000, seed: int = 0
-) -> tuple[float, float]:
-    """95 % interval of a paired statistic: its percentiles over worlds drawn anew, with replacement.
-
-    Efron, "Bootstrap methods: another look at the jackknife", 1979. Whatever the statistic compares is drawn
-    together, so that what the methods share (a hard world) cancels.
-
-    Args:
-        statistic: numbers of worlds ``(worlds,)`` -> value; nan where it has none.
-        worlds: how many there are.
-        draws: how often.
-        seed: of the draws.
-
-    Returns:
-        Low and high; nan where no draw had a value.
-    """
-    rng = np.random.default_rng(seed)
-    values = np.array([statistic(rng.integers(0, worlds, worlds)) for _ in range(draws)])
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return math.nan, math.nan
-    low, high = np.percentile(values, [2.5, 97.5])
-    return float(low), float(high)
 
 
 def spl(success: np.ndarray, length: np.ndarray, shortest: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eldenet.bootstrap import bootstrap_interval
 from eldenet.boxes import Boxes3D, wrap_half
 from eldenet.perception.iou import box_ious, iou_2d
 
@@ -157,7 +158,10 @@ def bootstrap(
         number = np.arange(len(values))
     count = int(number.max()) + 1
     total, size = np.bincount(number, values, count), np.bincount(number, minlength=count)
-    chosen = np.random.default_rng(seed).integers(0, count, (draws, count))
-    means = total[chosen].sum(1) / size[chosen].sum(1)
-    low, high = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
-    return float(low), float(high)
+    return bootstrap_interval(
+        lambda chosen: float(total[chosen].sum() / size[chosen].sum()),
+        count,
+        draws=draws,
+        share=share,
+        seed=seed,
+    )

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.bootstrap import bootstrap_interval
+
 DRAWS, LEVEL = 10_000, 0.95
 
 
@@ -39,11 +41,10 @@ def paired_interval(
         raise ValueError("the two rows scored different images: they can't be paired")
     difference = np.array([ours[name] - theirs[name] for name in ours])
     difference = difference[np.isfinite(difference)]
-    generator = np.random.default_rng(seed)
-    draws = generator.integers(0, len(difference), (DRAWS, len(difference)))
-    means = difference[draws].mean(axis=1)
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(difference.mean()), float(low), float(high)
+    low, high = bootstrap_interval(
+        lambda chosen: float(difference[chosen].mean()), len(difference), draws=DRAWS, share=LEVEL, seed=seed
+    )
+    return float(difference.mean()), low, high
 
 
 def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from eldenet.bootstrap import bootstrap_interval
 from eldenet.navigation.evaluation import Crossing
-from eldenet.navigation.statistics import bootstrap_interval, mcnemar
+from eldenet.navigation.statistics import mcnemar
 
 # physics, sensor, method, course -> crossings of every training
 Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]

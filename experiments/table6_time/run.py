@@ -22,8 +22,8 @@ from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
 from rows import all_rows, arguments, measure, refuse_to_drop, results_name, without_nan  # noqa: E402
 
+from eldenet.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
-from eldenet.navigation.statistics import bootstrap_interval  # noqa: E402
 from eldenet.record import environment, write_rows  # noqa: E402
 
 # physics, sensor, course -> method -> crossings of every training
