@@ -1,0 +1,170 @@
+"""Navigation: how the driver learns."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eldenet.navigation.dqn import CHECKPOINT, DQN, Replay, Windows
+from eldenet.navigation.tasks import TrainingArenas
+
+gym = pytest.importorskip("gymnasium")
+from eldenet.navigation.env import ArenaNavVectorEnv  # noqa: E402
+from eldenet.navigation.registration import register  # noqa: E402
+
+register()  # as the installed package's entry point does
+
+
+def test_windows_are_n_step_returns_that_end_with_the_episode():
+    rng = np.random.default_rng(0)
+    replay = Replay(10_000, 1)
+    windows = Windows(3, 2, 0.9, replay)
+    episodes: list[list[list[tuple]]] = [[[]], [[]]]
+    for step in range(60):
+        obs = np.array([[step / 100], [step / 100 + 0.5]], np.float32)
+        values, ended = rng.normal(size=2), rng.random(2) < 0.15
+        terminated = ended & (rng.random(2) < 0.5)
+        windows.push(obs, np.array([step % 5, step % 3]), values, obs + 0.01, terminated, ended)
+        for robot in range(2):
+            episodes[robot][-1].append(
+                (obs[robot, 0], values[robot], obs[robot, 0] + 0.01, terminated[robot])
+            )
+            if ended[robot]:
+                episodes[robot].append([])
+    expected = set()
+    for robot in range(2):
+        for number, episode in enumerate(episodes[robot]):
+            for start in range(len(episode)):
+                part = episode[start : start + 3]
+                if len(part) < 3 and number == len(episodes[robot]) - 1:
+                    continue  # its end is not known yet
+                value = sum(0.9**k * row[1] for k, row in enumerate(part))
+                discount = 0.9 ** len(part) * (not part[-1][3])
+                expected.add(
+                    (
+                        round(float(part[0][0]), 2),
+                        round(value, 4),
+                        round(float(part[-1][2]), 2),
+                        round(discount, 4),
+                    )
+                )
+    got = {
+        (round(float(o), 2), round(float(v), 4), round(float(n), 2), round(float(d), 4))
+        for o, v, n, d in zip(
+            replay.obs[: len(replay), 0], replay.value, replay.next_obs[:, 0], replay.discount, strict=False
+        )
+    }
+    assert got == expected
+
+
+def tiny(folder: Path | None, steps: int, **options) -> DQN:
+    env = ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5)))
+    settings = {
+        "steps": steps,
+        "leg": 400,
+        "warmup": 100,
+        "batch_size": 16,
+        "hidden": (16,),
+        "seed": 3,
+    } | options
+    return DQN(env, **settings)
+
+
+def test_a_resumed_training_equals_one_that_never_stopped(tmp_path):
+    whole = tiny(None, 1200)
+    whole.learn()
+    first = tiny(None, 1200)
+
+    def stop(dqn: DQN) -> None:
+        if dqn.done >= 800:
+            dqn.save(tmp_path / CHECKPOINT)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        first.learn(after_leg=stop)
+    second = tiny(None, 1200)
+    second.restore(tmp_path / CHECKPOINT)
+    assert second.done == 800
+    second.learn()
+    assert second.updates == whole.updates > 100
+    for name, weights in whole.policy_dqn.state_dict().items():
+        torch.testing.assert_close(second.policy_dqn.state_dict()[name], weights, rtol=0, atol=0)
+    with pytest.raises(FileNotFoundError, match="no checkpoint"):
+        second.restore(tmp_path / "none.pt")
+
+
+def test_algorithm_2_copies_hard_and_the_default_softly():
+    hard = tiny(None, 400, n_step=1, double=False, target_every=10)
+    hard.learn()
+    rng = np.random.default_rng(0)
+    while hard.updates % 10:
+        hard.update(rng)
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(hard.policy_dqn.parameters(), hard.target_dqn.parameters(), strict=True)
+    )
+    hard.update(rng)
+    assert not all(
+        torch.equal(a, b)
+        for a, b in zip(hard.policy_dqn.parameters(), hard.target_dqn.parameters(), strict=True)
+    )
+    soft = tiny(None, 400, tau=0.25)
+    before = [p.clone() for p in soft.target_dqn.parameters()]
+    soft.learn()
+    rng, before = np.random.default_rng(0), [p.clone() for p in soft.target_dqn.parameters()]
+    soft.update(rng)
+    for target, old, policy in zip(
+        soft.target_dqn.parameters(), before, soft.policy_dqn.parameters(), strict=True
+    ):
+        torch.testing.assert_close(target, 0.75 * old + 0.25 * policy, rtol=1e-5, atol=1e-7)
+
+
+def test_it_learns_what_a_table_would():
+    """A corridor of ten cells, left or right; the values of the optimal policy are known."""
+
+    class Corridor:
+        num_envs = 8
+        single_observation_space = gym.spaces.Box(-1, 1, (10,), np.float32)
+        single_action_space = gym.spaces.Discrete(2)
+
+        def _obs(self):
+            return np.eye(10, dtype=np.float32)[self.at]
+
+        def reset(self, *, seed=None):
+            self.rng = np.random.default_rng(seed)
+            self.at = self.rng.integers(0, 9, 8)
+            return self._obs(), {}
+
+        def step(self, action):
+            self.at = np.clip(self.at + np.where(action == 1, 1, -1), 0, 9)
+            done, obs = self.at == 9, self._obs()
+            info = {"event": done.astype(int), "final_obs": obs}
+            self.at = np.where(done, self.rng.integers(0, 9, 8), self.at)
+            return self._obs(), done.astype(float), done, np.zeros(8, bool), info
+
+    learner = DQN(
+        Corridor(), steps=12_000, leg=12_000, warmup=200, gamma=0.9, batch_size=64, hidden=(32,), replay=4000,
+        learning_rate=3e-3, tau=0.02, exploration_end=0.3,
+    )  # fmt: skip
+    learner.learn()
+    with torch.no_grad():
+        values = learner.policy_dqn(torch.eye(10))[:9]
+    assert (values.argmax(1) == 1).all()
+    assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
+
+
+def test_gradients_are_clipped_and_rates_fall_only_where_asked():
+    rates = []
+    for options in ({}, {"learning_rate_end": 1.0, "gradient_clip": 0.0}, {"gradient_clip": 1e-6}):
+        learner = tiny(None, 400, **options)
+        learner.learn()
+        rates.append(learner.optimizer.param_groups[0]["lr"])
+        norm = torch.cat([p.grad.flatten() for p in learner.policy_dqn.parameters()]).norm()
+        assert (norm <= 1.001e-6) == (options.get("gradient_clip") == 1e-6)
+    assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
+
+
+def test_wrong_learners_are_refused():
+    with pytest.raises(ValueError, match="gamma"):
+        tiny(None, 100, gamma=1.0)

@@ -1,0 +1,186 @@
+"""Navigation: what the driver sees."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.arcs import ArcTable, arc_table
+from eldenet.navigation.noise import NoisyRanges
+from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.policy import as_ranges
+from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.sensors import Drift, Odometry
+from eldenet.robot import ROBOT
+from eldenet.simulation.arena_view import ArenaView
+from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arenas import Arena, Obstacle, generate_arena, triangle_course
+
+FAR = np.full((1, ROBOT.columns), ROBOT.far)
+
+
+def senses(ranges=FAR, odometry=(0.0, 0.0, 0.0), goal=(8.0, 0.3)) -> Senses:
+    return Senses(np.asarray(ranges, float), np.array([odometry]), np.array([goal]))
+
+
+def test_observation_columns():
+    observer = Observer()
+    ranges = FAR.copy()
+    ranges[0, :8] = 2.5  # the rightmost sector
+    seen = observer.observe(senses(ranges))[0]
+    assert seen.shape == (39,)
+    assert seen[:5] == pytest.approx([0.5, 1, 1, 1, 1])
+    assert seen[5:8] == pytest.approx([8 / 20, math.sin(0.3), math.cos(0.3)])
+    assert seen[8:10] == pytest.approx([0, 0])
+    observer.commands(np.array([0]))
+    seen = observer.observe(senses())[0]
+    assert seen[8] == 1.0  # hard to the left
+    assert seen[9] == pytest.approx(0.35)
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"), [("paper", 0.5), ("turn", 0.5 * 0.75), ("prox", 0.5 * 0.75 * 0.5)]
+)
+def test_speed_laws(law, expected):
+    observer = Observer(speed=law)
+    observer.observe(senses(np.full((1, ROBOT.columns), 0.9), goal=(1.5, 0.0)))
+    assert observer.commands(np.array([1]))[0] == pytest.approx([expected, 0.5])
+
+
+def test_memory_keeps_what_left_the_view():
+    observer = Observer(memory=60)
+    ranges = FAR.copy()
+    ranges[0, 20] = 1.0
+    for _ in range(2):  # every second frame is kept
+        observer.observe(senses(ranges))
+    angle = ROBOT.column_angles[20]
+    point = np.array([ROBOT.camera_ahead + math.cos(angle), math.sin(angle)])
+    for step in range(1, 40):  # drive past it and turn round: it lies where it lay
+        pose = (0.02 * step, -0.5, 0.05 * step)
+        seen = observer.observe(senses(odometry=pose))[0]
+        dx, dy = point - pose[:2]
+        bearing = math.remainder(math.atan2(dy, dx) - pose[2], 2 * math.pi)
+        number = int((bearing + math.pi) / (2 * math.pi) * 24)
+        assert seen[10 + number] == pytest.approx(math.hypot(dx, dy) / 3, abs=1e-5)
+        assert (np.delete(seen[10:34], number) == 1).all()
+    for _ in range(70):
+        seen = observer.observe(senses(odometry=pose))[0]
+    assert (seen[10:34] == 1).all()  # forgotten after 12 s
+    observer.observe(senses(ranges))
+    observer.reset(0)
+    assert (observer.observe(senses())[0][10:34] == 1).all()
+
+
+def test_arc_tables_agree_with_moving_the_footprint():
+    table = ArcTable(((0.8, 0.5), (0.0, 1.2), (1.0, 0.0)), 1.8, 0.04)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-2.2, 2.2, (400, 2)).astype(np.float32)
+    cells = table.cells(points[:, 0], points[:, 1])
+    for number, (speed, turn) in enumerate(table.commands):
+        gaps = []
+        for step in range(1, 19):
+            # exact motion, by a thousand small steps
+            t = np.linspace(0, step * 0.1, 1000)
+            x = np.trapezoid(speed * np.cos(turn * t), t)
+            y = np.trapezoid(speed * np.sin(turn * t), t)
+            c, s = math.cos(turn * t[-1]), math.sin(turn * t[-1])
+            local = (points - (x, y)) @ np.array([[c, -s], [s, c]])
+            gaps.append(np.hypot(*np.maximum(np.abs(local) - (0.30, 0.25), 0).T))
+        gaps = np.array(gaps)
+        started = np.hypot(*np.maximum(np.abs(points) - (0.30, 0.25), 0).T)
+        clear = started > 0.09  # of the footprint, its margin and half a cell
+        got = table.gap[cells, number] / 100
+        assert np.abs(got - np.minimum(gaps.min(axis=0), 2.55))[clear].max() < 0.05
+        time = table.time[cells, number]
+        surely, never = (gaps < 0.04 - 0.036).any(axis=0), (gaps > 0.04 + 0.036).all(axis=0)
+        assert (time[surely & clear] < 18).all()
+        assert (time[never & clear] == 18).all()
+    assert arc_table(((0.5, 0.5),), 1.0) is arc_table(((0.5, 0.5),), 1.0)
+
+
+def test_near_the_table_s_edge_nothing_breaks():
+    table = arc_table(((0.5, 0.5),), 1.0)
+    edge = np.nextafter(np.float32(2.4), np.float32(0))
+    assert table.cells(np.array([edge]), np.array([edge])).max() < len(table.time)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"speed": "fast"}, "speed='fast'"),
+    ({"turn_rates": (1.0,)}, "give one each"),
+    ({"memory": -1}, "memory=-1"),
+])  # fmt: skip
+def test_wrong_observers_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        Observer(**options)
+
+
+# --- ranges ---
+
+
+def test_depth_becomes_the_ranges_that_rays_give():
+    arena = generate_arena("val", 40, 5)
+    world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
+    depth = view.photo(arena.start).depth
+    got, true = depth_to_ranges(depth, view.intrinsics), world.ranges()
+    near = true < 8
+    assert near.sum() > 10
+    assert np.median(np.abs(got - true)[near] / true[near]) < 0.03
+    assert (got > true * 1.1).mean() < 0.05  # never far where something is near
+
+
+def test_blindness_reads_as_near():
+    intrinsics = ArenaView(triangle_course(), (120, 160)).intrinsics
+    assert (depth_to_ranges(np.zeros((120, 160)), intrinsics) == ROBOT.near).all()
+    assert (
+        as_ranges(np.array([0.0, np.nan, 20.0, 5.0, 0.1]), None).reshape(5, -1)[:, 0]
+        == [0.3, 0.3, 10, 5, 0.3]
+    ).all()
+    with pytest.raises(ValueError, match="intrinsics"):
+        as_ranges(np.ones((4, 4)), None)
+    with pytest.raises(ValueError, match=r"\(7,\)"):
+        as_ranges(np.ones(7), None)
+
+
+def test_boxes_become_the_ranges_of_their_near_faces():
+    box = Obstacle("box", 3.0, 0.7, 0.4, (0.5, 0.3), 1.0)
+    arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
+    true = ArenaWorld(arena).ranges()
+    got = footprints_to_ranges(np.array([[3.0 - ROBOT.camera_ahead, 0.7, 0.4, 0.5, 0.3]]))
+    on_box = got < ROBOT.far
+    assert on_box.sum() > 5
+    assert got[on_box] == pytest.approx(true[on_box], abs=1e-4)
+    assert (footprints_to_ranges(np.empty((0, 5))) == ROBOT.far).all()
+
+
+def test_noise_has_the_deviations_it_was_given():
+    arena = generate_arena("val", 40, 5)
+    world = ArenaWorld(arena)
+    eye = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
+    true = world.ranges()
+    inside = (true > 0.6) & (true < 7)
+    error = np.log(np.array([eye.look().ranges[inside] for _ in range(3000)]) / true[inside])
+    # of a sum of independent errors; the interpolated one loses up to half of its variance between knots
+    assert (
+        math.sqrt(0.1**2 + 0.5 * 0.05**2 + 0.03**2) * 0.93
+        < error.std()
+        < math.sqrt(0.1**2 + 0.05**2 + 0.03**2) * 1.07
+    )
+    frames = error.mean(axis=1)
+    assert np.corrcoef(frames[1:], frames[:-1])[0, 1] == pytest.approx(0.75, abs=0.1)
+
+
+def test_odometry_drifts_by_what_it_says():
+    poses = [(0.1 * k, 0.0, 0.0) for k in range(101)]  # ten metres straight ahead
+    ends = []
+    for seed in range(400):
+        odometry = Odometry(Drift(0.02, math.radians(1)), np.random.default_rng(seed), poses[0])
+        for before, after in pairwise(poses):
+            odometry.move(before, after)
+        ends.append(odometry.pose)
+    ends = np.array(ends)
+    assert np.degrees(ends[:, 2]).std() == pytest.approx(10.0, rel=0.15)
+    assert ends[:, 0].std() > 0.15
+    exact = Odometry(Drift(0.0, 0.0), np.random.default_rng(0), (1.0, 2.0, 0.5))
+    exact.move((1.0, 2.0, 0.5), (1.3, 2.2, 0.9))
+    assert exact.pose == pytest.approx((1.3, 2.2, 0.9))
