@@ -263,6 +263,7 @@ def test_tensorboard_keeps_every_epoch(tmp_path):
     settings = {"optimizer": partial(torch.optim.Adam, lr=3e-3), "scheduler": cosine, "epochs": 2}
     with pytest.raises(Stopped):
         fit(tmp_path, trainer=StoppingTrainer(**settings, batch_size=4))
+    time.sleep(1.1)  # tensorboard orders its files by the second they were begun in, then by a number as text
     _, model, _ = fit(tmp_path, trainer=make_trainer(**settings), ckpt_path=tmp_path)
     log = RunLog(tmp_path)  # as the command does, once training is over
     log.picture("predictions", 8, sample_rows(model, SyntheticDepth(2), PROTOCOL))
