@@ -18,7 +18,7 @@ def write_results(
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded), ``.png``, and the terminal."""
     from eldenet.benchmarking import COLUMNS, KEY
     from eldenet.record import write_rows
-    from eldenet.report import to_latex, to_markdown
+    from eldenet.tables import to_latex, to_markdown
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
@@ -81,7 +81,7 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from eldenet.report import find_runs
+    from eldenet.comparison import find_runs
 
     runs = find_runs(cfg.plain(config.accuracies)) if config.accuracies else []
     accuracy = {str(run["model"]): run["metrics"][config.accuracy] for run in runs}

@@ -87,14 +87,14 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
     return decorate
 
 
-def _study_rows(study: str, rows: Any) -> str:
-    """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
-    from eldenet.studies.plan import row_names
+def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
+    """Decorate a function that YAML files call as ``${name:argument,...}``."""
 
-    return row_names(study, plain(rows))
+    def register(function: Callable[..., str]) -> Callable[..., str]:
+        OmegaConf.register_new_resolver(name, function, replace=True)
+        return function
 
-
-OmegaConf.register_new_resolver("study_rows", _study_rows, replace=True)
+    return register
 
 
 def read_yaml(path: Path) -> Any:

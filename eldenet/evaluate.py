@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 @cfg.entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
-    from eldenet.report import closing_table
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
+    from eldenet.tables import closing_table
 
     if (folder / "checkpoints").is_dir():
         raise ValueError(

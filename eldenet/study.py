@@ -2,12 +2,20 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+
+@cfg.resolver("study_rows")
+def study_rows(study: str, rows: Any) -> str:
+    """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
+    from eldenet.studies.plan import row_names
+
+    return row_names(study, cfg.plain(rows))
 
 
 @cfg.entry_point("study")

@@ -27,10 +27,10 @@ def train(config: "DictConfig", folder: Path) -> float:
     from omegaconf import OmegaConf
 
     from eldenet.normalisation import normalisation, write_normalisation
-    from eldenet.report import closing_table
     from eldenet.resources import choose_resources, main_process_first
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
+    from eldenet.tables import closing_table
 
     record = finished_run(config, folder)
     if record is not None:

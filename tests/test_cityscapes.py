@@ -15,7 +15,7 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.geometry import disparity_to_depth
 from eldenet.metrics import DepthMetrics, EvalProtocol
-from eldenet.report import heading, protocol_line
+from eldenet.tables import heading, protocol_line
 
 FULL = layouts.content((1024, 2048))
 SMALL = layouts.SMALL

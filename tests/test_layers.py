@@ -23,8 +23,9 @@ LAYERS = {
     1: "boxes layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
-    4: "averaging benchmarking checkpoint evaluation exporting folding legend meter normalisation pictures "
-    "pointcloud predictions predictor profiling quantisation record runlog runtimes schedules",
+    4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalisation "
+    "pictures pointcloud predictions predictor profiling quantisation record runlog runtimes schedules "
+    "tables",
     5: "trainer",
     6: "perception",
     7: "navigation",

@@ -5,9 +5,10 @@ import json
 
 import pytest
 
+from eldenet.comparison import find_runs, group_rows, table_of
 from eldenet.metrics import EvalProtocol
-from eldenet.report import find_runs, group_rows, protocol_line, table_of, to_latex, to_markdown
 from eldenet.runlog import RunLog
+from eldenet.tables import protocol_line, to_latex, to_markdown
 
 RUN = {
     "model": "eldenet",

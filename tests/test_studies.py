@@ -14,10 +14,11 @@ import scipy.stats
 from eldenet import config as cfg
 from eldenet.benchmark import benchmark
 from eldenet.studies import statistics
+from eldenet.studies.blocks import read_expected
 from eldenet.studies.plan import read_study
 from eldenet.studies.plots import pareto_front
+from eldenet.studies.report import write_study_report
 from eldenet.studies.running import compose_run, run_row
-from eldenet.studies.tables import read_expected, write_study_report
 from eldenet.train import train
 from eldenet.zoo import list_models
 

@@ -15,9 +15,9 @@ from eldenet.config import build_protocol, build_split, compose
 from eldenet.evaluation import PER_IMAGE_HEADER, evaluate
 from eldenet.export import export
 from eldenet.record import environment
-from eldenet.report import to_markdown
 from eldenet.runtimes.scored import RuntimeNetwork
 from eldenet.studies.statistics import paired_interval
+from eldenet.tables import to_markdown
 
 HERE = Path(__file__).parent
 WORK = Path("runs/table1_efficiency/precision")

@@ -15,7 +15,7 @@ from eldenet.benchmark import benchmark
 from eldenet.benchmark_tables import draw, notes_of, text_of
 from eldenet.benchmarking import COLUMNS
 from eldenet.config import compose
-from eldenet.report import to_latex, to_markdown
+from eldenet.tables import to_latex, to_markdown
 
 HERE = Path(__file__).parent
 

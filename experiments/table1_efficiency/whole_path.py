@@ -16,7 +16,7 @@ from eldenet.exporting import write_onnx
 from eldenet.predictor import DepthPredictor
 from eldenet.profiling import median_ms, percentile_ms, time_interleaved
 from eldenet.record import environment
-from eldenet.report import to_markdown
+from eldenet.tables import to_markdown
 
 HERE = Path(__file__).parent
 SIZES = ((224, 224), (120, 160))

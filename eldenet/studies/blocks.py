@@ -1,4 +1,4 @@
-"""The tables of a study from its stored runs: one block per start class, nothing mixed, nothing invented."""
+"""The blocks of a study from its stored runs: one table per start class, nothing mixed, nothing invented."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
@@ -7,24 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
-from eldenet.record import read_run, write_rows
-from eldenet.report import (
-    COSTS,
-    WORDS,
-    Row,
-    cost_line,
-    group_rows,
-    heading,
-    number,
-    protocol_line,
-    refuse_mixtures,
-    to_latex,
-    to_markdown,
-)
+from eldenet.record import read_run
 from eldenet.studies import statistics
-from eldenet.studies.plan import Study, StudyRow, read_study
-from eldenet.studies.plots import curves_plot, pareto_plot
+from eldenet.studies.plan import Study, StudyRow
+from eldenet.tables import COSTS, cost_line, heading, number, protocol_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
@@ -244,76 +232,3 @@ def _latencies(study: Study) -> dict[str, str]:
         raise FileNotFoundError(f"{path} does not exist, but sweep.yaml there names it as its latency")
     with path.open(newline="") as lines:
         return {line["row"]: line["latency_ms_p50"] for line in csv.DictReader(lines)}
-
-
-def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[str, dict[str, list[float]]]]:
-    """Titles, rows and curves: how fast and how steadily every run converged."""
-    curved = ("training loss", "validation loss", "MSE")
-    titles = ["run", "epochs", *(f"speed, {name} [epoch]" for name in curved)]
-    titles += [f"fluctuation, {name}" for name in curved]
-    rows, pictures = [], {}
-    for row in study.rows:
-        runs, _ = stored_runs(study, row)
-        for run in runs:
-            name = f"{row.name}/seed{run['seed']}"
-            curve = statistics.curves(run)
-            pictures[name] = curve
-            keys = ("train_loss", "val_loss", "val_mse")
-            speed = [
-                f"{statistics.convergence_epoch(curve['epoch'], curve[key]):g}" if curve.get(key) else "-"
-                for key in keys
-            ]
-            steps = [
-                f"{statistics.fluctuation(curve[key]):.4f}" if len(curve.get(key, ())) > 2 else "-"
-                for key in keys
-            ]
-            rows.append([name, str(len(curve["epoch"])), *speed, *steps])
-    return titles, rows, pictures
-
-
-def write_study_report(folder: str | Path) -> list[Block]:
-    """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
-    study = read_study(folder)
-    blocks = build_blocks(study)
-    markdown, latex = [f"# {study.name}", ""], []
-    for block in blocks:
-        markdown += [f"## {block.name}", "", to_markdown(*block.measured_here(), block.notes)]
-        latex.append(to_latex(*block.measured_here(), [block.name, *block.notes]))
-        titles, rows = block.published_elsewhere()
-        if rows:
-            notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
-            markdown += [f"### {block.name}: published elsewhere", "", to_markdown(titles, rows, notes)]
-            latex.append(to_latex(titles, rows, [f"{block.name}: published elsewhere", *notes]))
-    if "convergence" in study.plots:
-        titles, rows, pictures = convergence_table(study)
-        notes = [
-            "speed: the first epoch at which a curve has done 90 % of its way from first to best value",
-            "fluctuation: mean absolute step between epochs in the second half, relative to the mean there",
-            "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
-        ]
-        markdown += ["## convergence", "", to_markdown(titles, rows, notes)]
-        latex.append(to_latex(titles, rows, ["convergence", *notes]))
-        write_rows(study.folder / "convergence.csv", titles, rows)
-        if pictures:
-            curves_plot(study.folder / "convergence.png", pictures)
-            markdown += ["![curves](convergence.png)", ""]
-    points = {block.name: block.points for block in blocks if block.points}
-    if "pareto" in study.plots and points:
-        source = study.latency or "run.json's cost"
-        pareto_plot(
-            study.folder / "pareto.png",
-            points,
-            metric=WORDS.get(study.compare, study.compare),
-            latency=f"latency [ms] ({source})",
-        )
-        markdown += ["![accuracy against latency](pareto.png)", ""]
-    markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
-    (study.folder / "results.md").write_text("\n".join(markdown))
-    (study.folder / "results.tex").write_text("\n".join(latex))
-    titles = list(dict.fromkeys(title for block in blocks for title in block.titles))
-    cells = [
-        (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
-    ]
-    table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
-    write_rows(study.folder / "results.csv", ["block", *titles], table)
-    return blocks

@@ -1,0 +1,138 @@
+"""Runs side by side: seeds share a row, and what does not compare shares no table."""
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eldenet.metrics import METRICS, EvalProtocol
+from eldenet.record import RUN_FILE, differences, read_run
+from eldenet.tables import COLUMNS, COSTS, heading, number
+
+# a metrics column may hold one of each only; so may a cost column
+SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
+# runs that share a row differ in their seed, and in nothing that shapes a training
+SAME_IN_A_ROW = ("model", "loss", "optimizer", "scheduler", "augmentation", "trainer")
+SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: the runs of one model that differ in their seed only.
+
+    Attributes:
+        model: its name.
+        runs: contents of their ``run.json``.
+    """
+
+    model: str
+    runs: Sequence[Mapping[str, Any]]
+
+    def values(self, group: str, name: str) -> list[float]:
+        """The value of every run; none at all if one run has none: a mean over some seeds would mislead."""
+        found = [run[group].get(name) for run in self.runs]
+        return [] if None in found else found
+
+    def text(self, group: str, name: str) -> str:
+        """Mean, with the sample standard deviation if there are several seeds."""
+        values = self.values(group, name)
+        if not values:
+            return "-"
+        mean = number(name, statistics.fmean(values))
+        if len(values) == 1 or group == "cost":
+            return mean
+        return f"{mean} ± {number(name, statistics.stdev(values))}"
+
+
+def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
+    """All ``run.json`` below the given files and folders.
+
+    Raises:
+        FileNotFoundError: a source does not exist, or there is no run anywhere.
+    """
+    files: list[Path] = []
+    for source in map(Path, sources):
+        if not source.exists():
+            raise FileNotFoundError(f"no such file or folder: {source}")
+        files += [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
+    runs = [read_run(file) for file in dict.fromkeys(file.resolve() for file in files)]
+    if not runs:
+        raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
+    # a rule that did not exist yet was not applied: runs of before and after compare
+    rules = EvalProtocol("").as_dict()
+    return [run | {"protocol": rules | run["protocol"]} for run in runs]
+
+
+def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Runs of one model, seeds together, in order of first appearance.
+
+    Raises:
+        ValueError: runs of one name have one seed, or differ in more than it.
+    """
+    rows: dict[str, list[Mapping[str, Any]]] = {}
+    for run in runs:
+        rows.setdefault(str(run["model"]), []).append(run)
+    for model, members in rows.items():
+        seeds = [run.get("seed") for run in members]
+        if len(set(seeds)) < len(seeds):
+            raise ValueError(
+                f"{len(members)} runs are called {model!r} and seeds {seeds} repeat: give them names of "
+                "their own (model_name=...), or report them apart"
+            )
+        for section in SAME_IN_A_ROW:
+            settings = [run.get("config", {}).get(section) for run in members]
+            different = [text for other in settings for text in differences(settings[0], other, section)]
+            if different:
+                raise ValueError(
+                    f"{len(members)} runs are called {model!r}, but {section} differs in their config: seeds "
+                    f"share a row, other settings do not ({different[0]}). Give them names of their own "
+                    "(model_name=...)"
+                )
+    return [Row(model, members) for model, members in rows.items()]
+
+
+def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:
+    """Refuse columns whose numbers do not compare.
+
+    Raises:
+        ValueError: names what differs.
+    """
+    for name in SAME_FOR_METRICS:
+        _refuse(name, [run[name] for run in runs])
+    if costs:
+        for name in SAME_FOR_COSTS:
+            _refuse(
+                name,
+                [run["hardware"]["processor"] if name == "processor" else run["cost"][name] for run in runs],
+            )
+
+
+def _refuse(name: str, values: Sequence[Any]) -> None:
+    different = list(dict.fromkeys(str(value) for value in values))
+    if len(different) > 1:
+        raise ValueError(
+            f"these runs do not compare: {name} differs ({' | '.join(different[:3])}). Report them "
+            "apart" + ("" if name in SAME_FOR_METRICS else ", or without costs (costs=false)")
+        )
+
+
+def table_of(
+    runs: Sequence[Mapping[str, Any]], columns: Sequence[str] = COLUMNS, *, costs: bool = True
+) -> tuple[list[str], list[list[str]]]:
+    """Titles and rows of the table over ``runs``."""
+    unknown = [name for name in columns if name not in METRICS]
+    if unknown:
+        raise ValueError(f"columns={unknown}: choose among {', '.join(METRICS)}")
+    refuse_mixtures(runs, costs=costs)
+    wanted = [("metrics", name) for name in columns] + [("cost", name) for name in COSTS if costs]
+    titles = ["model", "seeds", *(heading(name, runs[0]) for _, name in wanted)]
+    rows = [
+        [row.model, str(len(row.runs)), *(row.text(group, name) for group, name in wanted)]
+        for row in group_rows(runs)
+    ]
+    constant = next((run["constant_predictor"] for run in runs if run["constant_predictor"]), None)
+    if constant is not None:
+        shown = [number(name, constant.get(name)) for name in columns]
+        rows.append(["constant predictor", "-", *shown, *("-" for _ in wanted[len(columns) :])])
+    return titles, rows

@@ -1,0 +1,100 @@
+"""What a study writes from its stored runs: ``results.md``, ``.csv``, ``.tex`` and its plots."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from eldenet.record import write_rows
+from eldenet.studies import statistics
+from eldenet.studies.blocks import Block, build_blocks, stored_runs
+from eldenet.studies.plan import Study, read_study
+from eldenet.studies.plots import curves_plot, pareto_plot
+from eldenet.tables import WORDS, to_latex, to_markdown
+
+Cells = tuple[list[str], list[list[str]]]  # titles, rows
+
+
+def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[str, dict[str, list[float]]]]:
+    """Titles, rows and curves: how fast and how steadily every run converged."""
+    curved = ("training loss", "validation loss", "MSE")
+    titles = ["run", "epochs", *(f"speed, {name} [epoch]" for name in curved)]
+    titles += [f"fluctuation, {name}" for name in curved]
+    rows, pictures = [], {}
+    for row in study.rows:
+        runs, _ = stored_runs(study, row)
+        for run in runs:
+            name = f"{row.name}/seed{run['seed']}"
+            curve = statistics.curves(run)
+            pictures[name] = curve
+            keys = ("train_loss", "val_loss", "val_mse")
+            speed = [
+                f"{statistics.convergence_epoch(curve['epoch'], curve[key]):g}" if curve.get(key) else "-"
+                for key in keys
+            ]
+            steps = [
+                f"{statistics.fluctuation(curve[key]):.4f}" if len(curve.get(key, ())) > 2 else "-"
+                for key in keys
+            ]
+            rows.append([name, str(len(curve["epoch"])), *speed, *steps])
+    return titles, rows, pictures
+
+
+def write_study_report(folder: str | Path) -> list[Block]:
+    """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
+    study = read_study(folder)
+    blocks = build_blocks(study)
+    tables = [table for block in blocks for table in _tables_of(block)]
+    markdown = [f"# {study.name}", ""]
+    markdown += [f"{level} {name}\n\n{to_markdown(*cells, notes)}" for level, name, cells, notes in tables]
+    latex = [to_latex(*cells, [name, *notes]) for _, name, cells, notes in tables]
+    if "convergence" in study.plots:
+        _add_convergence(study, markdown, latex)
+    points = {block.name: block.points for block in blocks if block.points}
+    if "pareto" in study.plots and points:
+        source = study.latency or "run.json's cost"
+        pareto_plot(
+            study.folder / "pareto.png",
+            points,
+            metric=WORDS.get(study.compare, study.compare),
+            latency=f"latency [ms] ({source})",
+        )
+        markdown += ["![accuracy against latency](pareto.png)", ""]
+    markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
+    (study.folder / "results.md").write_text("\n".join(markdown))
+    (study.folder / "results.tex").write_text("\n".join(latex))
+    _write_csv(study, blocks)
+    return blocks
+
+
+def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
+    """Heading level, name, cells and notes of a block's tables."""
+    tables = [("##", block.name, block.measured_here(), block.notes)]
+    titles, rows = block.published_elsewhere()
+    if rows:
+        notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
+        tables.append(("###", f"{block.name}: published elsewhere", (titles, rows), notes))
+    return tables
+
+
+def _add_convergence(study: Study, markdown: list[str], latex: list[str]) -> None:
+    titles, rows, pictures = convergence_table(study)
+    notes = [
+        "speed: the first epoch at which a curve has done 90 % of its way from first to best value",
+        "fluctuation: mean absolute step between epochs in the second half, relative to the mean there",
+        "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
+    ]
+    markdown += ["## convergence", "", to_markdown(titles, rows, notes)]
+    latex.append(to_latex(titles, rows, ["convergence", *notes]))
+    write_rows(study.folder / "convergence.csv", titles, rows)
+    if pictures:
+        curves_plot(study.folder / "convergence.png", pictures)
+        markdown += ["![curves](convergence.png)", ""]
+
+
+def _write_csv(study: Study, blocks: Sequence[Block]) -> None:
+    """All blocks in one file, published figures included: a column for every title that any of them has."""
+    titles = list(dict.fromkeys(title for block in blocks for title in block.titles))
+    cells = [
+        (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
+    ]
+    table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
+    write_rows(study.folder / "results.csv", ["block", *titles], table)
