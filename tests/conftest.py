@@ -52,3 +52,11 @@ def saved(tmp_path: Path) -> Path:
     from eldenet.refinement import JointBilateral
 
     return small_net(refine=JointBilateral()).save_pretrained(tmp_path / "model")
+
+
+@pytest.fixture
+def store_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A frame cache of the test's own."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("ELDENET_CACHE", str(folder))
+    return folder / "frames"

@@ -281,3 +281,8 @@ def eigen_list(path: Path, drives: tuple[str, ...], number: int = 5, none: tuple
         lines.append(f"{where} {'None' if drive in none else depth} 721.5377\n")
     path.write_text("".join(lines))
     return path
+
+
+def devkit_metres(path: Path) -> np.ndarray:
+    """Metres as the devkit's readme says."""
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float64) / 256

@@ -17,8 +17,8 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
     return DepthNet.from_parts(**options).eval()
 
 
-def picture(*size: int, seed: int = 0) -> Tensor:
-    return torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(seed))
+def picture(*size: int, seed: int = 0, batch: int = 1) -> Tensor:
+    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(seed))
 
 
 def same_model(a: DepthNet, b: DepthNet) -> bool:

@@ -1,28 +1,22 @@
 """Other papers' networks: their published sizes, any image size, saving, exporting, published weights."""
 
 import importlib.util
-import os
 import re
 from pathlib import Path
 
-import cv2
 import pytest
 import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
+from networks import picture
+from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 import eldenet
 from eldenet.backbones.mobilenet import MobileNetV1, MobileNetV2
-from eldenet.baselines import lite_mono, meter
-from eldenet.baselines.ddrnet import DDRNet
 from eldenet.baselines.guidedepth import GuideDepth
 from eldenet.baselines.lite_mono import LiteMono
 from eldenet.baselines.meter import METER
-from eldenet.configurable import build
 from eldenet.decoders.fastdepth import FastDepthDecoder
 from eldenet.heads import ScaledHead
-from eldenet.model import DepthNet, EncoderDecoder
 from eldenet.profiling import count_macs, count_params
 
 WHOLE = [
@@ -32,10 +26,6 @@ WHOLE = [
     *("meter_xxs", "meter_xs", "meter_s"),
 ]
 HAS_TIMM = importlib.util.find_spec("timm") is not None
-
-
-def picture(*size: int, batch: int = 1) -> Tensor:
-    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0))
 
 
 def rounded(number: float, digits: int) -> float:
@@ -255,215 +245,3 @@ def test_exports_to_onnx(name: str, tmp_path: Path) -> None:
 def test_what_does_not_exist(part, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         part()
-
-
-# --- the parts ---
-
-
-def test_fastdepth_adds_the_skips() -> None:
-    torch.manual_seed(0)
-    network = EncoderDecoder(MobileNetV1(), FastDepthDecoder).eval()
-    features = list(network.backbone(picture(64, 64)))
-    with torch.inference_mode():
-        whole = network.decoder(features)
-        for index in range(3):  # strides 2, 4, 8
-            changed = [*features]
-            changed[index] = torch.zeros_like(changed[index])
-            assert not torch.equal(network.decoder(changed), whole)
-        changed = [*features]
-        changed[3] = torch.zeros_like(changed[3])  # stride 16 is no skip
-        assert torch.equal(network.decoder(changed), whole)
-
-
-def test_fastdepths_upconv_has_two_equal_forms() -> None:
-    torch.manual_seed(0)
-    info = MobileNetV1().feature_info
-    slow = FastDepthDecoder(info, operator="upconv", skips=False).eval()
-    fast = FastDepthDecoder(info, operator="upconv", skips=False, fast=True).eval()
-    fast.load_state_dict(slow.state_dict())
-    features = [torch.rand(1, width, 64 // stride, 64 // stride) for width, stride in info]
-    with torch.inference_mode():
-        torch.testing.assert_close(slow(features), fast(features), rtol=1e-4, atol=1e-5)
-
-
-def test_guidedepth_sees_the_image_at_full_size() -> None:
-    torch.manual_seed(0)
-    model = GuideDepth("small").eval()
-    image = picture(64, 64)
-    changed = image.clone()
-    changed[..., 33, 33] = 5  # no other stride's guide has this pixel
-    with torch.inference_mode():
-        features = model.features(image)
-        model.features.forward = lambda _: features
-        difference = (model(changed) - model(image)).abs()[0, 0]
-    assert difference[31:36, 31:36].max() > 10 * difference[:16, :16].max()
-
-
-def test_ddrnet_ends_at_stride_eight() -> None:
-    with torch.inference_mode():
-        assert DDRNet(5).eval()(picture(97, 131)).shape == (1, 5, 13, 17)
-
-
-def test_cross_covariance_attention_by_hand() -> None:
-    """Against plain loops over heads (El-Nouby et al. 2021, equations 3 and 4)."""
-    torch.manual_seed(0)
-    attention = lite_mono.CrossCovarianceAttention(16).eval()
-    attention.temperature.data.uniform_(0.5, 2)
-    tokens = torch.randn(1, 7, 16)
-    query, key, value = (tokens[0] @ attention.qkv.weight.T + attention.qkv.bias).split(16, dim=-1)
-    heads = []
-    for head in range(8):
-        part = slice(2 * head, 2 * head + 2)
-        q, k = (x[:, part] / x[:, part].norm(dim=0) for x in (query, key))
-        weights = (q.T @ k * attention.temperature[head, 0, 0]).softmax(dim=-1)
-        heads.append(value[:, part] @ weights.T)
-    expected = torch.cat(heads, dim=1) @ attention.out.weight.T + attention.out.bias
-    torch.testing.assert_close(attention(tokens)[0], expected, rtol=1e-4, atol=1e-5)
-
-
-def test_meters_attention_is_torchs() -> None:
-    torch.manual_seed(0)
-    attention = meter.Attention(24)
-    tokens = torch.randn(2, 4, 9, 24)
-    query, key, value = (
-        part.view(2, 4, 9, 4, 8).transpose(2, 3) for part in attention.qkv(tokens).chunk(3, dim=-1)
-    )
-    expected = attention.out(F.scaled_dot_product_attention(query, key, value).transpose(2, 3).flatten(3))
-    torch.testing.assert_close(attention(tokens), expected)
-
-
-def test_drop_path_grows_with_depth() -> None:
-    network = LiteMono("tiny", drop_path=0.3)
-    rates = [block.drop_path.p for stage in network.encoder.stages for block in stage]
-    assert (rates[0], rates[-1]) == (0, pytest.approx(0.3))
-    assert rates == sorted(rates)
-
-
-def test_lite_monos_dilations() -> None:
-    def dilations(**options) -> list[list[int]]:
-        stages = LiteMono(**options).encoder.stages
-        return [[block.branch[0].dilation[0] for block in stage[:-1]] for stage in stages]
-
-    assert dilations() == [[1, 2, 3], [1, 2, 3], [1, 2, 3, 1, 2, 3, 2, 4, 6]]
-    assert dilations(size="small", dilations="high") == [[1, 2, 5], [1, 2, 5], [1, 2, 5, 2, 4, 10]]
-
-
-def test_scaled_head() -> None:
-    head = ScaledHead(0.01, 0.5, 8.0)
-    raw = torch.tensor([-5.0, 100.0, 250.0, 900.0])
-    torch.testing.assert_close(head(raw), torch.tensor([0.5, 1.0, 2.5, 8.0]))
-    torch.testing.assert_close(head.from_metres(torch.tensor([2.5, 100.0])), torch.tensor([250.0, 800.0]))
-    assert build(head.config).config == head.config
-
-
-# --- published weights ---
-
-
-@pytest.fixture
-def weights_dir() -> Path:
-    if "ELDENET_WEIGHTS" not in os.environ:
-        pytest.skip("ELDENET_WEIGHTS does not name a folder of real weights")
-    folder = Path(os.environ["ELDENET_WEIGHTS"]) / "depth"
-    if not (folder / "meter_xxs_nyu.pth").is_file():
-        pytest.skip(f"no METER weights in {folder}")
-    return folder
-
-
-def published(folder: Path, which: str) -> DepthNet:
-    overrides = [f"model.network.weights={folder / f'meter_xxs_{which}.pth'}", "model/head=scaled"]
-    overrides += {
-        "nyu": ["model.head.scale=0.01"],
-        "kitti": [
-            "model.head.scale=0.1",
-            "model.head.max_depth=80",
-            "+model.mean=[0,0,0]",
-            "+model.std=[1,1,1]",
-        ],
-    }[which]
-    return eldenet.load("meter_xxs", overrides=overrides)
-
-
-@pytest.mark.parametrize("which", ["nyu", "kitti"])
-def test_every_published_tensor_finds_its_place(which: str, weights_dir: Path, tmp_path: Path) -> None:
-    path = weights_dir / f"meter_xxs_{which}.pth"
-    theirs = torch.load(path, map_location="cpu", weights_only=True)
-    network = METER("xxs")
-    meter.load_published(network, path)
-    ours = network.state_dict()
-    assert len(ours) == len(theirs) == 261
-    left = list(ours.values())
-    for tensor in theirs.values():
-        left.pop(next(index for index, value in enumerate(left) if torch.equal(value, tensor)))
-    assert left == []
-    torch.save(
-        {name: value for name, value in theirs.items() if "conv2d_in" not in name}, tmp_path / "cut.pth"
-    )
-    with pytest.raises(ValueError, match=r"(?s)cut\.pth do not fit.*reduce\.weight"):
-        meter.load_published(network, tmp_path / "cut.pth")
-    torch.save(theirs | {"decoder.more": torch.zeros(1)}, tmp_path / "more.pth")
-    with pytest.raises(ValueError, match=r"(?s)more\.pth do not fit.*decoder\.more"):
-        meter.load_published(network, tmp_path / "more.pth")
-    with pytest.raises(ValueError, match="size mismatch"):
-        METER("xs", weights=str(path))
-
-
-def test_the_file_is_not_written_down(weights_dir: Path, tmp_path: Path) -> None:
-    model = published(weights_dir, "kitti")
-    model.save_pretrained(tmp_path, info={"input_size": [192, 636]})
-    assert "meter_xxs_kitti" not in (tmp_path / "config.json").read_text()
-    back = eldenet.load(tmp_path)
-    with torch.inference_mode():
-        assert torch.equal(back(picture(64, 96)), model(picture(64, 96)))
-
-
-def test_meter_knows_nyu(weights_dir: Path) -> None:
-    """AbsRel under 0.07 on every tenth validation frame (0.060 on all 130); the best constant's is above 0.3.
-
-    These frames belong to NYU's training split, which METER was most likely trained on, so this is no test
-    result: it says that every tensor sits where it belongs.
-    """
-    from eldenet.config import build_protocol, build_split, compose
-
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    if not (Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/labeled/data/nyu2_train.csv").is_file():
-        pytest.skip("the labelled NYU frames are not there")
-    config = compose("train", ["data=nyu_labelled", "data.input_size=[192,256]"])
-    protocol = build_protocol(config)
-    frames = build_split(config, "val", protocol)
-    model, predictions, truths = published(weights_dir, "nyu"), [], []
-    for index in range(0, 130, 10):
-        sample = frames[index]
-        truth = sample["depth"][None]
-        with torch.inference_mode():
-            depth = F.interpolate(model(sample["image"][None]), size=truth.shape[-2:], mode="bilinear")
-        counts = protocol.scored(truth, sample["mask"][None])
-        predictions.append(depth[counts])
-        truths.append(truth[counts])
-    pairs = list(zip(predictions, truths, strict=True))
-    abs_rel = sum(((depth - truth).abs() / truth).mean().item() for depth, truth in pairs) / len(pairs)
-    assert abs_rel < 0.07
-    constants = torch.arange(1, 5, 0.1)
-    best = min(sum(((c - t).abs() / t).mean().item() for t in truths) / len(truths) for c in constants)
-    assert best > 0.3
-
-
-def test_meter_knows_kitti(weights_dir: Path) -> None:
-    """AbsRel 0.07 on two frames: images without normalisation in, decimetres out."""
-    root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti"
-    if not (root / "depth").is_dir():
-        pytest.skip("ELDENET_DATA has no kitti/depth: no real data to read")
-    model, errors = published(weights_dir, "kitti"), []
-    truths = sorted((root / "depth/train").glob("*/proj_depth/groundtruth/image_02/*.png"))
-    for path in truths:
-        drive = path.parts[-5]
-        image = cv2.imread(str(root / f"raw/{drive[:10]}/{drive}/image_02/data/{path.name}"))[-352:, :, ::-1]
-        truth = torch.from_numpy(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[-352:] / 256)
-        pixels = torch.from_numpy(image.copy()).permute(2, 0, 1)[None].float() / 255
-        with torch.inference_mode():
-            small = F.interpolate(pixels, size=(192, 636), mode="bilinear", antialias=True)
-            depth = F.interpolate(model(small), size=truth.shape, mode="bilinear")[0, 0]
-        known = (truth > 0) & (truth < 80)
-        errors.append(((depth - truth).abs() / truth)[known].mean().item())
-    assert len(errors) == 2
-    assert max(errors) < 0.1

@@ -1,15 +1,12 @@
 """KITTI in every layout: points to the last digit, intrinsics, Eigen's lists, errors that name the file."""
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-import torch
 from layouts import (
     DRIVES,
     FOCAL,
@@ -25,22 +22,12 @@ from layouts import (
     kitti_selection,
     picture,
 )
-from torch import Tensor, nn
 
-from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
-from eldenet.data.kitti_calibration import entry, rectified_intrinsics, velodyne_to_image
+from eldenet.data.kitti_calibration import rectified_intrinsics, velodyne_to_image
 from eldenet.data.kitti_layouts import frame_list
 from eldenet.data.kitti_velodyne import project_scan, read_scan
-from eldenet.data.loading import collate
-from eldenet.evaluation import evaluate, sample_rows
 from eldenet.geometry import back_project
-
-
-def straight(path: Path) -> np.ndarray:
-    """Metres as the devkit's readme says."""
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float64) / 256
-
 
 # --- the depth devkit ---
 
@@ -336,229 +323,3 @@ def test_settings_that_do_not_exist(tmp_path: Path) -> None:
         KITTIDepth(root, cameras=[1])
     with pytest.raises(ValueError, match="projection='fisheye'"):
         KITTIRaw(kitti_raw(tmp_path / "r"), projection="fisheye")
-
-
-# --- samples, protocols, evaluation ---
-
-
-def test_subset_is_seeded_and_named(tmp_path: Path) -> None:
-    root = kitti_depth(tmp_path, numbers=(5, 6, 7))
-    whole = KITTIDepth(root, split="all")
-
-    def draw(count: int, seed: int) -> KITTIDepth:
-        data = KITTIDepth(root, split="all")
-        data.draw_subset(count, seed)
-        return data
-
-    drawn = draw(5, seed=1)
-    assert drawn.names == draw(5, seed=1).names
-    assert drawn.names == sorted(set(drawn.names), key=whole.names.index)
-    assert len(drawn) == 5
-    hashes = {draw(5, seed).split_hash for seed in range(4)}
-    assert len(hashes | {whole.split_hash}) == 5
-    for i, name in enumerate(drawn.names):
-        frame = drawn.load_frame(i)
-        assert frame.name == name
-        np.testing.assert_array_equal(frame.depth, whole.load_frame(whole.names.index(name)).depth)
-    with pytest.raises(ValueError, match="subset=13: KITTIDepth found 12 frames"):
-        draw(13, seed=0)
-
-
-def test_small_depth_keeps_its_points(tmp_path: Path) -> None:
-    root = kitti_depth(tmp_path)
-    sample = KITTIDepth(root, split="all", input_size=(75, 414))[0]
-    steps = kitti_frame(DRIVES[0]).steps
-    blocks = np.where(steps == 0, 65535, steps).reshape(75, 5, 414, 3).min((1, 3))
-    expected = np.where(blocks == 65535, 0, blocks) / 256
-    np.testing.assert_array_equal(sample["depth"][0], expected.astype(np.float32))
-
-
-def split_under(root: Path, protocol: str, split: str, *more: str) -> tuple[Any, Any]:
-    overrides = ["data=kitti", f"data.root={root}", f"protocol={protocol}", *more]
-    config = compose("train", [*overrides, "data.input_size=null", f"data.{split}.split=all"])
-    rules = build_protocol(config)
-    return rules, build_split(config, split, rules)
-
-
-def test_kb_crop_by_pixel(tmp_path: Path) -> None:
-    root = kitti_depth(tmp_path)
-    rules, train = split_under(root, "kitti_eigen_garg_improved", "train")
-    sample = train[0]
-    rgb, steps = kitti_frame(DRIVES[0])
-    np.testing.assert_array_equal(
-        (sample["image"] * 255).round().numpy().transpose(1, 2, 0), rgb[23:, 13:1229]
-    )
-    known = np.where(steps[23:, 13:1229] / 256 <= 80, steps[23:, 13:1229] / 256, 0)
-    np.testing.assert_array_equal(sample["depth"][0], np.where(known < 1, 0, known).astype(np.float32))
-    torch.testing.assert_close(sample["intrinsics"][:2, 2], torch.tensor([596.5593, 149.854]))
-    _, val = split_under(root, "kitti_eigen_garg_improved", "val")
-    whole = val[0]
-    assert whole["image"].shape == (3, 352, 1216)
-    assert whole["depth"].shape == (1, 375, 1242)
-    torch.testing.assert_close(whole["intrinsics"], sample["intrinsics"])
-    assert rules.pasted_box(375, 1242) == (23, 375, 13, 1229)
-    assert rules.pasted_box(370, 1224) == (18, 370, 4, 1220)
-    _, second = split_under(root, "kitti_depth", "val")
-    assert second[2]["image"].shape[-2:] == second[2]["depth"].shape[-2:] == (352, 1216)
-
-
-def test_912x228_by_pixel(tmp_path: Path) -> None:
-    root = kitti_depth(tmp_path, kind="velodyne_raw")
-    sparse = "data.depth=velodyne_raw"
-    rules, crop = split_under(root, "kitti_s2d_912x228", "val", sparse, "data.max_depth=120")
-    rgb, steps = kitti_frame(DRIVES[2])
-    top, left = 130 + (240 - 228) // 2, 10 + (1200 - 912) // 2
-    assert (top, left) == (136, 154)
-    window = (slice(top, top + 228), slice(left, left + 912))
-    image = (crop[2]["image"] * 255).round().numpy().transpose(1, 2, 0)
-    np.testing.assert_array_equal(image, rgb[window])
-    np.testing.assert_array_equal(crop[2]["depth"][0], (steps[window] / 256).astype(np.float32))
-    assert crop[2]["intrinsics"][0, 2] == pytest.approx(609.5593 - left)
-    assert (rules.clamp, rules.max_depth, rules.size) == (False, 120.0, (228, 912))
-    rules, squeezed = split_under(root, "kitti_paper", "val", sparse)
-    sample = squeezed[0]
-    assert sample["image"].shape[-2:] == sample["depth"].shape[-2:] == (228, 912)
-    fx, fy = sample["intrinsics"][0, 0].item(), sample["intrinsics"][1, 1].item()
-    assert (fx, fy) == (pytest.approx(721.5377 * 912 / 1216), pytest.approx(721.5377 * 228 / 352))
-    steps = kitti_frame(DRIVES[0]).steps[23:, 13:1229]
-    expected = np.full((228, 912), np.inf)
-    for row, col in np.argwhere(steps):
-        at = int((row + 0.5) * 228 / 352), int((col + 0.5) * 912 / 1216)
-        expected[at] = min(expected[at], steps[row, col] / 256)
-    np.testing.assert_array_equal(
-        sample["depth"][0], np.where(expected <= 80, expected, 0).astype(np.float32)
-    )
-
-
-class Ramp(nn.Module):
-    """Depth that grows to the right, whatever it sees."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.start = nn.Parameter(torch.tensor(2.0))
-
-    def forward(self, image: Tensor) -> Tensor:
-        ramp = torch.linspace(0, 60, image.shape[-1]).expand(len(image), 1, image.shape[-2], -1)
-        return ramp + self.start
-
-
-def test_frames_of_two_sizes_in_one_evaluation(tmp_path: Path) -> None:
-    """A batch ends where the date changes; batch size 1 says the same, and both what is written out here."""
-    root = kitti_depth(tmp_path, numbers=(5, 6))
-    rules, data = split_under(root, "kitti_eigen_garg_improved", "val")
-    assert [data.size_group(i) for i in (0, 3, 4)] == ["2011_09_26", "2011_09_26", "2011_09_28"]
-    with pytest.raises(ValueError, match=r"frames of different sizes.*\n?.*batch_size=1"):
-        collate([data[3], data[4]])
-    one, four = (evaluate(Ramp(), data, rules, batch_size=size) for size in (1, 4))
-    assert [row[0] for row in four.rows] == data.names
-    assert one.metrics == pytest.approx(four.metrics, nan_ok=True)
-    errors = []
-    for name in data.names:
-        depth = kitti_frame(name[:26]).steps / 256
-        height, width = depth.shape
-        prediction = np.zeros_like(depth)
-        left = (width - 1216) // 2
-        prediction[height - 352 :, left : left + 1216] = np.linspace(0, 60, 1216) + 2
-        inside = np.zeros_like(depth, bool)
-        inside[
-            int(0.40810811 * height) : int(0.99189189 * height),
-            int(0.03594771 * width) : int(0.96405229 * width),
-        ] = True
-        counts = inside & (depth > 1e-3) & (depth < 80)
-        errors.append(np.abs(prediction - depth)[counts].mean())
-    assert four.metrics["mae"] == pytest.approx(np.mean(errors), rel=1e-5)
-    assert four.metrics["images"] == len(data)
-    assert sample_rows(Ramp(), data, rules).shape[2] == 3
-
-
-# --- the real frames ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def real() -> Path:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    root = Path(os.environ["ELDENET_DATA"]) / "kitti"
-    if not (root / "raw").is_dir():
-        pytest.skip(f"{root} is not there")
-    return root
-
-
-def test_real_devkit_frames(real: Path) -> None:
-    data = KITTIDepth(split="all")
-    files = sorted((real / "depth").rglob("groundtruth/image_02/*.png"))
-    assert len(data) == len(files) > 0
-    for i, file in enumerate(files):
-        frame = data.load_frame(i)
-        np.testing.assert_array_equal(frame.depth.astype(np.float64), straight(file))
-        assert 0.1 < (frame.depth > 0).mean() < 0.4
-        picture_file = data.pictures[i]
-        np.testing.assert_array_equal(frame.image, cv2.imread(str(picture_file))[..., ::-1])
-        assert frame.intrinsics is not None
-        np.testing.assert_allclose(frame.intrinsics[:2, 2], [609.5593, 172.854])
-
-
-def test_real_derived_maps_with_raw_pictures(real: Path) -> None:
-    """The derived maps lie as the merged devkit does."""
-    data = KITTIDepth(real / "depth_derived", depth="velodyne_raw", split="all")
-    assert len(data) == 20
-    for i, file in enumerate(data.sources):
-        np.testing.assert_array_equal(data.load_frame(i).depth.astype(np.float64), straight(file))
-
-
-def test_real_scans_give_back_the_derived_maps(real: Path) -> None:
-    data = KITTIRaw(split="all")
-    assert len(data) > 0
-    for i, name in enumerate(data.names):
-        drive, camera, number = name.split("/")
-        file = real / "depth_derived" / drive / "proj_depth/velodyne_raw" / camera / f"{number}.png"
-        derived = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        # in double: in single precision a handful of points change sides of half a step of 1/256 m
-        matrix = velodyne_to_image(real / "raw" / drive[:10], 2)
-        depth = project_scan(read_scan(data.sources[i]), matrix, derived.shape)
-        np.testing.assert_array_equal(np.round(depth * 256).astype(np.uint16), derived)
-        frame = data.load_frame(i)
-        np.testing.assert_array_equal(frame.depth, depth.astype(np.float32))
-        np.testing.assert_array_equal(frame.depth > 0, derived > 0)
-
-
-def test_real_object_scans_give_back_the_derived_maps(real: Path) -> None:
-    """The 3D-object set names its matrices otherwise; the projection is the same."""
-    done = 0
-    for file in sorted((real / "depth_derived/object/training").glob("*.png")):
-        scan = next((real / "object/training").glob(f"velodyne*/{file.stem}.bin"))
-        calib = real / f"object/training/calib/{file.stem}.txt"
-        rotation, rigid = np.eye(4), np.eye(4)
-        rotation[:3, :3] = entry(calib, "R0_rect", (3, 3))
-        rigid[:3] = entry(calib, "Tr_velo_to_cam", (3, 4))
-        matrix = entry(calib, "P2", (3, 4)) @ rotation @ rigid
-        derived = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        depth = project_scan(read_scan(scan), matrix, derived.shape)
-        np.testing.assert_array_equal(np.round(depth * 256).astype(np.uint16), derived)
-        done += 1
-    assert done > 0
-
-
-def test_real_selection(real: Path) -> None:
-    options: dict[str, Any] = {"frames": None, "calibration": "optional"}
-    for depth, count in (("velodyne_raw", 2), ("groundtruth", 1)):
-        data = KITTISelection(depth=depth, on_error="skip", **options)
-        assert len(data) == count
-        for i, file in enumerate(data.sources):
-            frame = data.load_frame(i)
-            assert frame.image.shape == (352, 1216, 3)
-            np.testing.assert_array_equal(frame.depth.astype(np.float64), straight(file))
-    with pytest.raises(FileNotFoundError, match=r"0000000003 \(no depth\)"):
-        KITTISelection(**options)
-
-
-@pytest.mark.parametrize(
-    ("date", "fx", "cx", "cy"),
-    [("2011_09_26", 721.5377, 609.5593, 172.854), ("2011_10_03", 718.856, 607.1928, 185.2157)],
-)
-def test_real_calibration(real: Path, date: str, fx: float, cx: float, cy: float) -> None:
-    matrix = rectified_intrinsics(real / "raw" / date, 2)
-    np.testing.assert_array_equal(matrix, [[fx, 0, cx], [0, fx, cy], [0, 0, 1]])
-    if date == "2011_10_03":
-        with pytest.raises(FileNotFoundError, match=r"calib_velo_to_cam\.txt does not exist"):
-            velodyne_to_image(real / "raw" / date, 2)

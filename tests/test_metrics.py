@@ -1,7 +1,6 @@
 """Metrics against an independent reference and numbers worked out by hand; protocols pixel by pixel."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,11 +8,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import binary_erosion, gaussian_filter, zoom
+from scipy.ndimage import binary_erosion, gaussian_filter
+from scoring import assert_same, batch, from_yaml, scores
 from synthetic import SyntheticDepth
 from torch import Tensor, nn
 
-from eldenet.config import compose, instantiate
 from eldenet.evaluation import ConstantPredictor, evaluate, fit_constant_predictor, predict_depth
 from eldenet.metrics import LOWER_IS_BETTER, METRICS, UNITS, DepthMetrics, EvalProtocol, metrics_of
 
@@ -21,35 +20,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:Mean of empty slice"),  # the reference's NaN of images without SSIM
     pytest.mark.filterwarnings("ignore:The ``compute`` method of metric"),  # on purpose: nothing was added
 ]
-FOLDER = Path(__file__).parents[1] / "configs" / "protocol"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
-
-
-def from_yaml(name: str) -> EvalProtocol:
-    return instantiate(compose("train", [f"protocol={name}"]).protocol)
-
-
-def batch(seed: int, images: int = 3, size: tuple[int, int] = (14, 18), known: float = 0.7):
-    generator = torch.Generator().manual_seed(seed)
-    shape = (images, 1, *size)
-    depth = 0.2 + 11 * torch.rand(shape, generator=generator)
-    prediction = depth * (0.6 + 0.8 * torch.rand(shape, generator=generator))
-    return prediction, depth, torch.rand(shape, generator=generator) < known
-
-
-def scores(protocol: EvalProtocol, *batches: tuple[Tensor, Tensor, Tensor]) -> dict[str, float]:
-    metrics = DepthMetrics(protocol)
-    for one in batches:
-        metrics.update(*one)
-    return metrics.compute()
-
-
-def assert_same(ours: dict[str, float], expected: dict[str, float], rel: float = 1e-5) -> None:
-    assert ours == {
-        name: pytest.approx(value, rel=rel, abs=1e-9, nan_ok=True) for name, value in expected.items()
-    }
-
-
 # --- the reference: NumPy in double precision, written from the papers' formulas ---
 
 
@@ -215,182 +185,6 @@ def test_sums_of_many_pixels_keep_their_digits() -> None:
     sums = torch.zeros(12, dtype=torch.float64)
     sums[0], sums[2] = 3e8, 3e8 * 0.1
     assert metrics_of(sums)[METRICS.index("mae")].item() == pytest.approx(0.1, rel=1e-12)
-
-
-# --- what is scored ---
-
-
-def box(counts: Tensor) -> tuple[int, int, int, int]:
-    rows, cols = counts.any(dim=1).nonzero(), counts.any(dim=0).nonzero()
-    return int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
-
-
-BOXES = {
-    "nyu_bts": (45, 471, 41, 601),
-    "nyu_inpainted_eigen": (45, 471, 41, 601),
-    "nyu_densedepth": (20, 460, 24, 616),
-    "nyu_paper": (0, 228, 0, 304),
-    "nyu_sparse_to_dense": (0, 228, 0, 304),
-    "kitti_depth": (0, 352, 0, 1216),
-    "kitti_sparse": (0, 352, 0, 1216),
-    "kitti_paper": (0, 228, 0, 912),
-    "kitti_s2d_912x228": (0, 228, 0, 912),
-    "kitti_eigen_garg_raw": (153, 371, 44, 1197),  # of 375 x 1242
-    "kitti_eigen_garg_improved": (153, 371, 44, 1197),
-    "kitti_eigen_eigen": (124, 342, 44, 1197),
-}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_crop_of_every_protocol(name: str) -> None:
-    protocol = from_yaml(name)
-    size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
-    depth = torch.ones(1, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
-    top, bottom, left, right = box(counts)
-    assert (top, bottom, left, right) == BOXES.get(name, (0, size[0], 0, size[1]))
-    assert counts.sum() == (bottom - top) * (right - left)
-    assert protocol.name == name
-    assert EvalProtocol(**protocol.as_dict()) == protocol
-
-
-@pytest.mark.parametrize(
-    ("name", "size", "expected"),
-    [  # by hand, 0.40810811 x 375 = 153.04, 0.99189189 x 375 = 371.96, 0.03594771 x 1242 = 44.6 ...
-        ("kitti_eigen_garg_raw", (375, 1242), (153, 371, 44, 1197)),
-        ("kitti_eigen_garg_raw", (352, 1216), (143, 349, 43, 1172)),
-        ("kitti_eigen_garg_raw", (370, 1224), (151, 366, 43, 1180)),  # 366.99999 and 43.999997 are cut off
-        ("kitti_eigen_eigen", (375, 1242), (124, 342, 44, 1197)),
-        ("kitti_eigen_eigen", (352, 1216), (117, 321, 43, 1172)),
-    ],
-)
-def test_fractions_are_of_the_truths_own_size(
-    name: str, size: tuple[int, int], expected: tuple[int, ...]
-) -> None:
-    protocol = from_yaml(name)
-    depth = torch.ones(2, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))
-    assert box(counts[1, 0]) == protocol.crop_box(*size) == expected
-    assert (protocol.min_depth, protocol.max_depth, protocol.average) == (1e-3, 80.0, "image")
-
-
-def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
-    protocol = EvalProtocol("p", frame_crop=(4, 6), frame_anchor="bottom", paste=True)
-    depth = torch.full((1, 1, 9, 11), 5.0)
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    counts = protocol.scored(depth, mask)
-    assert (
-        box(counts[0, 0]) == protocol.pasted_box(9, 11) == (5, 9, 2, 8)
-    )  # 11 - 6 is odd: one more on the right
-    prediction = torch.arange(1.0, 25).view(1, 1, 4, 6).clamp(max=9)
-    ready = protocol.prepare(prediction, depth, counts)
-    torch.testing.assert_close(ready[..., 5:9, 2:8], prediction)
-    assert (ready[..., :5, :] == protocol.min_depth).all()
-    small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
-    assert small.shape == depth.shape
-    assert (small[~counts] == 0).all()
-    centred = EvalProtocol("p", frame_crop=(4, 6), paste=True)
-    assert centred.pasted_box(9, 11) == (2, 6, 2, 8)
-    with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
-        protocol.scored(depth[..., :3, :], mask[..., :3, :])
-
-
-def test_protocols_are_the_literatures() -> None:
-    bts, dense, sparse = (from_yaml(f"nyu_{name}") for name in ("bts", "densedepth", "sparse_to_dense"))
-    assert (bts.ground_truth, bts.min_depth, bts.max_depth, bts.average, bts.clamp, bts.flip) == (
-        "raw", 1e-3, 10.0, "image", True, "none",
-    )  # fmt: skip
-    assert (dense.ground_truth, dense.min_depth, dense.max_depth, dense.average, dense.flip) == (
-        "inpainted", 0.1, 10.0, "pixel", "mean",
-    )  # fmt: skip
-    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (
-        0.5,
-        (228, 304),
-        False,
-        "image",
-    )
-
-
-def test_pixels_outside_the_crop_do_not_matter() -> None:
-    protocol = EvalProtocol("p", size=(14, 18), crop=(2, 9, 3, 15))
-    prediction, depth, mask = batch(6, known=1.0)
-    inside = tuple(tensor[..., 2:9, 3:15] for tensor in (prediction, depth, mask))
-    outside = torch.ones_like(mask)
-    outside[..., 2:9, 3:15] = False
-    result = scores(
-        protocol, (prediction.masked_fill(outside, math.nan), depth.masked_fill(outside, 3.0), mask)
-    )
-    result.pop("ssim")  # needs whole windows
-    expected = scores(EvalProtocol("p"), inside)
-    assert_same(result, {name: expected[name] for name in result})
-
-
-def test_range_is_strict_and_holes_do_not_count() -> None:
-    protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
-    depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    assert protocol.scored(depth, mask).flatten().tolist() == [
-        False,
-        False,
-        False,
-        True,
-        False,
-        False,
-        False,
-        False,
-    ]
-    mask[..., 3] = False
-    assert protocol.scored(depth, mask).sum() == 0
-
-
-def test_clamp() -> None:
-    depth = torch.full((1, 1, 8, 8), 5.0)
-    prediction = torch.full((1, 1, 8, 8), 50.0)
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    assert scores(EvalProtocol("p", clamp=True), (prediction, depth, mask))["mae"] == 5.0
-    assert scores(EvalProtocol("p", clamp=False), (prediction, depth, mask))["mae"] == 45.0
-    assert scores(EvalProtocol("p", clamp=True), (-prediction, depth, mask))["mae"] == pytest.approx(4.999)
-
-
-@pytest.mark.parametrize("value", [0.0, -5.0])
-def test_unclamped_nonsense_never_counts_as_right(value: float) -> None:
-    depth = torch.full((2, 1, 8, 8), 5.0)
-    prediction = depth.clone()
-    prediction[0] = value
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    for average in ("image", "pixel"):
-        result = scores(EvalProtocol("p", clamp=False, average=average), (prediction, depth, mask))
-        assert result["delta1"] == result["delta3"] == 0.5
-        assert not math.isfinite(result["log10"])  # undefined, and not that of the other image alone
-        assert not math.isfinite(result["silog"])
-
-
-def test_median_scale_forgives_a_factor_per_image() -> None:
-    _, depth, mask = batch(7, images=2)
-    factors = torch.tensor([0.5, 3.0]).view(2, 1, 1, 1)
-    protocol = EvalProtocol("p", scale="median", max_depth=12.0)
-    assert scores(protocol, (depth * factors, depth, mask))["abs_rel"] == pytest.approx(0, abs=1e-6)
-
-
-def test_median_of_an_even_number_is_numpys() -> None:
-    depth, prediction = torch.full((1, 1, 8, 8), 1.0), torch.full((1, 1, 8, 8), 1.0)
-    depth[..., 0, :2] = torch.tensor([2.0, 4.0])
-    prediction[..., 0, :2] = torch.tensor([1.0, 2.0])
-    mask = torch.zeros_like(depth, dtype=torch.bool)
-    mask[..., 0, :2] = True
-    ready = EvalProtocol("p", scale="median").prepare(prediction, depth, mask)
-    torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
-
-
-@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
-def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
-    depth = torch.full((1, 1, 16, 24), 2.0)
-    small = 1 + torch.rand(1, 1, 8, 12, generator=torch.Generator().manual_seed(0))
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    ready = EvalProtocol("p", interpolation=interpolation).prepare(small, depth, mask)
-    order = {"bilinear": 1, "nearest": 0}[interpolation]
-    expected = zoom(small[0, 0].numpy(), 2, order=order, mode="nearest", grid_mode=True)
-    np.testing.assert_allclose(ready[0, 0].numpy(), expected, atol=1e-6)
 
 
 # --- what goes wrong ---
