@@ -198,7 +198,7 @@ def build_split(
         seed: of the augmentation.
     """
     from eldenet.data.base import SPARSE, Chain
-    from eldenet.data.transforms import ResizeCrop
+    from eldenet.data.resize_crop import ResizeCrop
 
     if not OmegaConf.is_dict(config.data.get(split)):
         raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")

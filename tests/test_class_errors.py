@@ -13,7 +13,8 @@ from eldenet.config import build_split, compose
 from eldenet.data.base import DepthDataset, resize_frame
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.data.cityscapes_labels import CLASS_IDS
-from eldenet.data.transforms import Augmentation, ResizeCrop
+from eldenet.data.resize_crop import ResizeCrop
+from eldenet.data.transforms import Augmentation
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.evaluation import ConstantPredictor, evaluate
 from eldenet.heads import LinearHead

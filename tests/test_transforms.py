@@ -9,7 +9,8 @@ import pytest
 from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.transforms import BORDER_COLOUR, Augmentation, ResizeCrop
+from eldenet.data.resize_crop import ResizeCrop
+from eldenet.data.transforms import BORDER_COLOUR, Augmentation
 from eldenet.geometry import back_project, pinhole
 from eldenet.types import Frame
 
