@@ -8,12 +8,13 @@ from typing import Any
 
 from eldenet.metrics import METRICS, EvalProtocol
 from eldenet.record import RUN_FILE, differences, read_run
+from eldenet.sources import KEYS, sources_of
 from eldenet.tables import COLUMNS, COSTS, heading, number
 
 # a metrics column may hold one of each only; so may a cost column
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
 # runs that share a row differ in their seed, and in nothing that shapes a training
-SAME_IN_A_ROW = ("model", "loss", "optimizer", "scheduler", "augmentation", "trainer")
+SAME_IN_A_ROW = ("model", "loss", "optimizer", "scheduler", "augmentation", "trainer", "normalisation")
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
 
 
@@ -82,14 +83,31 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
             )
         for section in SAME_IN_A_ROW:
             settings = [run.get("config", {}).get(section) for run in members]
-            different = [text for other in settings for text in differences(settings[0], other, section)]
-            if different:
-                raise ValueError(
-                    f"{len(members)} runs are called {model!r}, but {section} differs in their config: seeds "
-                    f"share a row, other settings do not ({different[0]}). Give them names of their own "
-                    "(model_name=...)"
-                )
+            _refuse_differences(model, settings, section, ignored=KEYS)
+        _refuse_differences(model, [_shared_sources(run) for run in members], "content of")
+        _refuse_differences(model, [run.get("train_split_hash") for run in members], "train_split_hash")
+        precision = [run.get("resources", {}).get("precision") for run in members]
+        _refuse_differences(model, precision, "precision")
     return [Row(model, members) for model, members in rows.items()]
+
+
+def _shared_sources(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of the weights and teachers that a run was given, but of those that are its seed's own."""
+    named, own = sources_of(run.get("config", {})), f"seed{run.get('seed')}"
+    return {name: found for name, found in run.get("sources", {}).items() if own not in named.get(name, "")}
+
+
+def _refuse_differences(
+    model: str, settings: Sequence[Any], section: str, ignored: frozenset[str] = frozenset()
+) -> None:
+    different = [
+        text for other in settings for text in differences(settings[0], other, section, ignored=ignored)
+    ]
+    if different:
+        raise ValueError(
+            f"{len(settings)} runs are called {model!r}, but {section} differs: seeds share a row, other "
+            f"settings do not ({different[0]}). Give them names of their own (model_name=...)"
+        )
 
 
 def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:

@@ -1,8 +1,10 @@
 """``run.json``: everything that a number needs in order to be believed, in one file."""
 
 import csv
+import inspect
 import json
 import os
+import pkgutil
 import platform
 import shlex
 import shutil
@@ -89,22 +91,41 @@ NOT_COMPARED = frozenset(
 )
 
 
-def differences(ours: Any, theirs: Any, name: str = "") -> list[str]:
+def differences(
+    ours: Any, theirs: Any, name: str = "", *, ignored: frozenset[str] = frozenset()
+) -> list[str]:
     """Settings that tell two resolved configs apart, as ``name=ours (there theirs)``.
 
-    An option of a class that one side does not know yet (or any more) tells nothing: that run was made with
-    what the code then did. Anything else that only one side has is a difference.
+    An option of a class that one side does not know yet counts as its default: so the run was made. A whole
+    section, or an entry of ``data``, that one side does not have tells nothing (a data set's options stand
+    with its class, too). Anything else that only one side has is a difference. ``ignored`` are further keys.
     """
     if not (isinstance(ours, Mapping) and isinstance(theirs, Mapping)):
         ours, theirs = _listed(ours), _listed(theirs)
         return [] if ours == theirs else [f"{name}={ours} (there {theirs})"]
-    grows = not name or name == "data" or ("_target_" in ours and "_target_" in theirs)
+    grows = not name or name == "data"
+    target = ours.get("_target_") if ours.get("_target_") == theirs.get("_target_") else None
     found = []
     for key in [*ours, *(key for key in theirs if key not in ours)]:
-        if key in NOT_COMPARED or (grows and not (key in ours and key in theirs)):
+        if key in NOT_COMPARED or key in ignored or (grows and not (key in ours and key in theirs)):
             continue
-        found += differences(ours.get(key), theirs.get(key), f"{name}.{key}" if name else str(key))
+        mine, other = ours.get(key), theirs.get(key)
+        if target is not None and not (key in ours and key in theirs):
+            default = _default(target, key, mine if key in ours else other)
+            mine, other = (mine, default) if key in ours else (default, other)
+        found += differences(mine, other, f"{name}.{key}" if name else str(key), ignored=ignored)
     return found
+
+
+def _default(target: str, option: str, otherwise: Any) -> Any:
+    """What ``target`` takes for an option that it is not given; ``otherwise`` for what it does not know."""
+    if not target.startswith("eldenet."):
+        return otherwise
+    try:
+        parameter = inspect.signature(pkgutil.resolve_name(target)).parameters.get(option)
+    except (ImportError, AttributeError, TypeError, ValueError):
+        return otherwise
+    return otherwise if parameter is None or parameter.default is parameter.empty else parameter.default
 
 
 def _listed(value: Any) -> Any:
@@ -158,4 +179,6 @@ def _git_state() -> dict[str, Any] | None:
             ["git", "-C", str(package.parent), *arguments], capture_output=True, text=True, check=False
         ).stdout.strip()
 
-    return {"commit": git("rev-parse", "HEAD") or None, "changed": bool(git("status", "--porcelain"))}
+    code = ("eldenet", "configs", "pyproject.toml")  # results that runs leave in experiments/ change none
+    changed = bool(git("status", "--porcelain", "--", *code))
+    return {"commit": git("rev-parse", "HEAD") or None, "changed": changed}

@@ -14,6 +14,7 @@ from eldenet.profiling import CostReport, measure_cost
 from eldenet.record import RUN_FILE, environment, write_json, write_rows
 from eldenet.resources import Resources
 from eldenet.runlog import RunLog
+from eldenet.sources import fingerprints
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -101,6 +102,7 @@ def score_and_record(
         "split_hash": dataset.split_hash,
         "train_split_hash": None if train_set is None else train_set.split_hash,
         "teacher": dict(teacher or {}),
+        "sources": fingerprints(cfg.plain(config)),
         "skipped": {
             "train": {} if train_set is None else train_set.skipped,
             **(skipped or {}),

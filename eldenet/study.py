@@ -38,7 +38,13 @@ def main(config: "DictConfig", folder: Path) -> None:
     for row in study.chosen(names):
         given = cfg.plain(config.given)
         outcomes += run_row(
-            study, row, Path(config.runs), given=given, seeds=cfg.plain(config.seeds), say=log.say
+            study,
+            row,
+            Path(config.runs),
+            given=given,
+            seeds=cfg.plain(config.seeds),
+            rerun=config.rerun,
+            say=log.say,
         )
     log.table(
         f"study {study.name}", ("run", "status"), [(outcome.run, outcome.status) for outcome in outcomes]

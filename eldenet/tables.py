@@ -92,6 +92,15 @@ def cost_line(run: Mapping[str, Any]) -> str:
     )
 
 
+def training_line(runs: Sequence[Mapping[str, Any]]) -> str:
+    """One line that says what the runs of a table were trained on."""
+    used = set()
+    for run in runs:
+        machine = run["hardware"].get("accelerator") or run["hardware"]["processor"]
+        used.add(f"{run['resources']['precision']} on {machine}, torch {run['versions']['torch']}")
+    return f"trained in {'; '.join(sorted(used))}; {min(run['date'] for run in runs)[:10]} and later"
+
+
 def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
     """Print what one run reached, beside the constant predictor, and what it costs."""
     names = ("model", *(heading(name, run) for name in COLUMNS))

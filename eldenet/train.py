@@ -38,6 +38,8 @@ def train(config: "DictConfig", folder: Path) -> float:
         return float(record["training"]["best_value"])
     checkpoint = _checkpoint(config, folder)
     refuse_to_mix(folder, checkpoint)
+    if config.ckpt_path == "auto" and checkpoint is not None:
+        refuse_other_settings(config, folder)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
     with main_process_first(resources):  # it renders or prepares what the others then find
@@ -139,12 +141,13 @@ def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
     Raises:
         ValueError: the finished run in ``folder`` had other settings or other data.
     """
-    from eldenet.record import RUN_FILE, differences, read_run
+    from eldenet.record import RUN_FILE, read_run
+    from eldenet.sources import run_differences
 
     if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
-    different = differences(cfg.plain(config), record.get("config", {}))
+    different = run_differences(cfg.plain(config), record)
     if not different:
         protocol = cfg.build_protocol(config)
         for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
@@ -174,6 +177,23 @@ def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:
         raise ValueError(
             f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
             "another run_dir, or remove that folder"
+        )
+
+
+def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
+    """A run that was begun goes on with the settings that it began with, or its record would be untrue.
+
+    Raises:
+        ValueError: ``folder/config.yaml`` differs.
+    """
+    from eldenet.record import differences
+
+    begun = folder / "config.yaml"
+    different = differences(cfg.plain(config), cfg.read_yaml(begun)) if begun.is_file() else []
+    if different:
+        raise ValueError(
+            f"{folder} holds a run begun with other settings: {'; '.join(different[:5])}. Take these back, "
+            "give another folder, or remove that one"
         )
 
 

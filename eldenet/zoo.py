@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldenet.sources import PACKAGED
+
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
-
-WEIGHTS = Path(__file__).resolve().parent / "weights"  # trained on rendered frames alone, so they may ship
 
 
 def list_models() -> list[str]:
@@ -19,7 +19,7 @@ def list_models() -> list[str]:
 
 def list_weights() -> list[str]:
     """Trained weights that come with the package: ``eldenet_rooms`` is eldenet trained on rooms."""
-    return sorted(path.parent.name for path in WEIGHTS.glob("*/config.json"))
+    return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
 
 
 def load(
@@ -66,7 +66,7 @@ def load(
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides change a network built by name; {source} is read as it was saved")
-    folder = WEIGHTS / source if str(source) in list_weights() else Path(source)
+    folder = PACKAGED / source if str(source) in list_weights() else Path(source)
     if "/" not in str(source) and not folder.is_dir():
         raise ValueError(
             f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, trained weights "

@@ -15,7 +15,7 @@ from eldenet.heads import LogHead
 from eldenet.model import DepthNet
 from eldenet.profiling import count_params
 from eldenet.refinement import JointBilateral
-from eldenet.zoo import WEIGHTS
+from eldenet.sources import PACKAGED
 
 NAMES = [
     "eldenet",
@@ -122,7 +122,7 @@ def test_shipped_weights_are_of_a_network_by_name(name):
     assert {key: value.shape for key, value in model.state_dict().items()} == {
         key: value.shape for key, value in fresh.state_dict().items()
     }
-    assert sum(path.stat().st_size for path in (WEIGHTS / name).iterdir()) < 3_000_000
+    assert sum(path.stat().st_size for path in (PACKAGED / name).iterdir()) < 3_000_000
     assert model.info["weights have seen"] == "rendered rooms"
     assert model.info["test"]["protocol"] == "rooms"
     assert not model.training

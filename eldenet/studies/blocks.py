@@ -11,10 +11,13 @@ from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.record import read_run
 from eldenet.studies import statistics
-from eldenet.studies.plan import Study, StudyRow
-from eldenet.tables import COSTS, cost_line, heading, number, protocol_line
+from eldenet.studies.composing import outdated
+from eldenet.studies.latencies import Latencies
+from eldenet.studies.plan import KEPT, Study, StudyRow
+from eldenet.tables import COSTS, cost_line, heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
+SEEDS_OF_A_VERDICT = 3  # the chance in a training is outside the interval over images
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
@@ -75,6 +78,7 @@ class Member:
         files: their ``per_image.csv``.
         expected: its line of ``expected.csv``, if it has one.
         planned: False for a rival that has that line only.
+        outdated: a setting that its stored runs were not made with, and which the plan names today.
     """
 
     row: StudyRow
@@ -82,6 +86,7 @@ class Member:
     files: list[Path]
     expected: Mapping[str, str] | None
     planned: bool = True
+    outdated: str | None = None
 
     @property
     def runs(self) -> Sequence[Mapping[str, Any]]:
@@ -91,8 +96,11 @@ class Member:
     @property
     def status(self) -> str:
         """How many seeds there are, or why there is none."""
+        if self.outdated:
+            return f"outdated: {self.outdated}"
         if self.runs:
-            return str(len(self.runs))
+            planned = len(self.row.seeds)
+            return f"{len(self.runs)} of {planned}" if len(self.runs) < planned else str(planned)
         if self.row.given:
             return self.row.missing_word
         if self.planned or not self.expected:
@@ -111,7 +119,7 @@ class Member:
 def stored_runs(study: Study, row: StudyRow) -> tuple[list[dict[str, Any]], list[Path]]:
     """The finished runs of a row, and their ``per_image.csv``."""
     folders = [study.stored(row, seed) for seed in row.seeds]
-    folders = [folder for folder in folders if (folder / "run.json").is_file()]
+    folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
     return [read_run(folder) for folder in folders], [folder / "per_image.csv" for folder in folders]
 
 
@@ -133,9 +141,12 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     for line in expected:  # rivals that have no run of ours
         if line["row"] not in known:
             members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line, planned=False))
+    latencies = Latencies.read(study)
+    for member in members:
+        if latencies and member.runs:
+            latencies.check(member.row.name, member.runs[0]["cost"]["params"])
     every = [run for member in members for run in member.runs]
-    notes, costs = _notes(every)
-    latencies = _latencies(study)
+    notes, costs = _notes(every, latencies)
     columns: list[tuple[str, Callable[[Member], str]]] = [
         ("row", lambda member: member.row.name),
         ("seeds", lambda member: member.status),
@@ -151,13 +162,14 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         )
         notes.append(
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
-            f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before)"
+            f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before); "
+            f'"better" or "worse" where it leaves 0 out and both rows have {SEEDS_OF_A_VERDICT} seeds'
         )
     shown = () if not costs else [cost for cost in COSTS if not latencies or cost in ("params", "gmacs")]
     for cost in shown:
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
-        columns.append(("benchmark latency [ms] ↓", partial(_latency, latencies)))
+        columns.append((f"{latencies.title} ↓", lambda member: latencies.text(member.row.name)))
     published = len(columns)
     if any(line[column] for line in expected for column in PUBLISHED):
         for column in (*PUBLISHED, "protocol", "source"):
@@ -171,15 +183,27 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
     runs, files = stored_runs(study, row)
-    return Member(row, group_rows(runs)[0] if runs else None, files, expected)
+    if not runs:
+        return Member(row, None, [], expected)
+    different = [text for run in runs for text in outdated(study, row, run)]
+    if different:
+        return Member(row, None, [], expected, outdated=different[0])
+    grouped = group_rows(runs)
+    if len(grouped) > 1:
+        raise ValueError(
+            f"the stored runs of {row.name} have the names {', '.join(one.model for one in grouped)}"
+        )
+    return Member(row, grouped[0], files, expected)
 
 
-def _notes(runs: Sequence[Mapping[str, Any]]) -> tuple[list[str], bool]:
+def _notes(runs: Sequence[Mapping[str, Any]], latencies: "Latencies | None") -> tuple[list[str], bool]:
     """What makes the figures believable, and whether the costs compare."""
     if not runs:
         return ["no run is stored yet"], False
     refuse_mixtures(runs, costs=False)
-    notes = [protocol_line(runs[0])]
+    notes = [protocol_line(runs[0]), training_line(runs)]
+    if latencies:
+        return [*notes, latencies.line], True
     try:
         refuse_mixtures(runs, costs=True)
     except ValueError as error:
@@ -195,40 +219,25 @@ def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
 
 
 def _difference(study: Study, reference: Member, member: Member) -> str:
-    """Mean and interval; "better" or "worse" where the interval leaves 0 out."""
+    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more."""
     if not member.runs or member is reference:
         return "-"
     ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
     mean, low, high = statistics.paired_interval(ours, theirs)
     verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
-    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{'' if low <= 0 <= high else verdict}"
+    told = not low <= 0 <= high and min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
+    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{verdict if told else ''}"
 
 
 def _point(
-    study: Study, member: Member, latencies: Mapping[str, str], costs: bool
+    study: Study, member: Member, latencies: "Latencies | None", costs: bool
 ) -> tuple[str, float, float] | None:
     """Where a row lies in the plot: its benchmarked latency, else the one its first run measured."""
     if member.grouped is None:
         return None
     if latencies:
-        latency = float(latencies[member.row.name]) if member.row.name in latencies else None
+        latency = latencies.of(member.row.name)
     else:
         latency = member.runs[0]["cost"]["latency_ms_p50"] if costs else None
     values = member.grouped.values("metrics", study.compare)
     return (member.row.name, latency, sum(values) / len(values)) if latency and values else None
-
-
-def _latency(latencies: Mapping[str, str], member: Member) -> str:
-    text = latencies.get(member.row.name)
-    return "-" if text is None else f"{float(text):.2f}"
-
-
-def _latencies(study: Study) -> dict[str, str]:
-    """Latency of each row [ms] from the study's benchmark file."""
-    if study.latency is None:
-        return {}
-    path = study.folder / study.latency
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist, but sweep.yaml there names it as its latency")
-    with path.open(newline="") as lines:
-        return {line["row"]: line["latency_ms_p50"] for line in csv.DictReader(lines)}

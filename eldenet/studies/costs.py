@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.record import write_rows
+from eldenet.studies.composing import compose_run
 from eldenet.studies.plan import Study
-from eldenet.studies.running import compose_run
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 COSTS_FILE = "benchmark.csv"
 COLUMNS = ("runtime", "precision", "threads", "device", "batch", "height", "width", "params", "gmacs")
-FACTS = ("processor", "date", "command")
+FACTS = ("processor", "versions", "date", "command")
 
 
 def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
@@ -33,7 +33,8 @@ def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
     for row in study.rows:
         overrides = [*(row.owner or study).overrides, *row.overrides]
         config = compose_run(overrides, Path("unused"), Path("unused"), name=row.name, seed=0)
-        key = json.dumps(cfg.plain(config.model), sort_keys=True, default=str)
+        parts = [cfg.plain(config.model), cfg.plain(config.data.input_size)]
+        key = json.dumps(parts, sort_keys=True, default=str)
         name = first.setdefault(key, row.name)
         if name == row.name:
             networks[name] = cfg.build_model(config.model).eval()
@@ -46,9 +47,14 @@ def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], network_of:
     by_network = {line["model"]: line for line in measured}
     path = study.folder / COSTS_FILE
     lines = [
-        [row.name, line["latency_ms_p50"], *(line[name] for name in (*COLUMNS, *FACTS))]
+        [row.name, line["latency_ms_p50"], *(_text(line[name]) for name in (*COLUMNS, *FACTS))]
         for row in study.rows
         if (line := by_network.get(network_of[row.name])) and line["latency_ms_p50"] is not None
     ]
     write_rows(path, ["row", "latency_ms_p50", *COLUMNS, *FACTS], lines)
     return path
+
+
+def _text(fact: Any) -> Any:
+    """Versions as words, in a cell."""
+    return ", ".join(f"{name} {value}" for name, value in fact.items()) if isinstance(fact, Mapping) else fact

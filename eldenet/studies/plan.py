@@ -1,6 +1,6 @@
 """What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from eldenet.metrics import METRICS
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
 STORED = "stored"  # results of finished runs, small enough for git
+KEPT = ("per_image.csv", "run.json")  # of each; the last one says that it is stored
 # of what a row needs, by its setting: "weights not given"; else data
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
 
@@ -117,7 +118,7 @@ def read_study(folder: str | Path) -> Study:
             f"no {PLAN} in {folder}: give a study's folder, such as study=experiments/ablations"
         )
     content = cfg.read_yaml(path)
-    if not isinstance(content, dict) or not content.get("rows"):
+    if not isinstance(content, dict) or not isinstance(content.get("rows"), dict) or not content["rows"]:
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
     of_row = {field.name for field in fields(StudyRow)} - {"name", "owner"}
     of_study = {field.name for field in fields(Study)} - {"folder", "rows"}
@@ -131,7 +132,10 @@ def read_study(folder: str | Path) -> Study:
             continue
         entry = shared | (entry or {})
         _refuse_unknown(path, entry, of_row | {"from"}, f"row {name}: ")
-        rows.append(StudyRow(str(name), **{key: _frozen(value) for key, value in entry.items()}))
+        values = {key: _frozen(value) for key, value in entry.items()}
+        _check_kinds(path, values, f"row {name}: ")
+        rows.append(StudyRow(str(name), **values))
+    _check_kinds(path, {key: _frozen(value) for key, value in content.items()})
     study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
     unknown = [name for name in study.reference if name not in described]
     if unknown:
@@ -145,6 +149,8 @@ def read_study(folder: str | Path) -> Study:
 def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
+    if entry["from"] == path.parent.name:
+        raise ValueError(f"{path}: row {name} is taken from this very study: name another one")
     owner = read_study(path.parent.parent / entry["from"])
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
@@ -156,6 +162,40 @@ def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], whe
         raise ValueError(
             f"{path}: {where}unknown entries {unknown}, allowed are {', '.join(sorted(allowed))}"
         )
+
+
+def _check_kinds(path: Path, values: Mapping[str, Any], where: str = "") -> None:
+    """Refuse what would only fail later, or do nothing."""
+    for name, (fits, words) in KINDS.items():
+        if values.get(name) is not None and not fits(values[name]):
+            raise ValueError(f"{path}: {where}{name}={values[name]!r}: give {words}")
+
+
+def _texts(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+
+
+def _rates(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(one, float) and one > 0 for one in value)
+
+
+KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "overrides": (_texts, "a list of overrides, such as [model=eldenet]"),
+    "rate_overrides": (_texts, "a list of overrides, such as [trainer.epochs=6]"),
+    "reference": (_texts, "a list of rows"),
+    "columns": (_texts, "a list of metrics"),
+    "seeds": (lambda value: isinstance(value, tuple) and bool(value), "a list of seeds, such as [0, 1, 2]"),
+    "given": (lambda value: isinstance(value, Mapping), "a mapping, such as {kitti: data.root}"),
+    "learning_rate": (
+        lambda value: isinstance(value, float) and value > 0,
+        "a number above 0, such as 1.0e-3",
+    ),
+    "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
+    "plots": (
+        lambda value: _texts(value) and set(value) <= {"pareto", "convergence"},
+        "pareto or convergence",
+    ),
+}
 
 
 def _frozen(value: Any) -> Any:

@@ -6,6 +6,7 @@ from pathlib import Path
 from eldenet.record import write_rows
 from eldenet.studies import statistics
 from eldenet.studies.blocks import Block, build_blocks, stored_runs
+from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, read_study
 from eldenet.studies.plots import curves_plot, pareto_plot
 from eldenet.tables import WORDS, to_latex, to_markdown
@@ -50,12 +51,12 @@ def write_study_report(folder: str | Path) -> list[Block]:
         _add_convergence(study, markdown, latex)
     points = {block.name: block.points for block in blocks if block.points}
     if "pareto" in study.plots and points:
-        source = study.latency or "run.json's cost"
+        latencies = Latencies.read(study)
         pareto_plot(
             study.folder / "pareto.png",
             points,
             metric=WORDS.get(study.compare, study.compare),
-            latency=f"latency [ms] ({source})",
+            latency=latencies.title if latencies else "latency [ms] (each run's own)",
         )
         markdown += ["![accuracy against latency](pareto.png)", ""]
     markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]

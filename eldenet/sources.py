@@ -1,0 +1,62 @@
+"""What a training takes over from elsewhere (weights, a teacher): told apart by content, wherever it lies."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from eldenet.record import differences
+
+PACKAGED = Path(__file__).resolve().parent / "weights"  # trained on rendered frames alone, so they may ship
+KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder, Hub id
+_FILES = ("model.safetensors", "model/model.safetensors")
+
+
+def sources_of(config: Any, name: str = "") -> dict[str, str]:
+    """Setting, dotted -> the file, folder or id that a config gives it."""
+    if not isinstance(config, Mapping):
+        return {}
+    found = {}
+    for key, value in config.items():
+        dotted = f"{name}.{key}" if name else str(key)
+        if key in KEYS and isinstance(value, str):
+            found[dotted] = value
+        else:
+            found |= sources_of(value, dotted)
+    return found
+
+
+def fingerprint(source: str) -> str | None:
+    """First 16 digits of the SHA-256 of a source's weights; None where they do not lie here."""
+    folder = PACKAGED / source if (PACKAGED / source / _FILES[0]).is_file() else Path(source)
+    for file in (folder, *(folder / name for name in _FILES)):
+        if file.is_file():
+            with file.open("rb") as content:
+                return hashlib.file_digest(content, "sha256").hexdigest()[:16]
+    return None
+
+
+def fingerprints(config: Any) -> dict[str, str | None]:
+    """Setting -> fingerprint, for ``run.json``."""
+    return {name: fingerprint(source) for name, source in sources_of(config).items()}
+
+
+def run_differences(config: Mapping[str, Any], record: Mapping[str, Any]) -> list[str]:
+    """What tells a resolved config from that of a finished run (its ``run.json``), in words.
+
+    Weights and teachers count by their content: the same ones may lie elsewhere by now, or not be here any
+    more. A run that did not record theirs counts by their path.
+    """
+    theirs = record.get("config", {})
+    known = record.get("sources", {})
+    found = differences(config, theirs, ignored=KEYS)
+    ours, there = sources_of(config), sources_of(theirs)
+    for name in dict.fromkeys([*ours, *there]):
+        mine, other, wanted = ours.get(name), there.get(name), known.get(name)
+        if mine == other and wanted is None:
+            continue
+        here = fingerprint(mine) if mine is not None else None
+        same = mine is not None and other is not None and wanted is not None and here in (None, wanted)
+        if not same:
+            found.append(f"{name}={mine} (content {here}; there {other}, content {wanted})")
+    return found

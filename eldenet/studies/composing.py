@@ -1,0 +1,47 @@
+"""From a study's row to the training config of one of its runs, and back to what a stored run lacks of it."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+from eldenet.record import differences
+from eldenet.sources import KEYS
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from eldenet.studies.plan import Study, StudyRow
+
+_NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
+
+
+def compose_run(shared: Sequence[str], folder: Path, runs: Path, *, name: str, seed: int) -> "DictConfig":
+    """The training config of one run, as its command line would give it."""
+    filled = [text.replace("{runs}", str(runs)).replace("{seed}", str(seed)) for text in shared]
+    own = [f"model_name='{name}'", f"seed={seed}", f"run_dir='{folder}'", "ckpt_path=auto"]
+    return cfg.compose("train", [*filled, *own])
+
+
+def runs_needed(row: "StudyRow", runs: Path) -> list[Path]:
+    """Run folders of other rows whose weights this one starts from or is taught by."""
+    names = [name for text in row.overrides for name in _NEEDED.findall(text)]
+    return [Path(runs / name).resolve() for name in names]
+
+
+def outdated(study: "Study", row: "StudyRow", run: Mapping[str, Any]) -> list[str]:
+    """What the plan says today of a stored run's settings, where that is something else; no data is needed.
+
+    Learning rate, weights and teachers are left to the command that runs the row: it knows what is given.
+    """
+    plan = row.owner or study
+    config = compose_run(
+        [*plan.overrides, *row.overrides],
+        Path("unused"),
+        Path("unused"),
+        name=row.name,
+        seed=int(run["seed"]),
+    )
+    given = frozenset(setting.rpartition(".")[2] for setting in (row.given or {}).values())
+    return differences(cfg.plain(config), run["config"], ignored=KEYS | given | {"lr"})

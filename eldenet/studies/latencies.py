@@ -1,0 +1,76 @@
+"""Latencies of a study's rows that a benchmark measured beside each other, and what it measured them on."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from eldenet.studies.plan import Study
+
+# one value of each in a file: latencies of two machines, sizes or runtimes do not compare
+SAME = ("runtime", "precision", "threads", "device", "batch", "height", "width", "processor")
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """The lines of a study's benchmark file by row."""
+
+    lines: Mapping[str, Mapping[str, str]]
+
+    @classmethod
+    def read(cls, study: Study) -> "Latencies | None":
+        """Those that ``sweep.yaml`` names; None: it names none.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the lines were measured on different machines, sizes or runtimes.
+        """
+        if study.latency is None:
+            return None
+        path = study.folder / study.latency
+        if not path.is_file():
+            raise FileNotFoundError(f"{path} does not exist, but sweep.yaml there names it as its latency")
+        with path.open(newline="") as content:
+            lines = {line["row"]: line for line in csv.DictReader(content)}
+        for name in SAME:
+            values = sorted({line[name] for line in lines.values()})
+            if len(values) > 1:
+                raise ValueError(f"{path}: {name} differs ({' | '.join(values)}): they do not compare")
+        return cls(lines)
+
+    def check(self, row: str, params: int) -> None:
+        """Refuse the latency of another network: parameters tell.
+
+        Raises:
+            ValueError: the file's network of ``row`` has not ``params`` parameters.
+        """
+        line = self.lines.get(row)
+        if line is not None and int(float(line["params"])) != params:
+            raise ValueError(
+                f"the latency of {row} was measured on a network of {line['params']} parameters, its runs "
+                f"have {params}: measure it again (python -m eldenet.benchmark study=...)"
+            )
+
+    def of(self, row: str) -> float | None:
+        """Median latency of a row's network [ms], None where it was not measured."""
+        return float(self.lines[row]["latency_ms_p50"]) if row in self.lines else None
+
+    def text(self, row: str) -> str:
+        """The same for a table."""
+        latency = self.of(row)
+        return "-" if latency is None else f"{latency:.2f}"
+
+    @property
+    def title(self) -> str:
+        """Of the column, and of the plot's axis."""
+        return f"latency [ms] ({next(iter(self.lines.values()))['runtime']})"
+
+    @property
+    def line(self) -> str:
+        """One line that says what they were measured on."""
+        facts = next(iter(self.lines.values()))
+        return (
+            f"latency: median of interleaved rounds, {facts['runtime']}, {facts['precision']}, "
+            f"{facts['threads']} threads, {facts['device']} ({facts['processor']}), "
+            f"input {facts['height']} x {facts['width']}, batch {facts['batch']}; {facts['date']}, "
+            f"`{facts['command']}`"
+        )

@@ -1,0 +1,114 @@
+"""The learning rate of a study's row: the best of a few short trials on frames that no table reports."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from eldenet import config as cfg
+from eldenet.record import differences, read_run, write_json
+from eldenet.sources import KEYS, fingerprints
+from eldenet.studies.composing import compose_run
+from eldenet.studies.plan import STORED, Study, StudyRow
+from eldenet.train import train
+
+RATE_FILE = "learning_rate.json"
+FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
+Say = Callable[[str], None]
+
+
+def learning_rate(study: Study, row: StudyRow, shared: list[str], runs: Path, say: Say) -> float | None:
+    """The row's learning rate: fixed, or the best of a few short trials; None: the optimiser's own.
+
+    A trial is scored on a held-out part of the training split, so the split that is reported chooses nothing.
+    While the best candidate is the lowest or highest, the next one beyond it is tried too. The choice is kept
+    beside the stored runs, with the score of every candidate.
+
+    Raises:
+        ValueError: a choice is stored that other candidates or settings led to, or every trial diverged.
+    """
+    if row.learning_rate is not None or not study.learning_rates:
+        return row.learning_rate
+    file = study.folder / STORED / row.name / RATE_FILE
+    trial = [*shared, *study.rate_overrides, *row.rate_overrides]
+    config = compose_run(trial, runs / row.name / "trial", runs, name=row.name, seed=0)
+    rule = {"candidates": list(study.learning_rates), "further": FURTHER, "config": cfg.plain(config)}
+    if file.is_file():
+        return kept_rate(file, rule)
+    scores: dict[float, float | None] = {}
+    record: dict[str, Any] = {}
+    waiting = list(study.learning_rates)
+    while waiting:
+        rate = waiting.pop(0)
+        say(f"{study.name}/{row.name}: trial of learning rate {rate:g}")
+        found = _try(row, [*trial, f"optimizer.lr={rate}"], rate, runs)
+        scores[rate] = None if found is None else found["metrics"]["delta1"]
+        record = found or record
+        if not waiting and len(scores) < len(study.learning_rates) + FURTHER:
+            waiting = next_candidates(scores)
+    best = best_rate(scores)
+    if best is None:
+        raise ValueError(f"every learning rate of {list(scores)} diverged: give lower ones in {study.folder}")
+    content = {
+        "learning_rate": best,
+        "delta1": {f"{rate:g}": scores[rate] for rate in sorted(scores)},
+        "protocol": record["protocol"]["name"],
+        "train_split_hash": record["train_split_hash"],
+        "held_out_split_hash": record["split_hash"],
+        "held_out_images": record["metrics"]["images"],
+        "sources": fingerprints(rule["config"]),
+        "rule": rule,
+    }
+    write_json(file, content)
+    return best
+
+
+def best_rate(scores: Mapping[float, float | None]) -> float | None:
+    """The candidate of the highest score; None: all of them diverged."""
+    reached = {rate: score for rate, score in scores.items() if score is not None}
+    return max(reached, key=lambda rate: reached[rate]) if reached else None
+
+
+def next_candidates(scores: Mapping[float, float | None]) -> list[float]:
+    """The candidate beyond the best one, if that lies at the edge: 1e-4 below 3e-4, 1e-2 above 3e-3."""
+    best, tried = best_rate(scores), sorted(scores)
+    if best is None or len(tried) < 2 or best not in (tried[0], tried[-1]):
+        return []
+    digit, _, exponent = f"{best:.0e}".partition("e")
+    if best == tried[0]:
+        return [float(f"1e{exponent}") if digit != "1" else float(f"3e{int(exponent) - 1}")]
+    return [float(f"1e{int(exponent) + 1}") if digit != "1" else float(f"3e{exponent}")]
+
+
+def kept_rate(file: Path, rule: dict[str, Any]) -> float:
+    """The choice that is stored.
+
+    Raises:
+        ValueError: other candidates or settings led to it.
+    """
+    kept = json.loads(file.read_text())
+    theirs = kept["rule"]
+    different = [] if rule["candidates"] == theirs["candidates"] else [f"candidates={rule['candidates']}"]
+    different += differences(rule["config"], theirs["config"], ignored=KEYS | {"lr"})
+    here = fingerprints(rule["config"])
+    different += [
+        f"{name} (content {here.get(name)}, there {wanted})"
+        for name, wanted in kept["sources"].items()
+        if wanted and here.get(name) not in (None, wanted)
+    ]
+    if different:
+        raise ValueError(
+            f"{file} was chosen by another rule ({'; '.join(different[:5])}): remove it, and the trials "
+            "in the row's run folder (lr...), to choose again"
+        )
+    return float(kept["learning_rate"])
+
+
+def _try(row: StudyRow, overrides: Sequence[str], rate: float, runs: Path) -> dict[str, Any] | None:
+    """``run.json`` of a trial; None: it diverged."""
+    folder = runs / row.name / f"lr{rate:g}"
+    try:
+        train(compose_run(list(overrides), folder, runs, name=row.name, seed=0), folder)
+    except FloatingPointError:
+        return None
+    return read_run(folder)
