@@ -25,7 +25,7 @@ LAYERS = {
     3: "model metrics",
     4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalisation "
     "pictures pointcloud predictions predictor profiling quantisation record runlog runtimes schedules "
-    "tables",
+    "sources tables",
     5: "trainer",
     6: "perception",
     7: "navigation",

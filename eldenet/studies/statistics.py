@@ -76,7 +76,7 @@ def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
 
 
 def convergence_epoch(epochs: Sequence[float], values: Sequence[float], share: float = 0.9) -> float:
-    """First epoch from which on a falling curve has done ``share`` of its way from its first to its best."""
+    """First epoch at which a falling curve has done ``share`` of its way from its first to its best value."""
     first, best = values[0], min(values)
     goal = first - share * (first - best)
     return float(next(epoch for epoch, value in zip(epochs, values, strict=True) if value <= goal))

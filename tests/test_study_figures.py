@@ -1,0 +1,42 @@
+"""The statistics behind the tables of studies: intervals, fronts, speed and fluctuation of curves."""
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from eldenet.studies import statistics
+from eldenet.studies.plots import pareto_front
+
+
+def test_the_interval_is_that_of_scipys_bootstrap():
+    generator = np.random.default_rng(3)
+    theirs = {str(i): value for i, value in enumerate(generator.uniform(0.3, 0.9, 130))}
+    ours = {name: value + 0.03 + 0.1 * generator.normal() for name, value in theirs.items()}
+    mean, low, high = statistics.paired_interval(ours, theirs)
+    difference = np.array([ours[name] - theirs[name] for name in ours])
+    expected = scipy.stats.bootstrap(
+        (difference,), np.mean, n_resamples=20_000, method="percentile", random_state=1
+    ).confidence_interval
+    assert mean == pytest.approx(difference.mean(), abs=1e-12)
+    assert (low, high) == pytest.approx((expected.low, expected.high), abs=1.5e-3)
+    assert statistics.paired_interval(ours, theirs) == (mean, low, high)  # the same every time
+    with pytest.raises(ValueError, match="different images"):
+        statistics.paired_interval(ours, {"x": 1.0})
+
+
+def test_the_front_holds_what_nothing_beats():
+    points = [(5.0, 0.5), (1.0, 0.3), (2.0, 0.6), (4.0, 0.6), (2.0, 0.4), (9.0, 0.7)]
+    assert pareto_front(points) == [1, 2, 5]
+
+
+def test_speed_and_fluctuation_of_known_curves():
+    epochs = list(range(1, 11))
+    falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
+    assert statistics.convergence_epoch(epochs, falling) == 10.0  # 0.9 is first reached at 0
+    assert statistics.convergence_epoch(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
+    assert statistics.fluctuation([1.0] * 10) == 0.0
+    assert statistics.fluctuation([9, 9, 1, 2, 1, 2]) == pytest.approx(1 / (5 / 3))
+    run = {"config": {"loss": {"terms": {"ssim": {"weight": 1.0}, "l1": {"weight": 0.5}}}}}
+    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
+    run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
+    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None

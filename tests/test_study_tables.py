@@ -1,0 +1,176 @@
+"""What the tables of a study say of its stored runs: means, verdicts, gaps, outdated rows, latencies."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eldenet import config as cfg
+from eldenet.metrics import METRICS
+from eldenet.studies.blocks import build_blocks
+from eldenet.studies.composing import compose_run
+from eldenet.studies.plan import Study, read_study
+from eldenet.studies.report import write_study_report
+
+PLAN = """
+overrides: [data=rooms, "data.frames={train: 16, val: 4, test: 6}", trainer.epochs=3]
+learning_rate: 1.0e-3
+seeds: [0, 1, 2]
+reference: [small]
+columns: [rmse, delta1]
+rows:
+  small: {overrides: [model=eldenet_s]}
+  large: {overrides: [model=eldenet]}
+  other: {overrides: [model=fastdepth], block: rooms}
+"""
+IMAGES = [f"room/{index}" for index in range(40)]
+DIFFERENCE = "delta1 - small's [95 %]"
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    (tmp_path / "sweep.yaml").write_text(PLAN)
+    return read_study(tmp_path)
+
+
+def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:
+    """A stored run as a training leaves it, with these figures of its images."""
+    (row,) = study.chosen(name)
+    config = compose_run([*study.overrides, *row.overrides], Path("f"), Path("r"), name=name, seed=seed)
+    run = {
+        "model": name,
+        "seed": seed,
+        **{"data": "rooms", "split": "test", "split_hash": "abc", "train_split_hash": "def"},
+        "protocol": cfg.plain(config.data.protocol) | {"crop_fractions": None},
+        "metrics": dict.fromkeys(METRICS, 0.5) | {"delta1": float(delta1.mean()), "images": len(delta1)},
+        "constant_predictor": None,
+        "cost": {"params": 100, "gmacs": 1.0, "gflops": 2.0, "latency_ms_p50": 7.0, "throughput_img_s": 9.0}
+        | {"runtime": "torch", "precision": "fp32", "threads": 1, "device": "cpu"}
+        | {"height": 96, "width": 128, "batch": 8},
+        "hardware": {"processor": "some", "accelerator": None},
+        "versions": {"torch": "2"},
+        "resources": {"precision": "bf16"},
+        "date": "2026-01-01T00:00:00",
+        "sources": {},
+        "config": cfg.plain(config),
+    } | changes
+    folder = study.stored(row, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").write_text(json.dumps(run))
+    with (folder / "per_image.csv").open("w", newline="") as lines:
+        writer = csv.writer(lines)
+        writer.writerow(["name", "delta1"])
+        writer.writerows(zip(IMAGES, delta1, strict=False))
+    return folder
+
+
+def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:
+    """Row -> title -> cell."""
+    (found,) = [one for one in build_blocks(study) if one.name == block]
+    return {row[0]: dict(zip(found.titles, row, strict=True)) for row in found.rows}
+
+
+def figures(offset: float, seed: int) -> np.ndarray:
+    return 0.5 + offset + 0.02 * np.random.default_rng(seed).standard_normal(len(IMAGES))
+
+
+@pytest.mark.parametrize(("offset", "verdict"), [(0.05, "better"), (-0.05, "worse"), (0.0, "")])
+def test_verdicts_need_three_seeds_of_both(study: Study, offset: float, verdict: str) -> None:
+    for seed in range(3):
+        store(study, "small", seed, figures(0.0, seed))
+        store(study, "large", seed, figures(offset, 10 + seed))
+    cell = table(study)["large"][DIFFERENCE]
+    assert float(cell.split()[0]) == pytest.approx(offset, abs=0.01)
+    assert cell.endswith(f"] {verdict}" if verdict else "]")
+    (study.stored(study.chosen("small")[0], 2) / "run.json").unlink()
+    rows = table(study)
+    assert rows["large"][DIFFERENCE].endswith("]")
+    assert (rows["small"]["seeds"], rows["large"]["seeds"]) == ("2 of 3", "3")
+
+
+def test_the_difference_averages_the_seeds(study: Study) -> None:
+    for seed in range(3):
+        store(study, "small", seed, np.full(40, 0.5))
+        store(study, "large", seed, np.full(40, 0.5 + 0.1 * seed))
+    rows = table(study)
+    assert rows["large"][DIFFERENCE] == "+0.100 [+0.100, +0.100] better"
+    assert rows["large"]["δ1 ↑"] == "0.600 ± 0.100"
+    (block,) = [one for one in build_blocks(study) if one.name == "scratch"]
+    assert dict((name, value) for name, _, value in block.points) == pytest.approx(
+        {"small": 0.5, "large": 0.6}
+    )
+
+
+def test_what_does_not_compare_is_refused(study: Study) -> None:
+    store(study, "small", 0, figures(0, 0))
+    folder = store(study, "large", 0, figures(0, 1), split_hash="other")
+    with pytest.raises(ValueError, match="split_hash differs"):
+        build_blocks(study)
+    run = json.loads((folder / "run.json").read_text()) | {"split_hash": "abc"}
+    run["protocol"]["max_depth"] = 5.0
+    (folder / "run.json").write_text(json.dumps(run))
+    with pytest.raises(ValueError, match="protocol differs"):
+        build_blocks(study)
+    store(study, "large", 0, figures(0, 1)[:30])  # other images under the same hash
+    with pytest.raises(ValueError, match="different images"):
+        build_blocks(study)
+    store(study, "large", 0, figures(0, 1))
+    store(study, "other", 0, figures(0, 1), split_hash="other")  # another block is another table
+    assert table(study, "rooms")["other"]["seeds"] == "1 of 3"
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"train_split_hash": "less"}, "train_split_hash"),
+        ({"resources": {"precision": "fp32"}}, "precision"),
+        ({"model": "another"}, "have the names"),
+    ],
+)
+def test_seeds_of_a_row_differ_in_nothing_else(study: Study, changes: dict[str, Any], word: str) -> None:
+    store(study, "small", 0, figures(0, 0))
+    store(study, "small", 1, figures(0, 1), **changes)
+    with pytest.raises(ValueError, match=word):
+        build_blocks(study)
+
+
+def test_rows_of_an_older_plan_show_no_figures(study: Study, tmp_path: Path) -> None:
+    store(study, "small", 0, figures(0, 0))
+    store(study, "large", 0, figures(0, 1))
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
+    rows = table(read_study(tmp_path))
+    assert rows["large"]["seeds"].startswith("outdated: loss")
+    assert rows["large"]["δ1 ↑"] == "-"
+    assert rows["small"]["seeds"] == "1 of 3"
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("epochs=3", "epochs=4"))
+    rows = table(read_study(tmp_path))
+    assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+
+
+def test_half_a_copy_is_no_stored_run(study: Study) -> None:
+    folder = store(study, "small", 0, figures(0, 0))
+    (folder / "per_image.csv").unlink()
+    assert table(study)["small"]["seeds"] == "not run"
+
+
+def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path) -> None:
+    store(study, "small", 0, figures(0, 0))
+    (tmp_path / "sweep.yaml").write_text(PLAN + "latency: benchmark.csv\n")
+    study = read_study(tmp_path)
+    with pytest.raises(FileNotFoundError, match="names it as its latency"):
+        build_blocks(study)
+    header = "row,latency_ms_p50,runtime,precision,threads,device,batch,height,width,params,gmacs"
+    facts = "onnxruntime,fp32,1,cpu,1,96,128,{params},0.1,some,2026-01-01,benchmark.py"
+    file = tmp_path / "benchmark.csv"
+    file.write_text(f"{header},processor,date,command\nsmall,3.25,{facts.format(params=100)}\n")
+    assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
+    write_study_report(tmp_path)
+    text = (tmp_path / "results.md").read_text()
+    assert "latency: median of interleaved rounds, onnxruntime, fp32, 1 threads, cpu (some)" in text
+    assert "costs: torch" not in text
+    file.write_text(f"{header},processor,date,command\nsmall,3.25,{facts.format(params=99)}\n")
+    with pytest.raises(ValueError, match="99 parameters, its runs have 100"):
+        build_blocks(study)
