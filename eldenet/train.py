@@ -126,8 +126,14 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
         fitting = {
             name: value for name, value in start.items() if name in own and own[name].shape == value.shape
         }
-        if not fitting:
-            raise ValueError(f"weights={config.weights}: not one tensor fits this network")
+        share = sum(value.numel() for value in fitting.values()) / sum(
+            value.numel() for value in own.values()
+        )
+        if share < 0.1:
+            raise ValueError(
+                f"weights={config.weights}: they fit {100 * share:.0f} % of this network: it would start from scratch, "
+                "so take the network that they are of"
+            )
         model.load_state_dict(fitting, strict=False)
         if len(fitting) < len(own):
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])

@@ -31,10 +31,10 @@ def pareto_plot(
         points = [(row[1], row[2]) for row in rows]
         line = axes.plot(*zip(*[points[i] for i in pareto_front(points)], strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
-        for name, x, y in rows:
-            axes.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
+    for name, x, y, below in _label_places([row for rows in blocks.values() for row in rows]):
+        axes.annotate(name, (x, y), xytext=(4, -9 if below else 4), textcoords="offset points", fontsize=7)
     axes.set_xscale("log")
-    axes.margins(x=0.2, y=0.1)  # names stand to the right of their points
+    axes.margins(x=0.25, y=0.1)  # names stand to the right of their points
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
     axes.xaxis.set_minor_formatter("{x:g}")
@@ -45,6 +45,17 @@ def pareto_plot(
     figure.tight_layout()
     figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
     pyplot.close(figure)
+
+
+def _label_places(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float, bool]]:
+    """Each row, and whether its name goes below its point: one right above it has the room over it."""
+    heights = [y for _, _, y in rows]
+    near = 0.05 * (max(heights) - min(heights))
+    placed: list[tuple[str, float, float, bool]] = []
+    for name, x, y in sorted(rows, key=lambda row: -row[2]):
+        crowded = any(0.5 < x / other < 2 and above - y < near for _, other, above, low in placed if not low)
+        placed.append((name, x, y, crowded))
+    return placed
 
 
 def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
