@@ -131,8 +131,8 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
         )
         if share < 0.1:
             raise ValueError(
-                f"weights={config.weights}: they fit {100 * share:.0f} % of this network: it would start from scratch, "
-                "so take the network that they are of"
+                f"weights={config.weights}: they fit {100 * share:.0f} % of this network, so it would "
+                "start from scratch: take the network that they are of"
             )
         model.load_state_dict(fitting, strict=False)
         if len(fitting) < len(own):
