@@ -78,7 +78,7 @@ def test_a_scene_without_objects(view):
 def test_detections_for_supervision(view):
     pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
     given = view.detections.to_supervision()
-    np.testing.assert_allclose(given.xyxy, view.detections.xyxy)
+    np.testing.assert_allclose(given.xyxy, view.detections.xyxy + 0.5)
     assert list(given.data["class_name"]) == view.detections.classes
 
 

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from eldenet.geometry import from_corner
+
 _PAD = 114  # grey, as in training
 
 
@@ -39,7 +41,7 @@ def in_frame(
     """Boxes ``(N, 4)`` [frame px], scores ``(N,)`` and labels ``(N,)`` of a network's answer, best first.
 
     Args:
-        xyxy: ``(A, 4)`` of every anchor [input px].
+        xyxy: ``(A, 4)`` of every anchor [input px, counted from its corner].
         score: ``(A, classes)``.
         scale: (x, y) of :func:`fit_picture`.
         shift: (x, y) of :func:`fit_picture` [input px].
@@ -55,7 +57,7 @@ def in_frame(
         kept &= np.isin(label, keep)
     xyxy, best, label = xyxy[kept], best[kept], label[kept]
     xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
-    xyxy = np.clip(xyxy, 0, np.tile([size[1] - 1, size[0] - 1], 2))
+    xyxy = from_corner(np.clip(xyxy, 0, np.tile([size[1], size[0]], 2)))
     chosen = class_wise_nms(xyxy, best, label, nms)
     chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
     return xyxy[chosen], best[chosen], label[chosen].astype(np.int64)
