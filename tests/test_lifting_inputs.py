@@ -7,7 +7,8 @@ import pytest
 from blocks import CAMERA, block, detection
 
 from eldenet.boxes import Detections2D
-from eldenet.perception.foreground import trusted_edges
+from eldenet.perception.foreground import Foreground, trusted_edges
+from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import METHODS, BoxLifter, sigma_by_side
 
 
@@ -88,6 +89,54 @@ def test_holes_in_the_depth_are_unknown_whatever_they_hold(method):
         results.append(BoxLifter(method, camera_height=1.6)(holed, detection(xyxy), CAMERA))
     for other in results[1:]:
         np.testing.assert_allclose(other.corners, results[0].corners)
+
+
+def known_at(depth, xyxy, count: int, seed: int = 0):
+    """The same depth map, but only ``count`` pixels of the box are known in it."""
+    rng = np.random.default_rng(seed)
+    left, top, right, bottom = np.round(xyxy[0]).astype(int)
+    rows, columns = np.nonzero(np.abs(depth[top:bottom, left:right] - 40) < 4)
+    chosen = rng.permutation(len(rows))[:count]
+    sparse = depth.copy()
+    sparse[top - 1 : bottom + 1, left - 1 : right + 1] = 0
+    sparse[rows[chosen] + top, columns[chosen] + left] = depth[rows[chosen] + top, columns[chosen] + left]
+    return sparse
+
+
+def test_the_median_depth_leaves_padding_out():
+    found = Foreground(np.zeros((4, 5, 3)), np.full((4, 5), 1.0), np.zeros((4, 5)))
+    found.depth[0, :3], found.weight[0, :3] = [9.0, 7.0, 30.0], 1.0
+    found.depth[1, :2], found.weight[1, :2] = [40.0, 42.0], 1.0
+    found.depth[2, 3], found.weight[2, 3] = 8.0, 1.0
+    np.testing.assert_array_equal(found.median_depth(5.0), [9, 41, 8, 5])
+
+
+@pytest.mark.parametrize("count", [1, 2, 6, 20, 39])
+def test_few_pixels_are_as_uncertain_as_many(count):
+    """A car 40 m away, its own depth 12 % too far: height and size pull it back, few points or many."""
+    depth, xyxy = block((-2.0, 0.85, 40.0))
+    found = []
+    for known in (count, 10**6):
+        sparse = known_at(depth, xyxy, known)
+        wrong = np.where(np.abs(sparse - 40) < 4, sparse * 1.12, sparse)
+        lifter = BoxLifter(depth_sigma=0.12, ground=flat_ground(1.6))
+        found.append(lifter(wrong, detection(xyxy), CAMERA))
+    few, many = found
+    assert 0 < few.quality["points"][0] <= count < 40 < many.quality["points"][0]
+    assert abs(many.center[0, 2] - 40) < 1.6  # a third of the error
+    assert abs(few.center[0, 2] - 40) < 1.6
+
+
+def test_a_few_pixels_of_something_behind_do_not_carry_the_box_away():
+    """Three pixels, all of a wall at four times the distance: the size in the picture says otherwise."""
+    center = (-2.0, 0.85, 15.0)
+    depth, xyxy = block(center)
+    left, top, right, bottom = np.round(xyxy[0]).astype(int)
+    depth[top - 1 : bottom + 1, left - 1 : right + 1] = 0
+    depth[top + 8 : top + 11, (left + right) // 2] = 60.0
+    boxes = BoxLifter(depth_sigma=0.02, ground=flat_ground(1.6))(depth, detection(xyxy), CAMERA)
+    assert boxes.quality["points"][0] == 3
+    assert boxes.center[0, 2] == pytest.approx(15, abs=2.0)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -18,7 +18,8 @@ _STEPS = 14
 _FIRST_STEPS = 5  # with all starts
 _KEPT = 2  # starts of an object that go on after them
 _GAIN = 1e-3  # a step that lowers the cost by less is the last
-_INFORMATION = 30.0  # independent measurements that the points of an object are worth
+_TAIL = 3.0  # errors beyond which edges and beliefs lose their pull [sigma]
+_INFORMATION = 10.0  # independent measurements that the points of an object are worth
 _NEAREST = 0.3  # [m]: silhouette points nearer than that to the picture's plane are left out
 
 
@@ -135,10 +136,10 @@ def linearise(problem: Problem, camera: PinholeCamera, state: np.ndarray) -> Lin
     """Cost and its quadratic model around ``state (B, 8)``."""
     cost, gradient, matrix = _points(problem, camera, state)
     residual, jacobian = _edges(problem, camera, state)
+    # edges and beliefs are robust too: one wrong edge must not bend the box
     for extra, derivative in ((residual, jacobian), _beliefs(problem, state)):
-        # edges and beliefs are robust too: one wrong edge must not bend the box
-        robust = 1 / (1 + (extra / 3.0) ** 2)
-        cost = cost + 0.5 * 9.0 * np.log1p((extra / 3.0) ** 2).sum(1)
+        robust = 1 / (1 + (extra / _TAIL) ** 2)
+        cost = cost + 0.5 * _TAIL**2 * np.log1p((extra / _TAIL) ** 2).sum(1)
         weighted = derivative * robust[..., None]
         gradient = gradient + np.einsum("bk,bki->bi", extra, weighted)
         matrix = matrix + weighted.transpose(0, 2, 1) @ derivative
@@ -185,6 +186,9 @@ def _points(
     sigma = np.where(outside, problem.point_sigma[:, :1], problem.point_sigma[:, 1:])
     share = _INFORMATION / np.maximum(problem.weight.sum(1, keepdims=True), _INFORMATION)
     weight = problem.weight * share
+    # in the depth map's own metres: measured after the factor, misfits would shrink with it
+    shrink = np.exp(-state[:, SCALE])[:, None]
+    residual = residual * shrink
     relative = residual / sigma
     cost = 0.5 * (weight * np.log1p(relative**2)).sum(1)
     robust = weight / (1 + relative**2) / sigma**2
@@ -206,6 +210,8 @@ def _points(
         ],
         axis=-1,
     )
+    jacobian *= shrink[..., None]
+    jacobian[..., SCALE] -= residual
     weighted = jacobian * robust[..., None]
     gradient = (residual[:, None, :] @ weighted)[:, 0]
     return cost, gradient, weighted.transpose(0, 2, 1) @ jacobian

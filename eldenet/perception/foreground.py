@@ -36,6 +36,14 @@ class Foreground:
         """``(N,)`` pixels found."""
         return np.asarray(self.weight.sum(1))
 
+    def median_depth(self, unseen: float) -> np.ndarray:
+        """``(N,)`` [m] of each object's pixels, padding left out; ``unseen`` where there is none."""
+        ordered = np.sort(np.where(self.weight > 0, self.depth, np.inf), axis=1)
+        count = (self.weight > 0).sum(1)
+        rows = np.arange(len(count))
+        pair = [ordered[rows, np.maximum(middle, 0)] for middle in ((count - 1) // 2, count // 2)]
+        return np.where(count > 0, (pair[0] + pair[1]) / 2, unseen)
+
     def without_points(self) -> "Foreground":
         """The same objects, nothing seen of them."""
         return replace(self, weight=np.zeros_like(self.weight))
