@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.geometry import PinholeCamera
-from eldenet.perception import fit, lshape
+from eldenet.perception import fit, lshape, residuals
 from eldenet.perception.foreground import Foreground, expected_depth
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior, silhouette
@@ -180,14 +180,21 @@ def _fitted(known: Known) -> RawBoxes:
         states.append(state)
         costs.append(cost)
     state, cost = np.concatenate(states), np.concatenate(costs)
-    size = np.exp(state[:, [fit.LENGTH, fit.WIDTH, fit.HEIGHT]])
-    center = np.stack([state[:, fit.X], state[:, fit.BOTTOM] - size[:, 2] / 2, state[:, fit.Z]], axis=1)
+    size = np.exp(state[:, [residuals.LENGTH, residuals.WIDTH, residuals.HEIGHT]])
+    center = np.stack(
+        [state[:, residuals.X], state[:, residuals.BOTTOM] - size[:, 2] / 2, state[:, residuals.Z]], axis=1
+    )
     return RawBoxes(
-        center, size, state[:, fit.YAW], np.exp(state[:, fit.SCALE]), cost, known.found.count < FEWEST_POINTS
+        center,
+        size,
+        state[:, residuals.YAW],
+        np.exp(state[:, residuals.SCALE]),
+        cost,
+        known.found.count < FEWEST_POINTS,
     )
 
 
-def _problem(known: Known) -> fit.Problem:
+def _problem(known: Known) -> residuals.Problem:
     found, detections = known.found, known.detections
     priors = [prior or _ANYTHING for prior in known.priors]
     noise = 0.06 + _WITHIN * known.depth_sigma * found.median_depth(10.0)
@@ -197,7 +204,7 @@ def _problem(known: Known) -> fit.Problem:
     shapes = [silhouette(prior.shape, detections.box_style) for prior in priors]
     most = max(len(shape) for shape in shapes)
     ground, ground_sigma = _ground_belief(known)
-    return fit.Problem(
+    return residuals.Problem(
         direction=found.direction,
         depth=found.depth,
         weight=found.weight,
@@ -261,17 +268,17 @@ def _starts(known: Known) -> np.ndarray:
     apart = np.linalg.norm(((low + high) / 2 - guess)[:, [0, 2]], axis=1)
     astray = apart > _ASTRAY * np.linalg.norm(guess[:, [0, 2]], axis=1)
     astray &= [prior is not None for prior in known.priors]
-    state = np.zeros((count, _STARTS, fit.UNKNOWNS))
+    state = np.zeros((count, _STARTS, residuals.UNKNOWNS))
     for row, turn in enumerate((yaw, yaw + np.pi / 2, sight, sight + np.pi / 2)):
         extents = lshape.extents(points, known.found.weight, turn)
         x, z = lshape.anchored(extents, turn, size)
         away = blind | (astray & (row >= 2))
-        state[:, row, fit.X] = np.where(away, guess[:, 0], x)
-        state[:, row, fit.Z] = np.where(away, guess[:, 2], z)
-        ground = known.ground_at(state[:, row, fit.X], state[:, row, fit.Z])
-        state[:, row, fit.BOTTOM] = high[:, 1] if ground is None else ground
+        state[:, row, residuals.X] = np.where(away, guess[:, 0], x)
+        state[:, row, residuals.Z] = np.where(away, guess[:, 2], z)
+        ground = known.ground_at(state[:, row, residuals.X], state[:, row, residuals.Z])
+        state[:, row, residuals.BOTTOM] = high[:, 1] if ground is None else ground
         if ground is None:
-            state[blind, row, fit.BOTTOM] += size[blind, 2] / 2
-        state[:, row, fit.YAW] = turn
-    state[..., fit.LENGTH : fit.HEIGHT + 1] = np.log(size)[:, None]
+            state[blind, row, residuals.BOTTOM] += size[blind, 2] / 2
+        state[:, row, residuals.YAW] = turn
+    state[..., residuals.LENGTH : residuals.HEIGHT + 1] = np.log(size)[:, None]
     return state
