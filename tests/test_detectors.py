@@ -19,7 +19,7 @@ from eldenet.perception.detectors import (
     only,
     rename,
 )
-from eldenet.perception.letterbox import class_wise_nms, fit_picture, in_frame
+from eldenet.perception.letterbox import class_wise_nms, fit_picture, in_frame, one_class_each
 from eldenet.perception.onnx_detector import OnnxDetector
 
 SIZE = (64, 128)
@@ -139,7 +139,7 @@ def test_classes_and_scores_can_be_chosen(tmp_path):
     assert OnnxDetector(path, threshold=0.8)(FRAME).classes == ["dog"]
     assert len(OnnxDetector(path, threshold=0.95)(FRAME)) == 0
     assert len(OnnxDetector(path, nms=0.999)(FRAME)) == 4
-    for name, wrong in (("threshold", 30), ("nms", -1), ("threads", -3)):
+    for name, wrong in (("threshold", 30), ("nms", -1), ("between_classes", 2), ("threads", -3)):
         with pytest.raises(ValueError, match=name):
             OnnxDetector(path, **{name: wrong})
     with pytest.raises(ValueError, match="horse"):
@@ -207,6 +207,25 @@ def test_nms_is_class_wise():
     assert kept.tolist() == [1, 2]
 
 
+def test_one_object_has_one_class():
+    """Best first: the second is the first's twin of another class, the third of its own, the fourth apart."""
+    boxes = np.array([[0, 0, 10, 10], [0, 0, 10, 9.0], [0, 0, 10, 9.5], [0, 0, 10, 8.0]])
+    label = np.array([0, 1, 0, 1])
+    assert one_class_each(boxes, label, 0.85).tolist() == [0, 2, 3]
+    assert one_class_each(boxes, label, 1.0).tolist() == [0, 1, 2, 3]
+    assert one_class_each(boxes[:0], label[:0], 0.85).tolist() == []
+
+
+def test_a_detector_keeps_the_better_of_two_classes(tmp_path):
+    output, metadata = FILES["yolov8"]
+    twice = output.copy()
+    twice[0, :4, 30] = output[0, :4, 7]  # the dog again, as a cat
+    twice[0, 4, 30] = 0.5
+    path = save(tmp_path / "twins.onnx", twice, metadata)
+    assert OnnxDetector(path)(FRAME).classes == ["dog", "cow"]
+    assert sorted(OnnxDetector(path, between_classes=1.0)(FRAME).classes) == ["cat", "cow", "dog"]
+
+
 def test_the_simple_adapters():
     known = Detections2D(WANTED, np.ones(2), np.array([0, 1]), ("car", "dog"))
     fixed = FixedDetections([known])
@@ -262,5 +281,8 @@ def test_real_weights_find_the_cars(monkeypatch):
         found = detector(image)
         assert found.classes[:5] == ["car"] * 5
         if layout == "yolox":
-            assert len(found) == 11
+            assert len(found) == 10
+            both = OnnxDetector(folder / f"{name}.onnx", between_classes=1.0)(image)
+            assert sorted(set(both.classes)) == ["car", "truck"]
+            assert len(both) == 11  # one of the cars is found as a truck too
             np.testing.assert_allclose(found.score[:5], [0.89, 0.89, 0.86, 0.86, 0.84], atol=0.006)

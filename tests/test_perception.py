@@ -137,6 +137,15 @@ def test_the_view_from_above_shows_a_box_at_its_place():
     assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
 
 
+@pytest.mark.parametrize("center", [[30.0, 0.8, 20.0], [-30.0, 0.8, 20.0], [0.0, 0.8, 70.0]])
+def test_every_box_is_in_the_view_from_above(center):
+    panel = draw_bev(boxes(center), CAMERA, 320, size=(400, 300))
+    colour = np.array([int(0.75 * part) for part in colour_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    assert 0 < rows.min() <= rows.max() < 399
+    assert 0 < columns.min() <= columns.max() < 299
+
+
 def test_detections_are_drawn():
     found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
     assert (draw_detections(BLANK, found)[30:80, 20] == colour_of("car")).all()

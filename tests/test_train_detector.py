@@ -164,12 +164,16 @@ def test_random_weights_are_seeded_and_the_file_finds_the_same(tmp_path):
     pytest.importorskip("libreyolo", reason=NEEDED)
     from eldenet.perception.onnx_detector import OnnxDetector
 
-    detector = LibreYoloDetector(names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, seed=3)
+    detector = LibreYoloDetector(
+        names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, between_classes=1.0, seed=3
+    )
     frame = np.random.default_rng(0).integers(0, 255, (120, 200, 3)).astype(np.uint8)
     mine = detector(frame)
-    other = LibreYoloDetector(names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, seed=3)(frame)
+    other = LibreYoloDetector(
+        names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, between_classes=1.0, seed=3
+    )(frame)
     np.testing.assert_array_equal(mine.xyxy, other.xyxy)
-    file = OnnxDetector(detector.export(tmp_path / "d.onnx"), threshold=0.0, nms=1.0)
+    file = OnnxDetector(detector.export(tmp_path / "d.onnx"), threshold=0.0, nms=1.0, between_classes=1.0)
     assert (file.layout_name, file.letterbox, file.names) == ("yolov9", "topleft", NAMES)
     theirs = file(frame)
     assert len(theirs) == len(mine) > 100
