@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, to_corner
 
 #: "tight": around what is seen (COCO's detectors); "projected": around the box's eight corners (KITTI).
 BoxStyle = Literal["tight", "projected"]
@@ -30,8 +30,14 @@ FRONT_FACE = (0, 1, 5, 4)
 class Detections2D:
     """Objects of one picture, as arrays.
 
+    Convention: 2D boxes are what the object covers, from border to border, in the pixel coordinates of
+    :mod:`eldenet.geometry`: pixel centres lie on whole numbers, so a box around the pixels a to b reaches
+    from a - 0.5 to b + 0.5, and a picture of W columns from -0.5 to W - 0.5. Detectors, COCO, YOLO and
+    supervision count from the picture's corner instead: :func:`eldenet.geometry.from_corner`. KITTI's labels
+    are projections with whole-numbered pixel centres and stay as they are.
+
     Attributes:
-        xyxy: ``(N, 4)`` left, top, right, bottom [px of the picture].
+        xyxy: ``(N, 4)`` left, top, right, bottom [px of the picture], see above.
         score: ``(N,)`` in [0, 1].
         label: ``(N,)`` number in ``names``.
         names: of the classes.
@@ -102,11 +108,11 @@ class Detections2D:
         )
 
     def to_supervision(self) -> Any:
-        """As ``supervision.Detections`` (``pip install supervision``)."""
+        """As ``supervision.Detections`` (``pip install supervision``), its pixels counted from the corner."""
         import supervision
 
         return supervision.Detections(
-            xyxy=np.asarray(self.xyxy, np.float32),
+            xyxy=to_corner(self.xyxy).astype(np.float32),
             confidence=np.asarray(self.score, np.float32),
             class_id=np.asarray(self.label, np.int64),
             mask=self.mask,

@@ -31,6 +31,24 @@ def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
     return shifted
 
 
+def from_corner(pixels: np.ndarray) -> np.ndarray:
+    """Pixel coordinates that count from the picture's corner (COCO, YOLO, torchvision), in the house's.
+
+    There the first pixel reaches from 0 to 1, here from -0.5 to 0.5.
+    """
+    return np.asarray(pixels, np.float64) - 0.5
+
+
+def to_corner(pixels: np.ndarray) -> np.ndarray:
+    """The other way round."""
+    return np.asarray(pixels, np.float64) + 0.5
+
+
+def extent_of(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Left, top, right, bottom ``(4,)`` of whole pixels, one or more: from border to border."""
+    return np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
+
+
 def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> np.ndarray:
     """Depth ``baseline * focal / disparity`` ``(H, W)`` float32 [m]; 0 = unknown, in both.
 

@@ -93,7 +93,9 @@ def score_file(
     from eldenet.perception.detection_data import read_split
     from eldenet.perception.onnx_detector import OnnxDetector
 
-    detector = OnnxDetector(file, threshold=LEAST_SCORE, nms=float(config.detector.nms))
+    detector = OnnxDetector(  # average precision counts every class for itself
+        file, threshold=LEAST_SCORE, nms=float(config.detector.nms), between_classes=1.0
+    )
     shown, spent = [], []
     for image, truth in read_split(data, "test", count):
         start = time.perf_counter()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
 from eldenet.boxes import Boxes3D, Detections2D, clipped_edges, corners_of, wrap_half
-from eldenet.geometry import PinholeCamera, back_project, pinhole
+from eldenet.geometry import PinholeCamera, back_project, extent_of, from_corner, pinhole, to_corner
 from eldenet.perception.iou import box_ious, footprints, iou_2d, rotated_intersections
 
 CAMERA = PinholeCamera(pinhole(480.0, 470.0, 415.0, 120.0))
@@ -146,6 +146,15 @@ def test_edges_are_cut_at_the_near_plane():
 
 
 # --- detections ---
+
+
+def test_a_box_around_pixels_reaches_from_border_to_border():
+    """Columns 2 to 5, rows 1 to 1: 4 x 1 pixels; counted from the corner, from column 2 to 6."""
+    rows, columns = np.array([1, 1]), np.array([5, 2])
+    box = extent_of(rows, columns)
+    np.testing.assert_array_equal(box, [1.5, 0.5, 5.5, 1.5])
+    np.testing.assert_array_equal(to_corner(box), [2, 1, 6, 2])
+    np.testing.assert_array_equal(from_corner(to_corner(box)), box)
 
 
 @pytest.mark.parametrize(

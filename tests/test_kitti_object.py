@@ -287,6 +287,8 @@ def test_figures_by_hand():
     )
     bins = by_distance(pairs)
     assert [part["pairs"] for _, _, part in bins] == [0, 1, 1, 0]
+    assert [part.get("bev>0.5") for _, _, part in bins] == [None, 0.0, 1.0, None]
+    assert not any("recall" in key or key == "truths" for _, _, part in bins for key in part)
     assert summary(Pairs.join([pairs.select(np.zeros(2, bool))]))["pairs"] == 0
 
 

@@ -9,6 +9,7 @@ from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.config import compose, instantiate
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.navigation.cameras import Camera, CameraEye, camera, near_faces, objects, simulated_detections
@@ -65,7 +66,7 @@ def test_the_simulator_s_detections_go_round_what_shows():
     photo = view.photo(ARENA.start)
     found = simulated_detections(photo, ARENA)
     assert sorted(found.classes) == ["box", "cylinder"]
-    for xyxy, kind in zip(found.xyxy.astype(int), found.classes, strict=True):
+    for xyxy, kind in zip(to_corner(found.xyxy).astype(int), found.classes, strict=True):
         mine = photo.obstacle == [o.kind for o in ARENA.obstacles].index(kind)
         left, top, right, bottom = xyxy
         assert mine[top:bottom, left:right].sum() == mine.sum()
@@ -89,7 +90,7 @@ def test_what_no_detector_finds_comes_from_depth():
     pillar, true = pillar_columns()
     found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
     box = found.xyxy[found.classes.index("box")]
-    detector = CallableDetector(lambda frame: (box[None], [0.9], [0]), ("box",))
+    detector = CallableDetector(lambda frame: (to_corner(box[None]), [0.9], [0]), ("box",))
     sight = eye_of(objects(detector=detector)).look()
     assert (sight.fed_by[pillar] == 1).all()
     assert np.abs(sight.ranges[pillar] / true[pillar] - 1).max() < 0.1

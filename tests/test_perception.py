@@ -78,7 +78,7 @@ def test_a_scene_without_objects(view):
 def test_detections_for_supervision(view):
     pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
     given = view.detections.to_supervision()
-    np.testing.assert_allclose(given.xyxy, view.detections.xyxy)
+    np.testing.assert_allclose(given.xyxy, view.detections.xyxy + 0.5)
     assert list(given.data["class_name"]) == view.detections.classes
 
 
@@ -135,6 +135,15 @@ def test_the_view_from_above_shows_a_box_at_its_place():
     assert (columns.mean() - 150) / 10 == pytest.approx(3.0, abs=0.15)
     assert (412 - 6 - rows.mean()) / 10 == pytest.approx(20.0, abs=0.15)
     assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
+
+
+@pytest.mark.parametrize("center", [[30.0, 0.8, 20.0], [-30.0, 0.8, 20.0], [0.0, 0.8, 70.0]])
+def test_every_box_is_in_the_view_from_above(center):
+    panel = draw_bev(boxes(center), CAMERA, 320, size=(400, 300))
+    colour = np.array([int(0.75 * part) for part in colour_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    assert 0 < rows.min() <= rows.max() < 399
+    assert 0 < columns.min() <= columns.max() < 299
 
 
 def test_detections_are_drawn():

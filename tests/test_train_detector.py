@@ -8,6 +8,7 @@ import pytest
 
 from eldenet.boxes import Detections2D
 from eldenet.config import compose
+from eldenet.geometry import to_corner
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.libreyolo_detector import LibreYoloDetector
 from eldenet.simulation.object_views import KINDS, NAMES, render_objects
@@ -26,7 +27,8 @@ def test_pictures_have_boxes_inside_and_are_the_same_every_time(kind):
     views = [render_objects("train", index, SIZE, kind) for index in range(3)]
     assert sum(len(view.detections) for view in views) > 3
     for view in views:
-        low, high = view.detections.xyxy[:, :2], view.detections.xyxy[:, 2:]
+        corners = to_corner(view.detections.xyxy)
+        low, high = corners[:, :2], corners[:, 2:]
         assert (low >= 0).all()
         assert (high <= (SIZE[1], SIZE[0])).all()
         assert (high - low >= 6).all()
@@ -73,6 +75,10 @@ def test_the_data_set_is_what_was_rendered_and_goes_on_where_it_stopped(tmp_path
         np.testing.assert_array_equal(image, view.image)
         np.testing.assert_allclose(boxes.xyxy, view.detections.xyxy, atol=1e-3)
         assert boxes.classes == view.detections.classes
+        # YOLO counts from the picture's corner: a box's first pixel is a whole number there
+        text = (tmp_path / f"labels/test/{number:06d}.txt").read_text().split()
+        x, wide = (np.array(text[column::5], float) * SIZE[1] for column in (1, 3))
+        np.testing.assert_allclose(x - wide / 2, view.detections.xyxy[:, 0] + 0.5, atol=1e-3)
     line = (tmp_path / "labels/test/000000.txt").read_text().splitlines()[0].split()
     assert len(line) == 5
     assert all(0 <= float(word) <= 1 for word in line[1:])
@@ -158,12 +164,16 @@ def test_random_weights_are_seeded_and_the_file_finds_the_same(tmp_path):
     pytest.importorskip("libreyolo", reason=NEEDED)
     from eldenet.perception.onnx_detector import OnnxDetector
 
-    detector = LibreYoloDetector(names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, seed=3)
+    detector = LibreYoloDetector(
+        names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, between_classes=1.0, seed=3
+    )
     frame = np.random.default_rng(0).integers(0, 255, (120, 200, 3)).astype(np.uint8)
     mine = detector(frame)
-    other = LibreYoloDetector(names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, seed=3)(frame)
+    other = LibreYoloDetector(
+        names=NAMES, input_size=SIZE, threshold=0.0, nms=1.0, between_classes=1.0, seed=3
+    )(frame)
     np.testing.assert_array_equal(mine.xyxy, other.xyxy)
-    file = OnnxDetector(detector.export(tmp_path / "d.onnx"), threshold=0.0, nms=1.0)
+    file = OnnxDetector(detector.export(tmp_path / "d.onnx"), threshold=0.0, nms=1.0, between_classes=1.0)
     assert (file.layout_name, file.letterbox, file.names) == ("yolov9", "topleft", NAMES)
     theirs = file(frame)
     assert len(theirs) == len(mine) > 100

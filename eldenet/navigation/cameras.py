@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, extent_of
 from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import FED_BY, Drift, Eye, Sight
 from eldenet.perception.detectors import Detector, FixedDetections
@@ -110,7 +110,7 @@ def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
     for number in np.unique(photo.obstacle[photo.obstacle >= 0]):
         rows, columns = np.nonzero(photo.obstacle == number)
         if len(rows) >= FEWEST_PIXELS:
-            boxes.append((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1))
+            boxes.append(extent_of(rows, columns))
             labels.append(kinds.index(arena.obstacles[number].kind))
     if not boxes:
         return Detections2D.empty(kinds)
@@ -127,7 +127,7 @@ def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) 
     at = k[0, 2] - k[0, 0] * np.tan(ROBOT.column_angles)  # pixel of each column's middle
     out = np.full(ROBOT.columns, ROBOT.far)
     for footprint, (left, _, right, _) in zip(footprints(boxes), detections.xyxy, strict=True):
-        seen = (at >= left - 0.5) & (at <= right + 0.5)
+        seen = (at >= left) & (at <= right)
         out = np.minimum(out, np.where(seen, footprints_to_ranges(footprint[None]), ROBOT.far))
     return out
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.data.io import read_image
+from eldenet.geometry import from_corner, to_corner
 from eldenet.pictures import write_picture
 from eldenet.simulation.object_views import KINDS, NAMES, render_objects
 
@@ -78,8 +79,8 @@ def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, D
 
 def _write_boxes(path: Path, found: Detections2D, size: tuple[int, int]) -> None:
     sides = np.array([size[1], size[0]], float)
-    middle = (found.xyxy[:, :2] + found.xyxy[:, 2:]) / 2 / sides
-    extent = (found.xyxy[:, 2:] - found.xyxy[:, :2]) / sides
+    xyxy = to_corner(found.xyxy)
+    middle, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
     lines = [
         f"{label} {x:.6f} {y:.6f} {width:.6f} {height:.6f}\n"
         for label, (x, y), (width, height) in zip(found.label, middle, extent, strict=True)
@@ -92,5 +93,5 @@ def _read_boxes(text: str, size: tuple[int, int]) -> Detections2D:
     table = np.array([line.split() for line in text.splitlines()], float).reshape(-1, 5)
     sides = np.array([size[1], size[0]], float)
     middle, extent = table[:, 1:3] * sides, table[:, 3:] * sides
-    xyxy = np.concatenate([middle - extent / 2, middle + extent / 2], axis=1)
+    xyxy = from_corner(np.concatenate([middle - extent / 2, middle + extent / 2], axis=1))
     return Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)

@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
+from eldenet.geometry import from_corner
 
 COCO_NAMES = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat",
@@ -65,7 +66,8 @@ class CallableDetector:
     """Any function as a detector.
 
     Args:
-        function: frame -> ``(xyxy (N, 4), score (N,), label (N,))`` as anything numpy takes.
+        function: frame -> ``(xyxy (N, 4), score (N,), label (N,))`` as anything numpy takes; boxes counted
+            from the picture's corner, as detectors do (its first pixel is from 0 to 1).
         names: of the classes.
         box_style: how its boxes lie around objects.
     """
@@ -83,7 +85,7 @@ class CallableDetector:
         check_frame(frame)
         xyxy, score, label = (np.asarray(part) for part in self.function(frame))
         return Detections2D(
-            xyxy.reshape(-1, 4),
+            from_corner(xyxy.reshape(-1, 4)),
             score.reshape(-1),
             label.reshape(-1).astype(np.int64),
             self.names,
@@ -122,7 +124,8 @@ class TorchvisionDetector:
             found = {name: value.cpu().numpy() for name, value in self.model([image])[0].items()}
         kept = found["scores"] >= self.threshold
         label = found["labels"][kept].astype(np.int64)
-        return Detections2D(found["boxes"][kept], found["scores"][kept], label, self.names, self.box_style)
+        xyxy = from_corner(found["boxes"][kept])
+        return Detections2D(xyxy, found["scores"][kept], label, self.names, self.box_style)
 
 
 def only(detections: Detections2D, names: Iterable[str]) -> Detections2D:
@@ -140,6 +143,7 @@ def merge_cyclists(detections: Detections2D) -> Detections2D:
     names = detections.names if "cyclist" in detections.names else (*detections.names, "cyclist")
     classes, xyxy = detections.classes, np.array(detections.xyxy, np.float64)
     label, kept = detections.label.copy(), np.ones(len(detections), bool)
+    mask = None if detections.mask is None else detections.mask.copy()
     riders = [i for i, name in enumerate(classes) if name == "person"]
     for bicycle in (i for i, name in enumerate(classes) if name == "bicycle"):
         best, most = None, 0.2
@@ -157,7 +161,9 @@ def merge_cyclists(detections: Detections2D) -> Detections2D:
             xyxy[bicycle, :2] = np.minimum(xyxy[bicycle, :2], xyxy[best, :2])
             xyxy[bicycle, 2:] = np.maximum(xyxy[bicycle, 2:], xyxy[best, 2:])
             label[bicycle] = names.index("cyclist")
-    return replace(detections, xyxy=xyxy, label=label, names=names).select(kept)
+            if mask is not None:
+                mask[bicycle] |= mask[best]
+    return replace(detections, xyxy=xyxy, label=label, names=names, mask=mask).select(kept)
 
 
 def rename(detections: Detections2D, table: Mapping[str, str]) -> Detections2D:

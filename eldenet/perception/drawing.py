@@ -96,12 +96,13 @@ def draw_bev(
         camera: whose field of view is shaded.
         width: of the camera's picture [px].
         size: of the panel [px].
-        reach: depth at the upper edge [m]; None: beyond the farthest box, 10 m or more.
+        reach: depth at the upper edge [m]; None: so that every box is in the panel, from 10 to 120 m.
         truth: other boxes, drawn in grey.
     """
     height, wide = size
     if reach is None:
-        farthest = float(boxes.center[:, 2].max()) if len(boxes) else 10.0
+        aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # where the panel is as wide
+        farthest = float(max(boxes.center[:, 2].max(), aside.max())) if len(boxes) else 10.0
         reach = float(np.clip(farthest * 1.12 + 2, 10.0, 120.0))
     scale = (height - 12) / reach
     panel = np.full((height, wide, 3), _GROUND, np.uint8)
@@ -116,12 +117,13 @@ def draw_bev(
     for z in np.arange(0, reach, step):
         row = round(height - 6 - z * scale)
         cv2.line(panel, (0, row), (wide, row), _GRID, 1)
-        if z:
-            cv2.putText(panel, f"{z:g} m", (3, row - 2), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
     side = wide / 2 / scale
     for x in np.arange(-np.floor(side / step) * step, side, step):
         column = round(wide / 2 + x * scale)
         cv2.line(panel, (column, 0), (column, height), _GRID, 1)
+    for z in np.arange(step, reach, step):
+        place_of_text = (3, round(height - 6 - z * scale) - 2)
+        cv2.putText(panel, f"{z:g} m", place_of_text, _FONT, 0.35, _INK, 1, cv2.LINE_AA)
     if truth is not None:
         for corners in footprints(truth.bev):
             cv2.polylines(panel, [_fixed(place(corners))], True, (150, 150, 150), 2, cv2.LINE_AA, 4)

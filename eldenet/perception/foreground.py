@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eldenet.boxes import Detections2D
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, to_corner
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior
 
@@ -35,6 +35,14 @@ class Foreground:
     def count(self) -> np.ndarray:
         """``(N,)`` pixels found."""
         return np.asarray(self.weight.sum(1))
+
+    def median_depth(self, unseen: float) -> np.ndarray:
+        """``(N,)`` [m] of each object's pixels, padding left out; ``unseen`` where there is none."""
+        ordered = np.sort(np.where(self.weight > 0, self.depth, np.inf), axis=1)
+        count = (self.weight > 0).sum(1)
+        rows = np.arange(len(count))
+        pair = [ordered[rows, np.maximum(middle, 0)] for middle in ((count - 1) // 2, count // 2)]
+        return np.where(count > 0, (pair[0] + pair[1]) / 2, unseen)
 
     def without_points(self) -> "Foreground":
         """The same objects, nothing seen of them."""
@@ -118,10 +126,7 @@ def _pixels_of(
     """Rows and columns of a box's pixels of known depth, without nearer objects'; about 400 at most."""
     height, width = depth.shape
     box = detections.xyxy[index]
-    left, top = (int(max(0, np.floor(edge + 0.5))) for edge in box[:2])
-    right, bottom = (
-        int(min(end, np.floor(edge + 0.5) + 1)) for edge, end in zip(box[2:], (width, height), strict=True)
-    )
+    left, top, right, bottom = _pixels_within(box, (height, width))
     if right <= left or bottom <= top:
         return np.zeros(0, int), np.zeros(0, int)
     crop = depth[top:bottom, left:right]
@@ -131,8 +136,8 @@ def _pixels_of(
     elif nearer.any():
         beside, behind = known.copy(), known.copy()
         for other in np.nonzero(nearer)[0]:
-            x1, y1, x2, y2 = np.floor(detections.xyxy[other] - [left, top, left, top] + 0.5).astype(int)
-            part = slice(max(0, y1), max(0, y2 + 1)), slice(max(0, x1), max(0, x2 + 1))
+            x1, y1, x2, y2 = _pixels_within(detections.xyxy[other] - [left, top, left, top], crop.shape)
+            part = slice(y1, y2), slice(x1, x2)
             beside[part] = False
             behind[part] &= crop[part] > back[other]
         # beside the nearer boxes if enough is left there, else what shows behind their objects
@@ -143,6 +148,13 @@ def _pixels_of(
     stride = max(1, int(np.sqrt(known.sum() / _GATHERED)))
     rows, columns = np.nonzero(known[::stride, ::stride])
     return rows * stride + top, columns * stride + left
+
+
+def _pixels_within(box: np.ndarray, size: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """First column and row, and those past the last, of pixels of a picture whose centres lie in a box."""
+    low = np.clip(np.ceil(box[:2]), 0, None).astype(int)
+    high = np.clip(np.floor(box[2:]) + 1, low, np.maximum((size[1], size[0]), low)).astype(int)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def _select(
@@ -217,8 +229,8 @@ def expected_depth(
 
 def border_cuts(xyxy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Edges ``(N, 4)`` bool of boxes that end at the border of a picture of ``(height, width)`` [px]."""
-    limit = np.array([size[1] - 1, size[0] - 1])
-    return np.concatenate([xyxy[:, :2] <= _BORDER, xyxy[:, 2:] >= limit - _BORDER], axis=1)
+    edges = to_corner(xyxy)
+    return np.concatenate([edges[:, :2] <= _BORDER, edges[:, 2:] >= np.array(size[::-1]) - _BORDER], axis=1)
 
 
 def trusted_edges(detections: Detections2D, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from eldenet.geometry import from_corner
+from eldenet.perception.iou import iou_2d
+
 _PAD = 114  # grey, as in training
 
 
@@ -34,18 +37,20 @@ def in_frame(
     *,
     threshold: float,
     nms: float,
+    between_classes: float = 1.0,
     keep: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Boxes ``(N, 4)`` [frame px], scores ``(N,)`` and labels ``(N,)`` of a network's answer, best first.
 
     Args:
-        xyxy: ``(A, 4)`` of every anchor [input px].
+        xyxy: ``(A, 4)`` of every anchor [input px, counted from its corner].
         score: ``(A, classes)``.
         scale: (x, y) of :func:`fit_picture`.
         shift: (x, y) of :func:`fit_picture` [input px].
         size: ``(height, width)`` of the frame [px].
         threshold: boxes below this score are dropped.
         nms: see :func:`class_wise_nms`.
+        between_classes: see :func:`one_class_each`.
         keep: numbers of the classes to keep; None: all.
     """
     label = score.argmax(1)
@@ -55,8 +60,9 @@ def in_frame(
         kept &= np.isin(label, keep)
     xyxy, best, label = xyxy[kept], best[kept], label[kept]
     xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
-    xyxy = np.clip(xyxy, 0, np.tile([size[1] - 1, size[0] - 1], 2))
+    xyxy = from_corner(np.clip(xyxy, 0, np.tile([size[1], size[0]], 2)))
     chosen = class_wise_nms(xyxy, best, label, nms)
+    chosen = chosen[one_class_each(xyxy[chosen], label[chosen], between_classes)]
     chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
     return xyxy[chosen], best[chosen], label[chosen].astype(np.int64)
 
@@ -68,3 +74,18 @@ def class_wise_nms(xyxy: np.ndarray, score: np.ndarray, label: np.ndarray, thres
 
     kept = batched_nms(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (xyxy, score, label)), threshold)
     return np.asarray(kept.numpy())
+
+
+def one_class_each(xyxy: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
+    """Numbers of the boxes to keep: of two of different classes that overlap by this IoU, the first.
+
+    A pick-up that is found as a car and as a truck would become two objects in one place. 1: keep all.
+    """
+    if threshold >= 1:
+        return np.arange(len(label))
+    twins = (iou_2d(xyxy, xyxy) >= threshold) & (label[:, None] != label[None])
+    kept: list[int] = []
+    for number in range(len(label)):
+        if not twins[number, kept].any():
+            kept.append(number)
+    return np.array(kept, int)

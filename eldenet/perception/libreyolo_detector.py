@@ -31,6 +31,7 @@ class LibreYoloDetector:
         input_size: ``(height, width)`` that the network sees [px], multiples of 32.
         threshold: detections below this score are dropped.
         nms: of two boxes of one class that overlap by this IoU, the better is kept.
+        between_classes: the same of two boxes of different classes; 1: both are kept.
         box_style: how its boxes lie around objects.
         seed: of random weights.
 
@@ -48,6 +49,7 @@ class LibreYoloDetector:
         input_size: tuple[int, int] = (192, 320),
         threshold: float = 0.3,
         nms: float = 0.5,
+        between_classes: float = 0.85,
         box_style: BoxStyle = "tight",
         seed: int = 0,
     ) -> None:
@@ -64,6 +66,7 @@ class LibreYoloDetector:
             raise ValueError(f"names={list(names)}, but {weights} holds {list(self.names)}")
         self.input_size = (int(input_size[0]), int(input_size[1]))
         self.threshold, self.nms, self.box_style = threshold, nms, box_style
+        self.between_classes = between_classes
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
         """Find objects in ``(H, W, 3)`` uint8 RGB."""
@@ -77,8 +80,9 @@ class LibreYoloDetector:
         with torch.inference_mode():
             raw = network(image)["predictions"][0].T.double().cpu().numpy()
         xyxy, best, label = in_frame(
-            raw[:, :4], raw[:, 4:], scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms
-        )
+            raw[:, :4], raw[:, 4:], scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms,
+            between_classes=self.between_classes,
+        )  # fmt: skip
         return Detections2D(xyxy, best, label, self.names, self.box_style)
 
     def train(

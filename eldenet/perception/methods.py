@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.geometry import PinholeCamera
-from eldenet.perception import fit, lshape
+from eldenet.perception import fit, lshape, residuals
 from eldenet.perception.foreground import Foreground, expected_depth
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior, silhouette
@@ -19,6 +19,8 @@ _INSIDE = {"vehicle": 0.30, "upright": 0.12, "box": 0.0}  # [m]: how far a shape
 _OUTSIDE = {"vehicle": 0.0, "upright": 0.12, "box": 0.0}  # [m]: and outside, where it does not fill it
 _FILL = {"vehicle": 1.0, "upright": 0.5, "box": 1.0}  # a body is slimmer than the reach of its arms and legs
 _STARTS = 4
+_WITHIN = 0.5  # of an object's depth error differs from pixel to pixel; the factor on depth takes all of it
+_ASTRAY = 0.25  # of the distance: points that are farther from where the size in the picture says
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def paper_boxes(known: Known) -> RawBoxes:
 def _heading(known: Known, points: np.ndarray) -> tuple[np.ndarray, lshape.Extents]:
     """Yaw ``(N,)`` by the L-shape, along the side that fits the class or is longer, and the extents."""
     weight = known.found.weight
-    z = np.median(known.found.depth, axis=1)
+    z = known.found.median_depth(1.0)
     yaw = lshape.closeness_yaw(points, weight, 0.05 + 0.15 * known.depth_sigma * z)
     extents = lshape.extents(points, weight, yaw)
     size = known.size
@@ -178,25 +180,31 @@ def _fitted(known: Known) -> RawBoxes:
         states.append(state)
         costs.append(cost)
     state, cost = np.concatenate(states), np.concatenate(costs)
-    size = np.exp(state[:, [fit.LENGTH, fit.WIDTH, fit.HEIGHT]])
-    center = np.stack([state[:, fit.X], state[:, fit.BOTTOM] - size[:, 2] / 2, state[:, fit.Z]], axis=1)
+    size = np.exp(state[:, [residuals.LENGTH, residuals.WIDTH, residuals.HEIGHT]])
+    center = np.stack(
+        [state[:, residuals.X], state[:, residuals.BOTTOM] - size[:, 2] / 2, state[:, residuals.Z]], axis=1
+    )
     return RawBoxes(
-        center, size, state[:, fit.YAW], np.exp(state[:, fit.SCALE]), cost, known.found.count < FEWEST_POINTS
+        center,
+        size,
+        state[:, residuals.YAW],
+        np.exp(state[:, residuals.SCALE]),
+        cost,
+        known.found.count < FEWEST_POINTS,
     )
 
 
-def _problem(known: Known) -> fit.Problem:
+def _problem(known: Known) -> residuals.Problem:
     found, detections = known.found, known.detections
     priors = [prior or _ANYTHING for prior in known.priors]
-    far = np.where(known.found.count > 0, np.median(found.depth, axis=1), 10.0)
-    noise = 0.06 + known.depth_sigma * far
+    noise = 0.06 + _WITHIN * known.depth_sigma * found.median_depth(10.0)
     sigma = [np.hypot(noise, [table[prior.shape] for prior in priors]) for table in (_OUTSIDE, _INSIDE)]
     extent = np.tile(detections.xyxy[:, 2:] - detections.xyxy[:, :2], 2)
     tight = detections.box_style == "tight"
     shapes = [silhouette(prior.shape, detections.box_style) for prior in priors]
     most = max(len(shape) for shape in shapes)
     ground, ground_sigma = _ground_belief(known)
-    return fit.Problem(
+    return residuals.Problem(
         direction=found.direction,
         depth=found.depth,
         weight=found.weight,
@@ -256,16 +264,21 @@ def _starts(known: Known) -> np.ndarray:
     low, high = _bounds(points, known.found.weight)
     sight = np.arctan2(-(low + high)[:, 2], (low + high)[:, 0])
     yaw = np.where(blind, sight + np.pi / 4, yaw)
-    state = np.zeros((count, _STARTS, fit.UNKNOWNS))
+    # points that may be another object's: two starts are where the size in the picture says instead
+    apart = np.linalg.norm(((low + high) / 2 - guess)[:, [0, 2]], axis=1)
+    astray = apart > _ASTRAY * np.linalg.norm(guess[:, [0, 2]], axis=1)
+    astray &= [prior is not None for prior in known.priors]
+    state = np.zeros((count, _STARTS, residuals.UNKNOWNS))
     for row, turn in enumerate((yaw, yaw + np.pi / 2, sight, sight + np.pi / 2)):
         extents = lshape.extents(points, known.found.weight, turn)
         x, z = lshape.anchored(extents, turn, size)
-        state[:, row, fit.X] = np.where(blind, guess[:, 0], x)
-        state[:, row, fit.Z] = np.where(blind, guess[:, 2], z)
-        ground = known.ground_at(state[:, row, fit.X], state[:, row, fit.Z])
-        state[:, row, fit.BOTTOM] = high[:, 1] if ground is None else ground
+        away = blind | (astray & (row >= 2))
+        state[:, row, residuals.X] = np.where(away, guess[:, 0], x)
+        state[:, row, residuals.Z] = np.where(away, guess[:, 2], z)
+        ground = known.ground_at(state[:, row, residuals.X], state[:, row, residuals.Z])
+        state[:, row, residuals.BOTTOM] = high[:, 1] if ground is None else ground
         if ground is None:
-            state[blind, row, fit.BOTTOM] += size[blind, 2] / 2
-        state[:, row, fit.YAW] = turn
-    state[..., fit.LENGTH : fit.HEIGHT + 1] = np.log(size)[:, None]
+            state[blind, row, residuals.BOTTOM] += size[blind, 2] / 2
+        state[:, row, residuals.YAW] = turn
+    state[..., residuals.LENGTH : residuals.HEIGHT + 1] = np.log(size)[:, None]
     return state

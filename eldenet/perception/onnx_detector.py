@@ -112,6 +112,7 @@ class OnnxDetector:
         input_size: ``(height, width)``; None: the file's. Needed where the file leaves it open.
         threshold: detections below this score are dropped.
         nms: of two boxes of one class that overlap by this IoU, the better is kept.
+        between_classes: the same of two boxes of different classes; 1: both are kept.
         keep: names of the classes to keep; None: all.
         box_style: how its boxes lie around objects.
         threads: of ONNX Runtime; 0: its own choice.
@@ -132,13 +133,14 @@ class OnnxDetector:
         input_size: tuple[int, int] | None = None,
         threshold: float = 0.3,
         nms: float = 0.5,
+        between_classes: float = 0.85,
         keep: Sequence[str] | None = None,
         box_style: BoxStyle = "tight",
         threads: int = 1,
         providers: Sequence[str] = ("CPUExecutionProvider",),
     ) -> None:
         one_of("layout", layout, ("auto", *LAYOUTS))
-        for name, share in (("threshold", threshold), ("nms", nms)):
+        for name, share in (("threshold", threshold), ("nms", nms), ("between_classes", between_classes)):
             if not 0 <= share <= 1:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         if threads < 0:
@@ -154,7 +156,8 @@ class OnnxDetector:
         self.letterbox = letterbox or metadata.get("letterbox_pad") or self.layout.letterbox
         one_of("letterbox", self.letterbox, ("topleft", "center", "stretch"))
         self.names = self._names(names, metadata, Path(path))
-        self.threshold, self.nms, self.keep, self.box_style = threshold, nms, keep, box_style
+        self.threshold, self.nms, self.between_classes = threshold, nms, between_classes
+        self.keep, self.box_style = keep, box_style
         if keep is not None and not set(keep) <= set(self.names):
             raise ValueError(
                 f"keep={list(keep)}: {sorted(set(keep) - set(self.names))} are none of {path}'s classes"
@@ -173,8 +176,9 @@ class OnnxDetector:
         xyxy, score = self.layout.decode(output, self.input_size)
         wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
         xyxy, best, label = in_frame(
-            xyxy, score, scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms, keep=wanted
-        )
+            xyxy, score, scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms,
+            between_classes=self.between_classes, keep=wanted,
+        )  # fmt: skip
         return Detections2D(xyxy, best, label, self.names, self.box_style)
 
     def _sniff(self, path: Path, metadata: dict[str, str]) -> str:

@@ -56,7 +56,7 @@ class Pairs:
         return np.asarray(np.maximum(0.0, 1.0 - self.error / self.distance))
 
     def select(self, chosen: np.ndarray) -> "Pairs":
-        """Those that ``chosen`` picks; the number of truths is theirs too, so recall is 1."""
+        """Those that ``chosen`` picks; ``truths`` counts theirs alone, so recalls are match rates."""
         arrays = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "truths"}
         return Pairs(**arrays, truths=len(arrays["error"]))
 
@@ -130,11 +130,16 @@ def summary(pairs: Pairs) -> dict[str, float]:
 
 
 def by_distance(pairs: Pairs, bins: Sequence[float] = BINS) -> list[tuple[float, float, dict[str, float]]]:
-    """``(from, to, summary)`` of each bin of the true distance [m]."""
-    return [
-        (low, high, summary(pairs.select((pairs.distance >= low) & (pairs.distance < high))))
-        for low, high in pairwise(bins)
-    ]
+    """``(from, to, summary)`` of each bin of the true distance [m].
+
+    Without recalls and the number of truths: of truths that no pair holds the distance is not known here.
+    """
+    parts = []
+    for low, high in pairwise(bins):
+        figures = summary(pairs.select((pairs.distance >= low) & (pairs.distance < high)))
+        known = {key: value for key, value in figures.items() if key != "truths" and "recall" not in key}
+        parts.append((low, high, known))
+    return parts
 
 
 def bootstrap(

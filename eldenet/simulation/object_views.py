@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.boxes import Detections2D
+from eldenet.geometry import extent_of
 from eldenet.simulation.camera import RayCamera
 from eldenet.simulation.mjcf import Draw
 from eldenet.simulation.render import choose_pose, draw_intrinsics
@@ -27,7 +28,7 @@ class ObjectView(NamedTuple):
 
     Attributes:
         image: ``(H, W, 3)`` uint8 RGB.
-        detections: the objects, boxes around what is seen of them; a pixel's box ends at its borders.
+        detections: the objects, boxes around what is seen of them.
     """
 
     image: np.ndarray
@@ -72,13 +73,12 @@ def _room(split: str, index: int, size: tuple[int, int]) -> ObjectView:
     for number, maker in room.pieces.items():
         rows, columns = np.nonzero(body == number)
         if len(rows) >= _LEAST_PIXELS:
-            boxes.append((columns.min(), rows.min(), columns.max(), rows.max()))
+            boxes.append(extent_of(rows, columns))
             labels.append(NAMES.index("person" if maker == "person" else "furniture"))
     return ObjectView(image, _large_enough(np.array(boxes, float).reshape(-1, 4), np.array(labels, np.int64)))
 
 
-def _large_enough(pixels: np.ndarray, label: np.ndarray) -> Detections2D:
-    """Boxes from first and last pixels ``(N, 4)``, without the smallest."""
-    xyxy = pixels + np.array([0.0, 0.0, 1.0, 1.0])
+def _large_enough(xyxy: np.ndarray, label: np.ndarray) -> Detections2D:
+    """Boxes ``(N, 4)`` without the smallest."""
     kept = (xyxy[:, 2:] - xyxy[:, :2] >= _LEAST_SIDE).all(1)
     return Detections2D(xyxy[kept], np.ones(int(kept.sum())), label[kept], NAMES)

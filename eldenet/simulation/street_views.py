@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.geometry import PinholeCamera, pinhole
+from eldenet.geometry import PinholeCamera, extent_of, pinhole
 from eldenet.simulation.camera import RayCamera, camera_rotation, cast_rays
 from eldenet.simulation.culling import SEEN_GROUPS, only_visible
 from eldenet.simulation.mjcf import Draw
@@ -91,7 +91,7 @@ def render_street(
 
 class _Look(NamedTuple):
     pixels: int
-    xyxy: tuple[float, float, float, float]
+    xyxy: np.ndarray
     visible: float
     truncated: bool
 
@@ -103,7 +103,7 @@ def _look(
     """What is seen of an object, against what would be seen of it alone in a picture with wide borders."""
     rows, columns = np.nonzero(instance == number)
     if not len(rows):
-        return _Look(0, (0, 0, 0, 0), 0.0, False)
+        return _Look(0, np.zeros(4), 0.0, False)
     height, width = eye.size
     shift = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1.0]])
     coarse = np.diag([0.25, 0.25, 1.0])  # every fourth pixel of a picture twice as wide and high
@@ -116,9 +116,7 @@ def _look(
     inside = alone[height // 8 : height // 8 + height // 4, width // 8 : width // 8 + width // 4]
     truncated = int(inside.sum()) < int(alone.sum())
     visible = min(1.0, len(rows) / max(16.0 * alone.sum(), 1.0))
-    return _Look(
-        len(rows), (columns.min(), rows.min(), columns.max() + 0.0, rows.max() + 0.0), visible, truncated
-    )
+    return _Look(len(rows), extent_of(rows, columns), visible, truncated)
 
 
 def _boxes(
