@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from eldenet.runlog import RunLog
 
 SHORTEST = 1e-3  # [s] between two frames, however fast they were read
+FOLLOWED = 10.0  # frames in which a video's view from above comes near the reach that it wants
 
 Add = Callable[[str, np.ndarray, np.ndarray, float | None], None]
 
@@ -41,6 +42,7 @@ def box_results(
     Raises:
         ValueError: no intrinsics or no detector were given, or a result is there already.
     """
+    from eldenet.perception.drawing import bev_reach
     from eldenet.pictures import write_picture
     from eldenet.predictions import open_video
 
@@ -54,18 +56,22 @@ def box_results(
     with ExitStack() as stack:
         show: Callable[[np.ndarray], None] | None = None
         last: float | None = None
+        reach: float | None = None
         if rate is not None:
             show = stack.enter_context(open_video(results.folder / f"{names[0]}_boxes.mp4", rate))
 
         def add(name: str, photo: np.ndarray, depth: np.ndarray, taken: float | None) -> None:
-            nonlocal last
+            nonlocal last, reach
             step = 1 / (rate or 1.0) if taken is None or last is None else max(taken - last, SHORTEST)
             last = taken
             scene = perception(photo, depth=depth, seconds=step)
             for stage, seconds in scene.seconds.items():
                 spent.setdefault(stage, []).append(seconds)
             if show is not None:
-                show(scene.picture())
+                wanted = bev_reach(scene.boxes, scene.bev_size)
+                # a video's view from above follows slowly: a grid that jumps can't be read
+                reach = wanted if reach is None else max(reach + (wanted - reach) / FOLLOWED, wanted / 2)
+                show(scene.picture(reach))
             else:
                 write_picture(results.folder / f"{name}_boxes.png", scene.picture())
             scene.write_kitti(results.folder / f"{name}_boxes.txt")

@@ -214,6 +214,8 @@ def test_one_object_has_one_class():
     assert one_class_each(boxes, label, 0.85).tolist() == [0, 2, 3]
     assert one_class_each(boxes, label, 1.0).tolist() == [0, 1, 2, 3]
     assert one_class_each(boxes[:0], label[:0], 0.85).tolist() == []
+    apart = np.array([[0, 0, 10, 10], [20, 0, 30, 10.0]])
+    assert one_class_each(apart, np.array([0, 1]), 0.0).tolist() == [0, 1]
 
 
 def test_a_detector_keeps_the_better_of_two_classes(tmp_path):
@@ -224,6 +226,7 @@ def test_a_detector_keeps_the_better_of_two_classes(tmp_path):
     path = save(tmp_path / "twins.onnx", twice, metadata)
     assert OnnxDetector(path)(FRAME).classes == ["dog", "cow"]
     assert sorted(OnnxDetector(path, between_classes=1.0)(FRAME).classes) == ["cat", "cow", "dog"]
+    assert OnnxDetector(path, keep=["cat", "cow"])(FRAME).classes == ["cow"]  # the dog does not become a cat
 
 
 def test_the_simple_adapters():

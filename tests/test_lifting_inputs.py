@@ -72,11 +72,12 @@ def test_a_car_cut_by_the_border(cut):
 def test_without_depth_a_box_still_comes_out(method, fill):
     _, xyxy = block((-2.0, 0.85, 12.0))
     depth = np.full((240, 640), fill)
-    boxes = BoxLifter(method, camera_height=1.6)(depth, detection(xyxy), CAMERA)
+    with pytest.warns(UserWarning, match="no pixel of the depth is known"):
+        boxes = BoxLifter(method, camera_height=1.6)(depth, detection(xyxy), CAMERA)
     assert np.isfinite(boxes.corners).all()
     assert boxes.center[0, 2] == pytest.approx(12, rel=0.2)
     assert boxes.quality["points"][0] == 0
-    assert boxes.quality["fallback"][0] == 1
+    assert boxes.quality["fallback"][0] == (method != "no_depth")
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -162,6 +163,13 @@ def test_an_unknown_class_keeps_the_extents_of_its_points():
     assert 1.2 < boxes.size[0, 0] < 2.3
     assert 1.0 < boxes.size[0, 2] < 1.8
     assert np.linalg.norm(boxes.center[0] - (-2.0, 0.85, 12.0)) < 0.9
+
+
+def test_what_hangs_is_not_stretched_down_to_the_ground():
+    depth, xyxy = block((-2.0, -1.0, 12.0), size=(0.5, 0.5, 1.0), height=1.6)
+    boxes = BoxLifter(camera_height=1.6)(depth, detection(xyxy, "traffic light"), CAMERA)
+    assert boxes.size[0, 2] == pytest.approx(1.0, abs=0.2)
+    assert boxes.center[0, 1] == pytest.approx(-1.0, abs=0.2)
 
 
 def test_masks_are_used_instead_of_boxes():

@@ -18,7 +18,7 @@ from eldenet.perception.detectors import FixedDetections
 from eldenet.perception.drawing import colour_of, draw_bev, draw_boxes, draw_detections
 from eldenet.perception.kitti_object import read_labels
 from eldenet.perception.lifter import BoxLifter
-from eldenet.perception.scene import STAGES, Perception
+from eldenet.perception.scene import STAGES, Perception, Scene
 from eldenet.perception.tracking import BoxTracker
 from eldenet.predict import predict
 from eldenet.simulation.street_views import render_street
@@ -66,6 +66,13 @@ def test_depth_of_another_size_and_no_picture_are_refused(view):
         perception(view.image)
     with pytest.raises(ValueError, match="frame is"):
         perception(view.image[..., 0])
+
+
+def test_intrinsics_of_another_picture_are_refused(view):
+    camera = PinholeCamera(pinhole(100.0, 100.0, view.image.shape[1] + 5.0, 20.0))
+    perception = Perception(lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), camera)
+    with pytest.raises(ValueError, match="lies outside the picture"):
+        perception(view.image)
 
 
 def test_a_scene_without_objects(view):
@@ -149,6 +156,19 @@ def test_every_box_is_in_the_view_from_above(center):
 def test_detections_are_drawn():
     found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
     assert (draw_detections(BLANK, found)[30:80, 20] == colour_of("car")).all()
+
+
+def test_a_drawn_box_ends_with_the_last_pixels_that_it_holds():
+    height, width = BLANK.shape[:2]
+    whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
+    drawn = draw_detections(BLANK, Detections2D(whole, np.ones(1), np.zeros(1, int), ("car",)))
+    assert (drawn[-1] == colour_of("car")).all()
+    assert (drawn[:, -1] == colour_of("car")).all()
+    few = Detections2D(np.array([[49.5, 51.5, 53.5, 55.5]]), np.ones(1), np.zeros(1, int), ("car",))
+    drawn = draw_detections(BLANK, few)
+    assert (drawn[52:56, 53] == colour_of("car")).all()
+    assert not (drawn[52:56, 54] == colour_of("car")).all(-1).any()
+    assert not (drawn[56, 50:54] == colour_of("car")).all(-1).any()
 
 
 # --- tracks ---
@@ -327,7 +347,8 @@ def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, m
 
     def perceive(photo, *, depth, seconds):
         seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
-        return SimpleNamespace(seconds={}, picture=lambda: BLANK, write_kitti=lambda path: None)
+        depth, none = np.ones(BLANK.shape[:2], np.float32), Detections2D.empty(("car",))
+        return Scene(BLANK, depth, none, seen[-1], CAMERA, {})
 
     monkeypatch.setattr(predict_boxes, "build_perception", lambda *args, **more: perceive)
     results = Results(tmp_path, ())

@@ -74,7 +74,10 @@ def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
     picture = np.ascontiguousarray(image).copy()
     for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
         colour = colour_of(name)
-        left, top, right, bottom = (round(float(edge)) for edge in box)
+        # the outermost pixels that the box holds, of those that there are
+        last = np.array([picture.shape[1] - 1, picture.shape[0] - 1])
+        left, top = np.clip(np.ceil(box[:2]), 0, last).astype(int).tolist()
+        right, bottom = np.clip(np.floor(box[2:]), 0, last).astype(int).tolist()
         cv2.rectangle(picture, (left, top), (right, bottom), colour, 1)
         _write(picture, f"{name} {score:.2f}", left, top, colour)
     return picture
@@ -100,10 +103,7 @@ def draw_bev(
         truth: other boxes, drawn in grey.
     """
     height, wide = size
-    if reach is None:
-        aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # where the panel is as wide
-        farthest = float(max(boxes.center[:, 2].max(), aside.max())) if len(boxes) else 10.0
-        reach = float(np.clip(farthest * 1.12 + 2, 10.0, 120.0))
+    reach = bev_reach(boxes, size) if reach is None else reach
     scale = (height - 12) / reach
     panel = np.full((height, wide, 3), _GROUND, np.uint8)
 
@@ -137,6 +137,14 @@ def draw_bev(
     eye = place(np.array([[-0.5, 0], [0.5, 0], [0, 1.2]]) * max(1.0, reach / 40))
     cv2.fillPoly(panel, [_fixed(eye)], _INK, cv2.LINE_AA, 4)
     return panel
+
+
+def bev_reach(boxes: Boxes3D, size: tuple[int, int]) -> float:
+    """Depth at the upper edge of a panel of ``size`` that holds every box: 10 to 120 m."""
+    height, wide = size
+    aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # where the panel is as wide
+    farthest = float(max(boxes.center[:, 2].max(), aside.max())) if len(boxes) else 10.0
+    return float(np.clip(farthest * 1.12 + 2, 10.0, 120.0))
 
 
 def picture_beside_bev(picture: np.ndarray, panel: np.ndarray) -> np.ndarray:

@@ -56,14 +56,14 @@ def in_frame(
     label = score.argmax(1)
     best = score[np.arange(len(score)), label]
     kept = (best >= threshold) & np.isfinite(xyxy).all(1)
-    if keep is not None:
-        kept &= np.isin(label, keep)
     xyxy, best, label = xyxy[kept], best[kept], label[kept]
     xyxy = (xyxy - np.tile(shift, 2)) / np.tile(scale, 2)
     xyxy = from_corner(np.clip(xyxy, 0, np.tile([size[1], size[0]], 2)))
     chosen = class_wise_nms(xyxy, best, label, nms)
     chosen = chosen[one_class_each(xyxy[chosen], label[chosen], between_classes)]
     chosen = chosen[(xyxy[chosen, 2:] - xyxy[chosen, :2] > 1).all(1)]
+    if keep is not None:  # last: what lost to a class that is not wanted must not come back
+        chosen = chosen[np.isin(label[chosen], keep)]
     return xyxy[chosen], best[chosen], label[chosen].astype(np.int64)
 
 
@@ -77,13 +77,13 @@ def class_wise_nms(xyxy: np.ndarray, score: np.ndarray, label: np.ndarray, thres
 
 
 def one_class_each(xyxy: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
-    """Numbers of the boxes to keep: of two of different classes that overlap by this IoU, the first.
+    """Numbers of the boxes to keep: of two of different classes with a larger IoU than this, the first.
 
     A pick-up that is found as a car and as a truck would become two objects in one place. 1: keep all.
     """
     if threshold >= 1:
         return np.arange(len(label))
-    twins = (iou_2d(xyxy, xyxy) >= threshold) & (label[:, None] != label[None])
+    twins = (iou_2d(xyxy, xyxy) > threshold) & (label[:, None] != label[None])
     kept: list[int] = []
     for number in range(len(label)):
         if not twins[number, kept].any():

@@ -105,7 +105,7 @@ class BoxLifter:
             raise ValueError(
                 f"masks are {detections.mask.shape[1:]}, depth is {depth.shape}: both must be of one picture"
             )
-        _warn_of_millimetres(depth)
+        _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]
         plane = self._plane(depth, camera)
         sigma = sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma)
@@ -130,7 +130,7 @@ class BoxLifter:
             "points": found.count,
             "depth_scale": raw.depth_scale,
             "cost": raw.cost,
-            "fallback": raw.fallback.astype(float),
+            "fallback": raw.fallback.astype(float) * (self.method != "no_depth"),
             "occluded": hidden,
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
@@ -157,9 +157,11 @@ class BoxLifter:
         return fit_ground(depth, camera) or self._nominal
 
 
-def _warn_of_millimetres(depth: np.ndarray) -> None:
+def _warn_of_odd_depth(depth: np.ndarray) -> None:
     known = depth[::8, ::8]
     known = known[np.isfinite(known) & (known > 0)]
+    if depth.size and not (np.isfinite(depth) & (depth > 0)).any():
+        warnings.warn("no pixel of the depth is known: boxes follow from their classes' sizes", stacklevel=3)
     if len(known) and np.median(known) > _FARTHEST:
         warnings.warn(
             f"half of the depth is beyond {_FARTHEST:.0f} m: is it in millimetres? metres are needed",

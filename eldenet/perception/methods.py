@@ -20,6 +20,7 @@ _OUTSIDE = {"vehicle": 0.0, "upright": 0.12, "box": 0.0}  # [m]: and outside, wh
 _FILL = {"vehicle": 1.0, "upright": 0.5, "box": 1.0}  # a body is slimmer than the reach of its arms and legs
 _STARTS = 4
 _WITHIN = 0.5  # of an object's depth error differs from pixel to pixel; the factor on depth takes all of it
+_HANGING = 0.5  # [m] above the ground: what ends there and is of no known class does not stand on it
 _ASTRAY = 0.25  # of the distance: points that are farther from where the size in the picture says
 
 
@@ -136,13 +137,16 @@ def lshape_boxes(known: Known) -> RawBoxes:
     x, z = (low[:, 0] + high[:, 0]) / 2, (low[:, 2] + high[:, 2]) / 2
     ground = known.ground_at(x, z)
     bottom = high[:, 1] if ground is None else ground
+    # what is of no known class may hang: a traffic light does not reach down to the street
+    hangs = np.isnan(known.size[:, 0]) & (bottom - high[:, 1] > _HANGING)
+    bottom = np.where(hangs, high[:, 1], bottom)
     raw = np.stack(
         [extents.high_u - extents.low_u, extents.high_v - extents.low_v, bottom - low[:, 1]], axis=1
     )
     size = np.where(np.isnan(known.size), np.maximum(raw, 0.05), known.size)
     x, z = lshape.anchored(extents, yaw, size)
     ground = known.ground_at(x, z)
-    bottom = bottom if ground is None else ground
+    bottom = bottom if ground is None else np.where(hangs, bottom, ground)
     return RawBoxes.of(np.stack([x, bottom - size[:, 2] / 2, z], axis=1), size, yaw)
 
 

@@ -49,20 +49,28 @@ class Scene:
             return self.detections.xyxy
         return self.boxes.project(self.camera, self.depth.shape)
 
-    def picture(self) -> np.ndarray:
-        """Boxes in the photo, beside the view from above: ``(h, w, 3)`` uint8 RGB."""
-        height, width = self.depth.shape
+    @property
+    def bev_size(self) -> tuple[int, int]:
+        """(height, width) of the view from above that :meth:`picture` draws [px]."""
+        tall = max(self.depth.shape[0], 240)
+        return tall, max(200, round(tall * 0.9))
+
+    def picture(self, reach: float | None = None) -> np.ndarray:
+        """Boxes in the photo, beside the view from above: ``(h, w, 3)`` uint8 RGB.
+
+        ``reach`` is the depth at that view's upper edge [m]; None: so that every box is in it.
+        """
+        width = self.depth.shape[1]
         heading_known = self.boxes.quality.get("heading", np.zeros(len(self.boxes))) == 1
         drawn = draw_boxes(self.image, self.boxes, self.camera, front=heading_known)
-        tall = max(height, 240)
-        panel = draw_bev(self.boxes, self.camera, width, size=(tall, max(200, round(tall * 0.9))))
+        panel = draw_bev(self.boxes, self.camera, width, size=self.bev_size, reach=reach)
         return picture_beside_bev(drawn, panel)
 
-    def write_kitti(self, path: Path) -> None:
+    def write_kitti(self, path: str | Path) -> None:
         """Boxes as a KITTI result file, along the camera's axes; those out of the picture are left out."""
         xyxy = self.xyxy
         seen = np.isfinite(xyxy).all(1)
-        write_labels(path, to_labels(self.boxes.select(seen), xyxy[seen], self.camera.rotation))
+        write_labels(Path(path), to_labels(self.boxes.select(seen), xyxy[seen], self.camera.rotation))
 
     def log_to_rerun(self, path: str = "world") -> None:
         """Send the scene to a rerun viewer (``pip install rerun-sdk``; ``rerun.init`` is the caller's)."""
@@ -124,6 +132,12 @@ class Perception:
             ValueError: the picture is none, or its depth has another size.
         """
         check_frame(image)
+        column, row = self.camera.intrinsics[:2, 2]
+        if not (0 <= column < image.shape[1] and 0 <= row < image.shape[0]):
+            raise ValueError(
+                f"the camera's principal point ({column:g}, {row:g}) lies outside the picture, which is "
+                f"{image.shape[1]} x {image.shape[0]}: give the intrinsics of pictures of this size"
+            )
         clock = [time.perf_counter()]
         depth = self.depth_model(image) if depth is None else depth
         clock.append(time.perf_counter())
