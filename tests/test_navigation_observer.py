@@ -129,7 +129,8 @@ def test_forgetting_agrees_with_a_slow_reckoning():
                 away = math.dist(entry[0], eye)
                 bearing = math.remainder(math.atan2(*(entry[0] - eye)[::-1]) - pose[2], 2 * math.pi)
                 if abs(bearing) < ROBOT.field_of_view / 2 and ROBOT.near < away < 5.0:
-                    seen = ranges[int((bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns)]
+                    column = int((bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns)
+                    seen = ranges[max(column - 1, 0) : column + 2].min()
                     entry[1] = entry[1] + 1 if seen > away * 1.2 + 0.05 else 0
             frame[:] = [entry for entry in frame if entry[1] < 2]
         angles = np.array(ROBOT.column_angles) + pose[2]
