@@ -184,6 +184,7 @@ def test_near_the_table_s_edge_nothing_breaks():
     ({"turn_rates": (1.0,)}, "give one each"),
     ({"memory": -1}, "memory=-1"),
     ({"seen_through": -1}, "seen_through=-1"),
+    ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "with speed=paper"),
 ])  # fmt: skip
 def test_wrong_observers_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

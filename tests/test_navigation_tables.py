@@ -178,12 +178,12 @@ def test_a_sensor_s_loss_is_tested_in_pairs(rows):
     true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
     tables = {
         ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
-        ("wheels", "ranges", "dqn_noisy", "5"): [crossings(true)],
-        ("wheels", "noisy", "dqn_noisy", "5"): [crossings(seen)],
+        ("wheels", "ranges", "dqn_mixed", "5"): [crossings(true)],
+        ("wheels", "noisy", "dqn_mixed", "5"): [crossings(seen)],
     }
     lines = comparisons.loss(tables, "wheels", "noisy")
     own, default = (line.split(" | ") for line in lines[2:])
-    assert own[1:3] == ["dqn_noisy", "5"]
+    assert own[1:3] == ["dqn_mixed", "5"]
     assert own[3].startswith("5.0 [")
     assert own[4:6] == ["10", "5"]
     assert default[1] == "dqn"

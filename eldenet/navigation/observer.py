@@ -52,9 +52,10 @@ class Observer:
     Args:
         robots: how many at once.
         turn_rates: of the actions [rad/s].
-        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up.
-        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter);
-            "turn": times the action's factor; "prox": and slower near obstacles.
+        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up. speed="paper"
+            knows none.
+        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter),
+            the same for all actions; "turn": times the action's factor; "prox": and slower near obstacles.
         memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
         bins: bearings into which the memory is divided; 0: no memory columns.
         arcs: add the free time along each action's arc.
@@ -83,6 +84,11 @@ class Observer:
         if len(turn_rates) != len(turn_factors) or not turn_rates:
             raise ValueError(
                 f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
+            )
+        if speed == "paper" and min(turn_factors) <= 0:
+            raise ValueError(
+                f"turn_factors={list(turn_factors)} with speed=paper, which knows none: "
+                "for actions that stop or back up choose speed=turn or prox"
             )
         if min(memory, bins, seen_through) < 0 or robots < 1:
             raise ValueError(
