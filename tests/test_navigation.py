@@ -186,7 +186,7 @@ def test_watch_films_without_a_display(run_command, tmp_path):
     (film,) = (tmp_path / "run").glob("*.gif")
     with Image.open(film) as picture:
         assert picture.n_frames >= 10
-        assert picture.size[1] == 480
+        assert picture.size[1] == 500
 
 
 def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):

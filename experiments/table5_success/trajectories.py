@@ -3,7 +3,8 @@
 python experiments/table5_success/trajectories.py                           one "val" arena of 40 and one of 80
 python experiments/table5_success/trajectories.py --worlds 80:3,80:7 --policy paper_literal=runs/table5/paper_literal-0/policy.safetensors
 
-A row per arena, a column per method; a panel says how its crossing ended. Wheels physics, true ranges.
+A row per arena, a column per method; a dot is the start, a panel says how its
+crossing ended. Wheels physics, true ranges.
 """  # noqa: E501 - a command
 
 from argparse import ArgumentParser
@@ -30,7 +31,7 @@ GAP = 6
 
 def main() -> None:
     parser = ArgumentParser()
-    parser.add_argument("--worlds", default="40:1,80:2", help="density:index of every arena")
+    parser.add_argument("--worlds", default="40:1,80:5", help="density:index of every arena")
     parser.add_argument("--split", default="val", help="stream of the arenas")
     parser.add_argument("--policy", action="append", default=[], help="name=policy.safetensors; many times")
     parser.add_argument("--out", type=Path, default=HERE / "trajectories.png")
@@ -67,8 +68,11 @@ def panel(arena: Arena, name: str, policy: Policy) -> np.ndarray:
     title = np.full((TITLE, SIDE, 3), 255, np.uint8)
     text = f"{name}: {OUTCOMES[event]}, {crossings.seconds[0]:.1f} s, {crossings.travelled[0]:.1f} m"
     colour = (0, 0, 0) if event is Event.GOAL else (190, 20, 20)
+    begun = scene.pixel(*scene.trail[0][:2])
+    top = scene.top_view(crossings, 0)
+    cv2.circle(top, begun, 5, (30, 100, 220), -1, cv2.LINE_AA)
     cv2.putText(title, text, (4, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.46, colour, 1, cv2.LINE_AA)
-    return np.concatenate([title, scene.top_view(crossings, 0)], axis=0)
+    return np.concatenate([title, top], axis=0)
 
 
 def gap(picture: np.ndarray, axis: int) -> np.ndarray:
