@@ -210,7 +210,7 @@ def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
     (["density=500"], "density=500"),
     (["density=[5,20]"], "films one arena"),
     (["mode=evaluate", "worlds=0"], "worlds=0: give at least one"),
-    (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, odometry"),
+    (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
     (["policy=dqn", "checkpoint=none.safetensors"], "no policy at none.safetensors"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(run_command, arguments, message):
