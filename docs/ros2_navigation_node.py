@@ -8,7 +8,8 @@ hardware emergency stop at hand, and let the base limit speed and acceleration.
 The goal's distance and bearing come from odometry, so they drift with it: that is goal=odometry of
 python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the
 simulation's default. On a robot that localises (in a map, by a beacon), publish the corrected pose as
-odometry.
+odometry, or fuse its positions with the wheels' odometry in eldenet.navigation.localisation.Localiser, as
+goal=fixes does.
 
 The camera must see 69.4 degrees across, at least 46 pixels: a narrower one shows nothing in the policy's
 outer columns. The node then ends with an error that says so, and a last command that stops the robot.

@@ -35,7 +35,7 @@ def test_check_env_of_gymnasium_and_of_stable_baselines3():
     env.reset(seed=0)
     picture = env.render()
     assert picture.dtype == np.uint8
-    assert picture.shape[0] == 480
+    assert picture.shape[0] == 500
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(ArenaNavEnv())
 

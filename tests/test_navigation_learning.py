@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.navigation.dqn import CHECKPOINT, DQN, Replay, Windows
+from eldenet.navigation.dqn import CHECKPOINT, DQN, quantile_loss
+from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.replay import Replay, Windows
 from eldenet.navigation.tasks import TrainingArenas
 
 gym = pytest.importorskip("gymnasium")
@@ -120,36 +122,38 @@ def test_algorithm_2_copies_hard_and_the_default_softly():
         torch.testing.assert_close(target, 0.75 * old + 0.25 * policy, rtol=1e-5, atol=1e-7)
 
 
-def test_it_learns_what_a_table_would():
-    """A corridor of ten cells, left or right; the values of the optimal policy are known."""
+class Corridor:
+    """Ten cells, left or right; the values of the optimal policy are known."""
 
-    class Corridor:
-        num_envs = 8
-        single_observation_space = gym.spaces.Box(-1, 1, (10,), np.float32)
-        single_action_space = gym.spaces.Discrete(2)
+    num_envs = 8
+    single_observation_space = gym.spaces.Box(-1, 1, (10,), np.float32)
+    single_action_space = gym.spaces.Discrete(2)
 
-        def _obs(self):
-            return np.eye(10, dtype=np.float32)[self.at]
+    def _obs(self):
+        return np.eye(10, dtype=np.float32)[self.at]
 
-        def reset(self, *, seed=None):
-            self.rng = np.random.default_rng(seed)
-            self.at = self.rng.integers(0, 9, 8)
-            return self._obs(), {}
+    def reset(self, *, seed=None, options=None):
+        self.rng = np.random.default_rng(seed)
+        self.at = self.rng.integers(0, 9, 8)
+        return self._obs(), {}
 
-        def step(self, action):
-            self.at = np.clip(self.at + np.where(action == 1, 1, -1), 0, 9)
-            done, obs = self.at == 9, self._obs()
-            info = {"event": done.astype(int), "final_obs": obs}
-            self.at = np.where(done, self.rng.integers(0, 9, 8), self.at)
-            return self._obs(), done.astype(float), done, np.zeros(8, bool), info
+    def step(self, action):
+        self.at = np.clip(self.at + np.where(action == 1, 1, -1), 0, 9)
+        done, obs = self.at == 9, self._obs()
+        info = {"event": done.astype(int), "final_obs": obs}
+        self.at = np.where(done, self.rng.integers(0, 9, 8), self.at)
+        return self._obs(), done.astype(float), done, np.zeros(8, bool), info
 
+
+@pytest.mark.parametrize("quantiles", [0, 8])
+def test_it_learns_what_a_table_would(quantiles):
     learner = DQN(
         Corridor(), steps=12_000, leg=12_000, warmup=200, gamma=0.9, batch_size=64, hidden=(32,), replay=4000,
-        learning_rate=3e-3, tau=0.02, exploration_end=0.3,
+        learning_rate=3e-3, tau=0.02, exploration_end=0.3, quantiles=quantiles,
     )  # fmt: skip
     learner.learn()
     with torch.no_grad():
-        values = learner.policy_dqn(torch.eye(10))[:9]
+        values = learner.policy_dqn.plain()(torch.eye(10))[:9]
     assert (values.argmax(1) == 1).all()
     assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
 
@@ -163,6 +167,50 @@ def test_gradients_are_clipped_and_rates_fall_only_where_asked():
         norm = torch.cat([p.grad.flatten() for p in learner.policy_dqn.parameters()]).norm()
         assert (norm <= 1.001e-6) == (options.get("gradient_clip") == 1e-6)
     assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
+
+
+def test_the_quantile_loss_is_the_paper_s():
+    rng = np.random.default_rng(0)
+    predicted, target = rng.normal(0, 2, (6, 4)), rng.normal(0, 2, (6, 3))
+    expected = 0.0
+    for row in range(6):
+        for number, share in enumerate((0.125, 0.375, 0.625, 0.875)):
+            errors = target[row] - predicted[row, number]
+            huber = [0.5 * u * u if abs(u) < 1 else abs(u) - 0.5 for u in errors]
+            expected += np.mean([abs(share - (u < 0)) * h for u, h in zip(errors, huber, strict=True)])
+    got = quantile_loss(torch.from_numpy(predicted), torch.from_numpy(target))
+    assert float(got) == pytest.approx(expected / 6)
+
+
+def test_quantiles_fit_a_spread_and_leave_as_a_plain_network():
+    torch.manual_seed(0)
+    network = QNetwork(3, 2, (8,), 16)
+    rows = torch.rand(20, 3)
+    torch.testing.assert_close(network.plain()(rows), network(rows))
+    torch.testing.assert_close(network(rows), network.spread(rows).mean(2))
+    guess = torch.zeros(1, 16, requires_grad=True)
+    samples = torch.randn(1, 4000)
+    optimizer = torch.optim.Adam([guess], lr=0.05)
+    for _ in range(400):
+        optimizer.zero_grad()
+        quantile_loss(guess * 20, samples * 20).backward()  # Huber's rounding hardly counts
+        optimizer.step()
+    expected = torch.distributions.Normal(0, 1).icdf((torch.arange(16) + 0.5) / 16)
+    assert (guess.detach()[0] - expected).abs().max() < 0.15
+
+
+def test_a_curriculum_begins_with_few_obstacles():
+    tasks, rng = TrainingArenas((0, 40), curriculum=0.5), np.random.default_rng(0)
+    assert [tasks.fresh(progress).high for progress in (0.0, 0.25, 0.5, 1.0)] == [10, 25, 40, 40]
+    assert tasks.fresh(0.0).fresh().high == 40
+    env = ArenaNavVectorEnv(3, arenas=tasks)
+    for progress, most in ((0.0, 10), (0.9, 40)):
+        env.reset(seed=1, options={"progress": progress})
+        drawn = [task.draw(rng).density for task in env._tasks for _ in range(8)]
+        assert max(drawn) <= most
+    assert max(drawn) > 10
+    with pytest.raises(ValueError, match="curriculum=2"):
+        TrainingArenas(curriculum=2)
 
 
 def test_wrong_learners_are_refused():

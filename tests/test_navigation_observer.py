@@ -49,7 +49,7 @@ def test_speed_laws(law, expected):
 
 
 def test_memory_keeps_what_left_the_view():
-    observer = Observer(memory=60)
+    observer = Observer(memory=60, seen_through=0)
     ranges = FAR.copy()
     ranges[0, 20] = 1.0
     for _ in range(2):  # every second frame is kept
@@ -70,6 +70,80 @@ def test_memory_keeps_what_left_the_view():
     observer.observe(senses(ranges))
     observer.reset(0)
     assert (observer.observe(senses())[0][10:34] == 1).all()
+
+
+def test_what_looks_see_through_is_forgotten_and_what_they_do_not_see_is_kept():
+    observer = Observer(memory=60, seen_through=2)
+    thing = FAR.copy()
+    thing[0, 20] = 1.5
+
+    def remembered() -> int:
+        return len(observer.memory.near(np.zeros((1, 3)))[0])
+
+    for _ in range(2):
+        observer.observe(senses(thing))
+    observer.observe(senses())
+    assert remembered() == 1  # one look may have missed it
+    observer.observe(senses(thing))
+    observer.observe(senses())
+    assert remembered() == 2  # seen again in between: the doubt is gone
+    observer.observe(senses(np.where(thing < 2, 1.6, FAR)))  # a tenth farther is the same thing
+    hidden = FAR.copy()
+    hidden[0, 15:25] = 0.8
+    for _ in range(4):
+        observer.observe(senses(hidden))
+    # behind something nearer, and out of view: nothing was seen through
+    kept = remembered()
+    for _ in range(4):
+        observer.observe(senses(odometry=(0.0, 0.0, math.pi)))
+    assert remembered() == kept
+    for _ in range(4):
+        observer.observe(senses())
+    assert remembered() == 0
+
+
+def test_robots_forget_what_they_see_through_alike_alone_and_among_others():
+    rng = np.random.default_rng(3)
+    poses = np.cumsum(rng.normal(0, 0.15, (30, 3, 3)), axis=0)
+    looks = np.clip(rng.gamma(2.0, 1.5, (30, 3, ROBOT.columns)), ROBOT.near, ROBOT.far)
+    goals = np.full((3, 2), 5.0)
+    together, alone = Observer(3), Observer(1)
+    for ranges, pose in zip(looks, poses, strict=True):
+        seen = together.observe(Senses(ranges, pose, goals))
+        one = alone.observe(Senses(ranges[1:2], pose[1:2], goals[1:2]))
+        assert (one[0] == seen[1]).all()
+
+
+def test_forgetting_agrees_with_a_slow_reckoning():
+    """Every point and every look, one by one."""
+    rng = np.random.default_rng(4)
+    poses = np.cumsum(rng.normal(0, 0.2, (20, 3)), axis=0)
+    looks = np.clip(rng.gamma(2.0, 1.5, (20, ROBOT.columns)), ROBOT.near, ROBOT.far)
+    observer = Observer(memory=60, seen_through=2)
+    kept: list[list] = []  # of every look, points with their doubts
+    for number, (ranges, pose) in enumerate(zip(looks, poses, strict=True)):
+        observer.observe(senses(ranges[None], tuple(pose)))
+        eye = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
+        for frame in kept:
+            for entry in frame:
+                away = math.dist(entry[0], eye)
+                bearing = math.remainder(math.atan2(*(entry[0] - eye)[::-1]) - pose[2], 2 * math.pi)
+                if abs(bearing) < ROBOT.field_of_view / 2 and ROBOT.near < away < 5.0:
+                    column = int((bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns)
+                    seen = ranges[max(column - 1, 0) : column + 2].min()
+                    entry[1] = entry[1] + 1 if seen > away * 1.2 + 0.05 else 0
+            frame[:] = [entry for entry in frame if entry[1] < 2]
+        angles = np.array(ROBOT.column_angles) + pose[2]
+        frame = [
+            [eye + r * np.array([math.cos(a), math.sin(a)]), 0]
+            for r, a in zip(ranges, angles, strict=True)
+            if r < ROBOT.far
+        ]
+        kept = [*kept[: number // 2], frame]
+        points = np.array([entry[0] for frame in kept for entry in frame])
+        near = np.sort(np.hypot(*(points - pose[:2]).T))
+        got = np.sort(observer.memory.near(pose[None])[3])
+        assert got == pytest.approx(near[near < 3.0], abs=1e-4)
 
 
 def test_arc_tables_agree_with_moving_the_footprint():
@@ -109,6 +183,8 @@ def test_near_the_table_s_edge_nothing_breaks():
     ({"speed": "fast"}, "speed='fast'"),
     ({"turn_rates": (1.0,)}, "give one each"),
     ({"memory": -1}, "memory=-1"),
+    ({"seen_through": -1}, "seen_through=-1"),
+    ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "with speed=paper"),
 ])  # fmt: skip
 def test_wrong_observers_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
@@ -168,6 +244,18 @@ def test_noise_has_the_deviations_it_was_given():
     )
     frames = error.mean(axis=1)
     assert np.corrcoef(frames[1:], frames[:-1])[0, 1] == pytest.approx(0.75, abs=0.1)
+
+
+def test_a_share_of_the_crossings_has_true_ranges():
+    world = ArenaWorld(generate_arena("val", 40, 5))
+    sensor = NoisyRanges(share=0.25)
+    exact = [
+        (sensor.begin(world, np.random.default_rng(seed)).look().ranges == world.ranges()).all()
+        for seed in range(200)
+    ]
+    assert 0.65 < np.mean(exact) < 0.85
+    with pytest.raises(ValueError, match=r"share=1\.5"):
+        NoisyRanges(share=1.5)
 
 
 def test_odometry_drifts_by_what_it_says():

@@ -15,7 +15,7 @@ from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash
 
-MODULES = ("rows", "panels", "inputs", "comparisons", "run")
+MODULES = ("rows", "panels", "inputs", "comparisons", "run", "trajectories")
 FOLDER = Path(__file__).parents[1] / "experiments" / "table5_success"
 
 
@@ -120,6 +120,22 @@ def test_learnt_rows_are_trainings_of_the_command(rows):
     assert (configs["paper_state"].observer.memory, configs["paper_state"].learner.n_step) == (0, 5)
     assert configs["dqn_walkers"].training.arenas.movers == 10
     assert plain(configs["dqn"].observer)["memory"] == 60
+    assert (configs["dqn"].observer.seen_through, configs["dqn_by_age"].observer.seen_through) == (2, 0)
+    assert (configs["dqn_mixed"].sensor.share, configs["dqn_mixed"].sensor.errors) == (0.5, "packaged")
+    assert len(configs["dqn_reverse"].observer.turn_rates) == 8
+    assert configs["dqn_curriculum"].training.arenas.curriculum == 0.5
+    assert configs["dqn_quantile"].learner.quantiles == 16
+
+
+def test_ways_are_drawn_with_their_end(rows):
+    trajectories = importlib.import_module("trajectories")
+    (arena,) = frozen_arenas(40, 1, split="val")
+    picture = trajectories.panel(arena, "straight", rows.PLANNERS["straight"](1))
+    assert picture.shape == (trajectories.TITLE + trajectories.SIDE, trajectories.SIDE, 3)
+    scene = trajectories.Scene(arena, trajectories.SIDE)
+    column, row = scene.pixel(*arena.start[:2])
+    assert picture[row + trajectories.TITLE, column].tolist() == [30, 100, 220]  # the dot at the start
+    assert (picture[: trajectories.TITLE] < 255).any()
 
 
 def test_the_moving_arenas_are_frozen_too():
@@ -178,12 +194,12 @@ def test_a_sensor_s_loss_is_tested_in_pairs(rows):
     true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
     tables = {
         ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
-        ("wheels", "ranges", "dqn_noisy", "5"): [crossings(true)],
-        ("wheels", "noisy", "dqn_noisy", "5"): [crossings(seen)],
+        ("wheels", "ranges", "dqn_mixed", "5"): [crossings(true)],
+        ("wheels", "noisy", "dqn_mixed", "5"): [crossings(seen)],
     }
     lines = comparisons.loss(tables, "wheels", "noisy")
     own, default = (line.split(" | ") for line in lines[2:])
-    assert own[1:3] == ["dqn_noisy", "5"]
+    assert own[1:3] == ["dqn_mixed", "5"]
     assert own[3].startswith("5.0 [")
     assert own[4:6] == ["10", "5"]
     assert default[1] == "dqn"

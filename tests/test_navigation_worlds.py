@@ -10,7 +10,7 @@ from eldenet.navigation.crossings import Crossings, Event
 from eldenet.navigation.evaluation import cross
 from eldenet.navigation.failures import trace
 from eldenet.navigation.noise import NoisyRanges, without_missed
-from eldenet.navigation.planners.astar import AStarDWA
+from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
@@ -18,7 +18,7 @@ from eldenet.navigation.sensors import Drift, Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.robot import ROBOT
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, Obstacle
 
 
 def empty(start=(0.0, 0.0, 0.0), *waypoints) -> Arena:
@@ -167,3 +167,31 @@ def test_a_goal_by_odometry_is_missed_where_odometry_drifts():
     assert reached[1] < 8
     exact = [cross(arenas[:2], make, Ranges(), goal=goal) for goal in ("known", "odometry")]
     assert exact[0] == exact[1]
+
+
+@pytest.mark.parametrize("walls", [0, 40, 400])
+def test_planning_in_a_window_is_planning_on_the_whole_map(walls):
+    from scipy.ndimage import distance_transform_edt
+
+    rng = np.random.default_rng(walls)
+    planner = AStarOnlineDWA()
+    for _ in range(4):
+        planner.reset(0)
+        middle, half = planner.cells // 2, 60
+        rows, columns = rng.integers(middle - half, middle + half, (2, walls))
+        planner._evidence[0, rows, columns] = 4
+        pose, goal = np.array([*rng.uniform(-5, 5, 2), 0.0]), tuple(rng.uniform(-8, 8, 2).tolist())
+        taken = planner._evidence[0] > 0
+        clearance = distance_transform_edt(~taken) * RESOLUTION if walls else np.full(taken.shape, np.inf)
+        expected = None
+        for inflation, weight in ((INFLATION, 1.0), (TIGHT, 6.0)):
+            cost = np.where(clearance >= INFLATION, 1.0, np.where(clearance >= inflation, weight, np.inf))
+            if expected is None:
+                expected = shortest_path(cost, tuple(pose[:2]), goal, planner.side)
+        got = planner._plan(0, pose, goal)
+        assert (got is None) == (expected is None)
+        if got is not None:
+            assert got == pytest.approx(expected)
+        near = planner._walls_near(0, pose)
+        every = (np.argwhere(taken)[:, ::-1] + 0.5) * RESOLUTION - planner.side / 2
+        assert near == pytest.approx(every[np.hypot(*(every - pose[:2]).T) < 3.0])

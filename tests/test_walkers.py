@@ -88,15 +88,15 @@ def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
     crossing = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
     seen = {}
     for follow in (False, True):
-        observer, world = Observer(walkers=follow), world_of(crossing)
+        observer, world = Observer(walkers=follow, seen_through=0), world_of(crossing)
         for _ in range(12):
             senses = Senses(world.ranges()[None], np.array([world.pose]), np.array([[8.0, 0.0]]))
             observer.observe(senses)
             world.advance(0.0, 0.0, ROBOT.period)
-        _, x, y, _ = observer.near_points(np.array([world.pose]))
+        _, x, y, _ = observer.memory.near(np.array([world.pose]))
         seen[follow] = np.stack([x, y], axis=1)
         observer.reset()
-        assert len(observer.near_points(np.array([world.pose]))[0]) == 0
+        assert len(observer.memory.near(np.array([world.pose]))[0]) == 0
     now = crossing.position(2.2)[1]
     trail = {follow: (points[:, 1] < now - 0.6).sum() for follow, points in seen.items()}
     ahead = {follow: (points[:, 1] > now + 0.6).sum() for follow, points in seen.items()}

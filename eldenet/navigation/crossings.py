@@ -9,6 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from eldenet.navigation.localisation import Fixes, Localiser
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.sensors import Eye, Odometry, Sensor, Sight
 from eldenet.robot import ROBOT
@@ -18,7 +19,7 @@ from eldenet.simulation.arenas import Arena
 SUBSTEPS = 2  # of a control period, after each of which contacts are looked for: at most 10 cm apart
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
-GOALS = ("known", "odometry")
+GOALS = ("known", "fixes", "odometry")
 
 
 class Event(IntEnum):
@@ -39,8 +40,11 @@ class Crossings:
         physics: "kinematic" or "wheels"; see :class:`~eldenet.simulation.arena_world.ArenaWorld`.
         time_limit: of a crossing [s].
         goal: where the robot takes the goal's distance and bearing from. "known": always the true ones, as
-            with a beacon or a map to localise in; "odometry": from where its odometry believes it is, as on
-            a robot without either, so that they drift with it. The true pose ends a crossing in both.
+            with a beacon at the goal; "fixes": from a :class:`~eldenet.navigation.localisation.Localiser`
+            that gets a noisy position now and then, and calibrates the odometry; "odometry": from where the
+            odometry believes it is, as on a robot without either, so that they drift with it. The true pose
+            ends a crossing in all.
+        fixes: how often "fixes" come and how good they are.
 
     Raises:
         ValueError: unknown goal.
@@ -58,15 +62,18 @@ class Crossings:
         physics: str = "kinematic",
         time_limit: float = TIME_LIMIT,
         goal: str = "known",
+        fixes: Fixes = Fixes(),  # noqa: B008 - immutable
     ) -> None:
         if goal not in GOALS:
             raise ValueError(f"goal={goal!r}: choose one of {', '.join(GOALS)}")
-        self.goal_from = goal
+        self.goal_from, self.fixes = goal, fixes
         self.count, self.sensor, self.physics, self.time_limit = count, sensor, physics, time_limit
         self.worlds: list[ArenaWorld | None] = [None] * count
         self.sights: list[Sight | None] = [None] * count
         self._eyes: list[Eye | None] = [None] * count
         self._odometry: list[Odometry | None] = [None] * count
+        self._localisers: list[Localiser | None] = [None] * count  # of goal="fixes" alone
+        self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # where they are
         self.travelled = np.zeros(count)  # [m]
         self._waypoint = np.zeros(count, np.intp)
@@ -80,9 +87,16 @@ class Crossings:
             world.place(arena.start)
         else:
             world = self.worlds[slot] = ArenaWorld(arena, self.physics)
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(tuple(seed))))
+        stream = np.random.SeedSequence(tuple(seed))
+        rng = np.random.Generator(np.random.PCG64(stream))
         self._eyes[slot] = self.sensor.begin(world, rng)
         self._odometry[slot] = Odometry(self.sensor.drift, rng, world.pose)
+        if self.goal_from == "fixes":
+            drift = self.sensor.drift
+            self._localisers[slot] = Localiser(
+                world.pose, deviation=self.fixes.deviation, distance=drift.distance, heading=drift.heading
+            )
+            self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
         self.poses[slot] = world.pose
         self.travelled[slot] = 0.0
         self._waypoint[slot] = self._steps[slot] = 0
@@ -116,7 +130,12 @@ class Crossings:
         """What the robots sensed when they looked last, with odometry and goals as they are now."""
         ranges = np.stack([sight.ranges for sight in self.sights if sight is not None])
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
-        goals = self._goals_from(odometry if self.goal_from == "odometry" else self.poses)
+        if self.goal_from == "fixes":
+            believed = [localiser for localiser in self._localisers if localiser is not None]
+            odometry = np.array([localiser.odometry for localiser in believed])
+            goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(believed)])
+        else:
+            goals = self._goals_from(odometry if self.goal_from == "odometry" else self.poses)
         return Senses(ranges, odometry, goals)
 
     def sense(self, slots: Sequence[int] | None = None) -> Senses:
@@ -164,9 +183,21 @@ class Crossings:
                     break
                 self._waypoint[slot] += 1  # a way-point on the way ends no period
         self.poses[slot] = world.pose
+        self._localise(slot)
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event
+
+    def _localise(self, slot: int) -> None:
+        """Tell the localiser what the wheels did, and where it is when a fix is due."""
+        localiser, rng = self._localisers[slot], self._rngs[slot]
+        if localiser is None or rng is None:
+            return
+        localiser.move(self._odometry[slot].pose)  # type: ignore[union-attr]
+        due = max(1, round(self.fixes.period / ROBOT.period))
+        if self._steps[slot] % due == 0:
+            error = self.fixes.deviation * rng.standard_normal(2)
+            localiser.fix(*(self.poses[slot, :2] + error).tolist())
 
     def _world(self, slot: int) -> ArenaWorld:
         world = self.worlds[slot]

@@ -1,4 +1,4 @@
-"""Deep Q-learning for the arena environment, as the paper's Algorithm 2 names it, in one file.
+"""Deep Q-learning for the arena environment, as the paper's Algorithm 2 names it.
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
 ``target_every`` set, this is Algorithm 2 as written: replay, mean squared error, Adam, and a hard copy into
@@ -16,88 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.replay import Replay, Windows
 
 CHECKPOINT = "dqn.pt"
-
-
-class Replay:
-    """The last ``capacity`` transitions; observations as float16, which keeps three digits of [-1, 1]."""
-
-    def __init__(self, capacity: int, inputs: int) -> None:
-        self.capacity, self.added = capacity, 0
-        self.obs = torch.zeros(capacity, inputs, dtype=torch.float16)
-        self.next_obs = torch.zeros(capacity, inputs, dtype=torch.float16)
-        self.action = torch.zeros(capacity, dtype=torch.int64)
-        self.value = torch.zeros(capacity)  # discounted sum of the rewards on the way
-        self.discount = torch.zeros(capacity)  # of what comes after; 0 where the episode has ended
-
-    def __len__(self) -> int:
-        return min(self.added, self.capacity)
-
-    def add(self, obs: Any, action: Any, value: Any, next_obs: Any, discount: Any) -> None:
-        """Write a batch of transitions over the oldest ones."""
-        rows = torch.arange(self.added, self.added + len(action)) % self.capacity
-        self.obs[rows] = torch.from_numpy(obs).half()
-        self.next_obs[rows] = torch.from_numpy(next_obs).half()
-        self.action[rows] = torch.from_numpy(action)
-        self.value[rows] = torch.from_numpy(value).float()
-        self.discount[rows] = torch.from_numpy(discount).float()
-        self.added += len(action)
-
-    def sample(self, rng: np.random.Generator, count: int) -> tuple[Tensor, ...]:
-        """Transitions drawn evenly, with replacement."""
-        rows = torch.from_numpy(rng.integers(0, len(self), count))
-        columns = (self.obs, self.action, self.value, self.next_obs, self.discount)
-        return tuple(
-            column[rows].float() if column.is_floating_point() else column[rows] for column in columns
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        """What has been written so far."""
-        names = ("obs", "next_obs", "action", "value", "discount")
-        return {"added": self.added} | {name: getattr(self, name)[: len(self)].clone() for name in names}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Take over what :meth:`state_dict` wrote."""
-        self.added = state.pop("added")
-        for name, rows in state.items():
-            getattr(self, name)[: len(rows)] = rows
-
-
-class Windows:
-    """The last ``n`` steps of every robot, made n-step transitions that never cross an episode's end."""
-
-    def __init__(self, n: int, robots: int, gamma: float, replay: Replay) -> None:
-        self.n, self.gamma, self.replay = n, gamma, replay
-        self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # oldest first
-        self.length = np.zeros(robots, np.intp)  # steps of the running episode that are in the window
-
-    def push(
-        self,
-        obs: np.ndarray,
-        action: np.ndarray,
-        reward: np.ndarray,
-        next_obs: np.ndarray,
-        terminated: np.ndarray,
-        ended: np.ndarray,
-    ) -> None:
-        """Add a step; ``next_obs`` is the episode's own last observation where it ended."""
-        self.steps = (
-            [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
-        )
-        self.length = np.minimum(self.length + 1, self.n)
-        value = np.zeros(len(action))
-        for back in range(1, len(self.steps) + 1):  # windows that begin `back` steps ago
-            first_obs, first_action, first_reward = self.steps[-back]
-            value = first_reward + self.gamma * value
-            # a window is complete when it is n long; an end completes the shorter ones
-            whole = (self.length >= back) & (ended | (back == self.n))
-            if whole.any():
-                discount = self.gamma**back * ~terminated[whole]
-                self.replay.add(
-                    first_obs[whole], first_action[whole], value[whole], next_obs[whole], discount
-                )
-        self.length[ended] = 0
 
 
 class DQN:
@@ -124,6 +45,7 @@ class DQN:
         exploration_end: share of random actions afterwards.
         gradient_clip: greatest norm of the gradient; 0: any.
         hidden: widths of the network's layers.
+        quantiles: of every action's return that are learnt, as a documented variant; 0: its mean alone.
         leg: environment steps between checkpoints.
         seed: of everything.
 
@@ -151,13 +73,14 @@ class DQN:
         exploration_end: float = 0.03,
         gradient_clip: float = 10.0,
         hidden: tuple[int, ...] = (128, 128),
+        quantiles: int = 0,
         leg: int = 100_000,
         seed: int = 0,
     ) -> None:
         if (
             min(steps, n_step, batch_size, replay, gradient_every, leg) < 1
             or not 0 < gamma < 1
-            or target_every < 0
+            or min(target_every, quantiles) < 0
         ):
             raise ValueError(
                 f"steps={steps}, n_step={n_step}, batch_size={batch_size}, replay={replay}, leg={leg}, "
@@ -172,10 +95,10 @@ class DQN:
             exploration_end,
             gradient_clip,
         )
-        self.leg, self.seed = leg, seed
+        self.quantiles, self.leg, self.seed = quantiles, leg, seed
         inputs, actions = env.single_observation_space.shape[0], int(env.single_action_space.n)
         torch.manual_seed(seed)
-        self.policy_dqn = QNetwork(inputs, actions, tuple(hidden))
+        self.policy_dqn = QNetwork(inputs, actions, tuple(hidden), max(1, quantiles))
         self.target_dqn = copy.deepcopy(self.policy_dqn)
         self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=learning_rate, fused=True)
         self.replay = Replay(replay, inputs)
@@ -207,7 +130,9 @@ class DQN:
         number = self.done // self.leg
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((self.seed, number))))
         windows = Windows(self.n_step, robots, self.gamma, self.replay)
-        obs, _ = env.reset(seed=int(rng.integers(2**31)))
+        # how far the training is: for arenas that grow harder
+        progress = {"progress": self.done / self.steps}
+        obs, _ = env.reset(seed=int(rng.integers(2**31)), options=progress)
         end = min(self.steps, (number + 1) * self.leg)
         ends, losses, values = np.zeros(4), [], []
         next_report = self.done + 5_000
@@ -247,13 +172,7 @@ class DQN:
 
     def update(self, rng: np.random.Generator) -> tuple[float, float]:
         """One gradient step; returns the loss and the mean value."""
-        obs, action, value, next_obs, discount = self.replay.sample(rng, self.batch_size)
-        with torch.no_grad():
-            next_q = self.target_dqn(next_obs)
-            best = (self.policy_dqn(next_obs) if self.double else next_q).argmax(1, keepdim=True)
-            target = value + discount * next_q.gather(1, best).squeeze(1)
-        q = self.policy_dqn(obs).gather(1, action[:, None]).squeeze(1)
-        loss = nn.functional.mse_loss(q, target)
+        loss, value = self.loss(*self.replay.sample(rng, self.batch_size))
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate * (
                 1 - (1 - self.learning_rate_end) * min(1.0, self.done / self.steps)
@@ -271,7 +190,20 @@ class DQN:
                 )
         elif self.updates % self.target_every == 0:
             self.target_dqn.load_state_dict(self.policy_dqn.state_dict())
-        return float(loss.detach()), float(q.detach().mean())
+        return float(loss.detach()), value
+
+    def loss(
+        self, obs: Tensor, action: Tensor, value: Tensor, next_obs: Tensor, discount: Tensor
+    ) -> tuple[Tensor, float]:
+        """Of the actions taken: mean squared error or quantile regression; and their mean value."""
+        rows = torch.arange(len(obs))
+        with torch.no_grad():
+            chooser = self.policy_dqn if self.double else self.target_dqn
+            after = self.target_dqn.spread(next_obs)[rows, chooser(next_obs).argmax(1)]
+            target = value[:, None] + discount[:, None] * after
+        q = self.policy_dqn.spread(obs)[rows, action]
+        loss = quantile_loss(q, target) if self.quantiles else nn.functional.mse_loss(q, target)
+        return loss, float(q.detach().mean())
 
     def save(self, path: Path) -> None:
         """Write all that the next leg needs; at once, so that a kill leaves the last checkpoint whole."""
@@ -302,3 +234,20 @@ class DQN:
         self.optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
         self.done, self.updates = state["done"], state["updates"]
+
+
+def quantile_loss(predicted: Tensor, target: Tensor) -> Tensor:
+    """Quantile regression, with Huber's kappa 1.
+
+    Dabney et al., "Distributional reinforcement learning with quantile regression", AAAI 2018, eq. 10.
+
+    Args:
+        predicted: ``(N, Q)`` at the middles of ``Q`` equal shares.
+        target: samples ``(N, S)``.
+    """
+    count = predicted.shape[1]
+    share = (torch.arange(count, dtype=predicted.dtype) + 0.5) / count
+    error = target[:, None, :] - predicted[:, :, None]
+    huber = torch.where(error.abs() < 1, 0.5 * error.square(), error.abs() - 0.5)
+    weight = (share[:, None] - (error.detach() < 0).to(predicted.dtype)).abs()
+    return (weight * huber).mean(2).sum(1).mean()

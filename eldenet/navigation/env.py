@@ -89,6 +89,8 @@ class ArenaNavVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode in every slot; of a list of seeds, each starts its own slot's stream.
 
+        ``options={"progress": share}`` says how much of the training is done, for arenas that grow harder.
+
         Raises:
             ValueError: a list of another length than there are robots.
         """
@@ -103,7 +105,8 @@ class ArenaNavVectorEnv(VectorEnv):
                 # a list of one number, as ever: trainings stay the same bit for bit
                 streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
             self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
-            self._tasks = [self._arenas.fresh() for _ in range(self.num_envs)]
+            progress = float((options or {}).get("progress", 1.0))
+            self._tasks = [self._arenas.fresh(progress) for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
         return self.observer.observe(self.crossings.sense()), {}

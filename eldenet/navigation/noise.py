@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.navigation.range_errors import RangeErrors, things
-from eldenet.navigation.sensors import Drift, Eye, Sight
+from eldenet.navigation.sensors import Drift, Eye, Ranges, Sight
 from eldenet.robot import ROBOT
 from eldenet.simulation.arena_world import ArenaWorld
 
@@ -33,7 +33,9 @@ class NoisyRanges:
         memory: correlation of a frame's scale with the frame before.
         errors: :class:`~eldenet.navigation.range_errors.RangeErrors` or their file, which replace the four
             above; "packaged": those that were measured of a network trained on data=arenas.
-        drift: of the odometry.
+        share: of the crossings whose ranges have errors; those of the others are true. A driver that is to do
+            well with both learns from both.
+        drift: of the odometry, in all crossings.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class NoisyRanges:
         column: float = 0.03,
         memory: float = 0.8,
         errors: str | RangeErrors | None = None,
+        share: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     ) -> None:
         if min(scale, smooth, column) < 0 or not 0 <= memory < 1:
@@ -50,6 +53,9 @@ class NoisyRanges:
                 f"scale={scale}, smooth={smooth}, column={column}, memory={memory}: deviations from 0, "
                 "the memory is in [0, 1)"
             )
+        if not 0 <= share <= 1:
+            raise ValueError(f"share={share}: give a share of the crossings, 0 to 1")
+        self.share = share
         self.errors = RangeErrors.read(errors_file(errors)) if isinstance(errors, str) else errors
         if self.errors is not None:
             e = self.errors
@@ -58,7 +64,9 @@ class NoisyRanges:
         self.drift = Drift(**drift) if isinstance(drift, dict) else drift
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> Eye:
-        """An eye with its own error process."""
+        """An eye with its own error process, or one without errors."""
+        if self.share < 1 and rng.random() >= self.share:
+            return Ranges().begin(world, rng)
         return _NoisyEye(self, world, rng)
 
 

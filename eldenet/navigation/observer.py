@@ -23,16 +23,13 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.navigation.arcs import REACH, STEP, ArcTable, arc_table
-from eldenet.navigation.walkers import AHEAD, MOST, Walkers, marks
+from eldenet.navigation.memory import MEMORY_REACH, Memory
 from eldenet.robot import ROBOT
 
 SECTORS = 5
-MEMORY_REACH = 3.0  # [m]
 HORIZON = 1.8  # of the arcs [s]
 SPEED_LAWS = ("paper", "turn", "prox")
 _LEVELS = 20  # of speed, in the table of arcs
-_NOWHERE = np.float32(1e6)
-TRAIL = 0.35  # half width of what a walker leaves in the memory [m]
 
 
 class Senses(NamedTuple):
@@ -55,12 +52,14 @@ class Observer:
     Args:
         robots: how many at once.
         turn_rates: of the actions [rad/s].
-        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up.
-        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter);
-            "turn": times the action's factor; "prox": and slower near obstacles.
+        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up. speed="paper"
+            knows none.
+        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter),
+            the same for all actions; "turn": times the action's factor; "prox": and slower near obstacles.
         memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
         bins: bearings into which the memory is divided; 0: no memory columns.
         arcs: add the free time along each action's arc.
+        seen_through: looks that must see through a remembered point before it is forgotten; 0: none do.
         walkers: follow what moves: where it was is forgotten, where it will be is remembered.
 
     Raises:
@@ -77,6 +76,7 @@ class Observer:
         memory: int = 60,
         bins: int = 24,
         arcs: bool = True,
+        seen_through: int = 2,
         walkers: bool = False,
     ) -> None:
         if speed not in SPEED_LAWS:
@@ -85,35 +85,34 @@ class Observer:
             raise ValueError(
                 f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
             )
-        if memory < 0 or bins < 0 or robots < 1:
-            raise ValueError(f"robots={robots}, memory={memory}, bins={bins}: give at least 1, 0 and 0")
+        if speed == "paper" and min(turn_factors) <= 0:
+            raise ValueError(
+                f"turn_factors={list(turn_factors)} with speed=paper, which knows none: "
+                "for actions that stop or back up choose speed=turn or prox"
+            )
+        if min(memory, bins, seen_through) < 0 or robots < 1:
+            raise ValueError(
+                f"robots={robots}, memory={memory}, bins={bins}, seen_through={seen_through}: give at least "
+                "1, 0, 0 and 0"
+            )
         self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs
         self.options = {
             "turn_rates": [float(rate) for rate in turn_rates],
             "turn_factors": [float(factor) for factor in turn_factors],
-            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs, "walkers": walkers},
+            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs},
+            **{"seen_through": seen_through, "walkers": walkers},
         }
         self.turn_rates = np.array(turn_rates, dtype=np.float64)
         self.turn_factors = np.array(turn_factors, dtype=np.float64)
         self.actions = len(self.turn_rates)
         self.size = 10 + bins + (self.actions if arcs else 0)
-        self._angles = np.array(ROBOT.column_angles)
-        self._points = np.full((robots, memory // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
-        self._looks = np.zeros(robots, np.intp)  # frames seen so far
-        self._walkers = [Walkers() for _ in range(robots)] if walkers else []
-        marked = MOST * len(AHEAD) * 8 if walkers else 0
-        self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
+        self.memory = Memory(robots, memory, seen_through=seen_through, walkers=walkers)
         self.last = np.zeros((robots, 2))  # command that was carried out: speed [m/s], turn rate [rad/s]
         self.speeds = np.zeros((robots, self.actions))
 
     def reset(self, robot: int | slice = slice(None)) -> None:
         """Forget what one robot (or all) saw and did."""
-        self._points[robot] = _NOWHERE
-        self._looks[robot] = 0
-        self._marks[robot] = _NOWHERE
-        for number in range(self.robots)[robot] if isinstance(robot, slice) else [robot]:
-            if self._walkers:
-                self._walkers[number] = Walkers()
+        self.memory.reset(robot)
         self.last[robot] = 0.0
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
@@ -136,7 +135,7 @@ class Observer:
         distance, bearing = senses.goal[who].T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
         self.speeds[who] = self._speeds(distance, nearest.min(axis=1))
-        self._remember(who, ranges, odometry)
+        self.memory.add(who, ranges, odometry)
         columns = [
             np.sqrt(nearest / ROBOT.far),
             np.minimum(distance / 20.0, 1.0)[:, None],
@@ -145,7 +144,7 @@ class Observer:
             self.last[who, :1] / ROBOT.max_speed,
         ]
         if self.bins or self.arcs:
-            row, x, y, away = self.near_points(odometry, robots)
+            row, x, y, away = self.memory.near(odometry, robots)
             if self.bins:
                 columns.append(self._by_bearing(len(who), row, x, y, away))
             if self.arcs:
@@ -160,59 +159,6 @@ class Observer:
         if self.speed == "prox":
             speed = speed * np.clip((nearest - ROBOT.near) / 1.2, 0.15, 1.0)[:, None]
         return speed
-
-    def _remember(self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray) -> None:
-        """Write the frame's points, in the odometry's frame, over the oldest ones or the odd frame before."""
-        x, y, yaw = odometry.T
-        angles = yaw[:, None] + self._angles
-        frame = np.stack(
-            [
-                (x + ROBOT.camera_ahead * np.cos(yaw))[:, None] + ranges * np.cos(angles),
-                (y + ROBOT.camera_ahead * np.sin(yaw))[:, None] + ranges * np.sin(angles),
-            ],
-            axis=2,
-        )
-        if self._walkers:
-            eyes = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-            for row, robot in enumerate(who):
-                self._follow(int(robot), frame[row], ranges[row], eyes[row])
-        frame[ranges >= ROBOT.far] = _NOWHERE
-        self._points[who, self._looks[who] // 2 % self._points.shape[1]] = frame
-        self._looks[who] += 1
-
-    def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, eye: np.ndarray) -> None:
-        """Forget the trails of what moves, also in this frame, and mark where it will be."""
-        moving = self._walkers[robot].look(frame, ranges)
-        self._marks[robot] = _NOWHERE
-        if not moving:
-            return
-        points = self._points[robot]
-        for track in moving:
-            # its trail lies between where it began and where it is
-            along, at = track.position - track.began, points - track.began.astype(np.float32)
-            share = np.clip(at @ along / max(float(along @ along), 1e-6), 0, 1)
-            off = at - share[..., None] * along
-            points[np.hypot(off[..., 0], off[..., 1]) < TRAIL] = _NOWHERE
-            frame[track.columns] = _NOWHERE
-        marked = marks(moving, eye)
-        self._marks[robot, : len(marked)] = marked
-
-    def near_points(
-        self, odometry: np.ndarray, robots: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Remembered points within 3 m: row of ``odometry``, x ahead, y left, distance; ``(M,)``, by row."""
-        place = odometry.astype(np.float32)
-        points = self._points if robots is None else self._points[robots]
-        points = points.reshape(len(place), -1, 2)
-        if self._walkers:
-            marked = self._marks if robots is None else self._marks[robots]
-            points = np.concatenate([points, marked], axis=1)
-        dx, dy = points[..., 0] - place[:, 0, None], points[..., 1] - place[:, 1, None]
-        squared = dx * dx + dy * dy
-        row, number = np.nonzero(squared < np.float32(MEMORY_REACH**2))
-        dx, dy, away = dx[row, number], dy[row, number], np.sqrt(squared[row, number])
-        c, s = np.cos(place[:, 2])[row], np.sin(place[:, 2])[row]
-        return row, c * dx + s * dy, c * dy - s * dx, away
 
     def _by_bearing(
         self, count: int, row: np.ndarray, x: np.ndarray, y: np.ndarray, away: np.ndarray

@@ -32,6 +32,7 @@ _FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (
 )
 _FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "box": (239, 108, 80)}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+TITLE = 20  # height of the line of text above a picture [px]
 
 
 class Scene:
@@ -122,26 +123,40 @@ class Scene:
         return picture
 
     def draw(self, crossings: Crossings, slot: int, note: str = "", view: Any = None) -> np.ndarray:
-        """Camera, depth and sectors beside the top view ``(size, 4/3 * size / 2 + size, 3)`` uint8 RGB.
+        """Camera, depth and sectors beside the top view, under a line of text.
+
+        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB; without a look yet, the top view alone.
 
         Args:
             crossings: under way.
             slot: which robot.
-            note: a line above the top view.
+            note: the line of text.
             view: :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without pictures; None: their
                 panels stay empty.
         """
         top = self.top_view(crossings, slot)
-        cv2.rectangle(top, (0, 0), (self.size, 18), (255, 255, 255), -1)
-        cv2.putText(top, note, (6, 13), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
         sight = crossings.sights[slot]
         if sight is None:
-            return top
+            return _titled(top, note)
         if sight.image is None and view is not None:
             world = crossings.worlds[slot]
             photo = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
             sight = sight._replace(image=photo.image, depth=photo.depth)
-        return np.concatenate([camera_panels(sight, self.size), top], axis=1)
+        return _titled(np.concatenate([camera_panels(sight, self.size), top], axis=1), note)
+
+
+def _titled(picture: np.ndarray, note: str) -> np.ndarray:
+    """A line of text above a picture, covering nothing of it."""
+    line = np.full((TITLE, picture.shape[1], 3), 255, np.uint8)
+    cv2.putText(line, note, (6, 14), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([line, picture], axis=0)
+
+
+def _label(picture: np.ndarray, text: str) -> None:
+    """Text on a white patch in the upper left corner, in place."""
+    (width, height), below = cv2.getTextSize(text, _FONT, 0.4, 1)
+    cv2.rectangle(picture, (0, 0), (width + 7, height + below + 3), (255, 255, 255), -1)
+    cv2.putText(picture, text, (4, height + 2), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def camera_panels(sight: Sight, size: int) -> np.ndarray:
@@ -162,14 +177,15 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
         colours = colour_depth(sight.depth, near, far, sight.depth > 0)
         depth = np.asarray(cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
     bars = sector_bars(sight, (size - 2 * height, width))
-    for picture, title in ((photo, "camera"), (depth, f"depth {near:.1f} to {far:.1f} m"), (bars, "")):
-        cv2.putText(picture, title, (5, 14), _FONT, 0.42, (255, 255, 255), 2, cv2.LINE_AA)
-        cv2.putText(picture, title, (5, 14), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    if sight.image is not None:
+        _label(photo, "camera")
+    if sight.depth is not None:
+        _label(depth, f"depth, {near:.1f} to {far:.1f} m")
     return np.concatenate([photo, depth, bars], axis=0)
 
 
 def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
-    """Nearest range per sector, left to right as the camera sees them, coloured by what fed it."""
+    """Nearest range [m] per sector, left to right as the camera sees them; each says what fed it."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
     for number, (near, source) in enumerate(zip(sight.sectors, sight.sectors_fed_by, strict=True)):
@@ -179,4 +195,6 @@ def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
         top = height - 2 - round((height - 22) * math.sqrt(distance / ROBOT.far))
         cv2.rectangle(picture, (left + 3, top), (right - 3, height - 2), _FED[source], -1)
         cv2.putText(picture, f"{distance:.1f}", (left + 8, top - 4), _FONT, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
+        short = source.replace("simulator", "rays")
+        cv2.putText(picture, short, (left + 8, height - 8), _FONT, 0.36, (255, 255, 255), 1, cv2.LINE_AA)
     return picture

@@ -1,5 +1,6 @@
 """The network that values actions."""
 
+import torch
 from torch import Tensor, nn
 
 
@@ -10,17 +11,34 @@ class QNetwork(nn.Module):
         inputs: columns of the observation.
         actions: to choose from.
         hidden: widths of the layers between.
+        quantiles: of every action's return; the value is their mean. 1: the value alone.
     """
 
-    def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...] = (128, 128)) -> None:
+    def __init__(
+        self, inputs: int, actions: int, hidden: tuple[int, ...] = (128, 128), quantiles: int = 1
+    ) -> None:
         super().__init__()
-        self.inputs, self.actions, self.hidden = inputs, actions, tuple(hidden)
+        self.inputs, self.actions, self.hidden, self.quantiles = inputs, actions, tuple(hidden), quantiles
         layers: list[nn.Module] = []
         for width_in, width_out in zip((inputs, *hidden), hidden, strict=False):
             layers += [nn.Linear(width_in, width_out), nn.ReLU()]
-        self.layers = nn.Sequential(*layers, nn.Linear((inputs, *hidden)[-1], actions))
+        self.layers = nn.Sequential(*layers, nn.Linear((inputs, *hidden)[-1], actions * quantiles))
+
+    def spread(self, observation: Tensor) -> Tensor:
+        """Quantiles of the return ``(N, actions, quantiles)``."""
+        out: Tensor = self.layers(observation)
+        return out.unflatten(1, (self.actions, self.quantiles))
 
     def forward(self, observation: Tensor) -> Tensor:
         """Values, the greater the better."""
-        out: Tensor = self.layers(observation)
-        return out
+        return self.spread(observation).mean(2)
+
+    @torch.no_grad()
+    def plain(self) -> "QNetwork":
+        """A copy that gives the values at once: the last layer is linear, so its rows can be averaged."""
+        network = QNetwork(self.inputs, self.actions, self.hidden)
+        state = {name: tensor.clone() for name, tensor in self.state_dict().items()}
+        for name in list(state)[-2:]:  # weight and bias of the last layer
+            state[name] = state[name].unflatten(0, (self.actions, self.quantiles)).mean(1)
+        network.load_state_dict(state)
+        return network

@@ -6,10 +6,11 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent.parent
 _WORLD = ("robot.py", "simulation/arena*.py", "simulation/culling.py", "simulation/mjcf.py")
 #: What a driver is trained by; the rest of navigation only watches, counts or plans.
-_TRAINING = ("arcs", "crossings", "dqn", "env", "noise", "observer", "qnetwork", "range_errors", "sensors",
-             "tasks", "walkers")  # fmt: skip
+_TRAINING = ("arcs", "crossings", "dqn", "env", "localisation", "memory", "noise",
+             "observer", "qnetwork", "range_errors", "replay", "sensors", "tasks", "walkers")  # fmt: skip
 #: Of navigation, what no crossing rests on: a policy's file has a hash of its own.
-_NO_PART = ("dqn", "env", "failures", "film", "pictures", "registration", "sources", "statistics", "training")
+_NO_PART = ("dqn", "env", "failures", "film", "pictures", "registration", "replay",
+            "sources", "statistics", "training")  # fmt: skip
 #: From a rendered frame to ranges.
 _CAMERA = (
     "simulation/*.py", "perception/*.py", "runtimes/*.py", "backbones/*.py", "decoders/*.py", "heads/*.py",

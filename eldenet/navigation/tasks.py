@@ -23,6 +23,8 @@ class TrainingArenas:
         repeats: crossings of an arena.
         min_distance: from start to goal [m].
         split: seed stream.
+        curriculum: share of the training in which the greatest number of obstacles grows from a quarter of
+            its range to the whole; 0: it is the whole from the start.
     """
 
     def __init__(
@@ -34,26 +36,33 @@ class TrainingArenas:
         repeats: int = 4,
         min_distance: float = 6.0,
         split: str = "train",
+        curriculum: float = 0.0,
     ) -> None:
         low, high = densities
-        if not 0 <= low <= high <= 120 or repeats < 1 or not 0 <= dense_share <= 1:
+        if not 0 <= low <= high <= 120 or repeats < 1 or not (0 <= dense_share <= 1 and 0 <= curriculum <= 1):
             raise ValueError(
-                f"densities={tuple(densities)}, dense_share={dense_share}, repeats={repeats}: give "
-                "0 <= least <= greatest <= 120 obstacles, a share in [0, 1] and at least 1 crossing"
+                f"densities={tuple(densities)}, dense_share={dense_share}, repeats={repeats}, "
+                f"curriculum={curriculum}: give 0 <= least <= greatest <= 120 obstacles, shares in [0, 1] "
+                "and at least 1 crossing"
             )
         self.low, self.high, self.dense_share = low, high, dense_share
         self.movers, self.repeats, self.min_distance, self.split = movers, repeats, min_distance, split
+        self.curriculum, self._whole = curriculum, high
         self._arena: Arena | None = None
         self._clearance = np.empty((0, 0))
         self._left = 0
 
-    def fresh(self) -> "TrainingArenas":
-        """The same settings, for another slot."""
-        return TrainingArenas(
-            (self.low, self.high),
+    def fresh(self, progress: float = 1.0) -> "TrainingArenas":
+        """The same settings, for another slot; ``progress`` is the share of the training that is done."""
+        arenas = TrainingArenas(
+            (self.low, self._whole),
             dense_share=self.dense_share, movers=self.movers, repeats=self.repeats,
-            min_distance=self.min_distance, split=self.split,
+            min_distance=self.min_distance, split=self.split, curriculum=self.curriculum,
         )  # fmt: skip
+        if progress < self.curriculum:
+            share = 0.25 + 0.75 * progress / self.curriculum
+            arenas.high = self.low + round(share * (self._whole - self.low))
+        return arenas
 
     def draw(self, rng: np.random.Generator) -> Arena:
         """The next crossing."""

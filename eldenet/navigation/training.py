@@ -1,6 +1,5 @@
 """Train a driver: legs, validation on arenas of their own, TensorBoard, the policy file."""
 
-import copy
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,4 +96,4 @@ def train(
 
 def as_navigator(learner: DQN, robots: int) -> Navigator:
     """The learner's present policy."""
-    return Navigator(copy.deepcopy(learner.policy_dqn), learner.env.observer.options, robots=robots)
+    return Navigator(learner.policy_dqn.plain(), learner.env.observer.options, robots=robots)

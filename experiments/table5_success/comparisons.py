@@ -9,7 +9,7 @@ from eldenet.navigation.statistics import mcnemar
 # physics, sensor, method, course -> crossings of every training
 Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]
 #: A sensor's loss is against true ranges: of the method itself, and of the default for one trained for it.
-ALSO_AGAINST = {"dqn_noisy": ("dqn",)}
+ALSO_AGAINST = {"dqn_mixed": ("dqn",)}
 
 
 def courses_of(tables: Tables) -> list[str]:

@@ -31,8 +31,16 @@ LEARNT = {  # name -> what to train it with
     "dqn": [],
     "dqn_follows": [],  # dqn's trainings, told to follow what moves
     "dqn_walkers": ["movers=10", "observer.walkers=true"],
-    "dqn_noisy": ["sensor=noisy", "sensor.errors=packaged"],
+    "dqn_mixed": ["sensor=mixed"],  # half of the crossings with a depth network's measured errors
+    "dqn_by_age": ["observer.seen_through=0"],  # remembered points are forgotten with age alone
+    "dqn_reverse": [  # beside the five turns: on the spot to either side, and straight back
+        "observer.turn_rates=[1.2,0.5,0.0,-0.5,-1.2,1.2,-1.2,0.0]",
+        "observer.turn_factors=[0.35,0.75,1.0,0.75,0.35,0.0,0.0,-0.4]",
+    ],
+    "dqn_curriculum": ["training.arenas.curriculum=0.5"],
+    "dqn_quantile": ["learner.quantiles=16"],
 }
+VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # asked for by name alone
 PLANNERS = {
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
@@ -85,7 +93,9 @@ def course_name(density: int, movers: int) -> str:
     return f"{density}+{movers}" if movers else str(density)
 
 
-def arguments(methods: Sequence[str] = (*LEARNT, *PLANNERS)) -> Namespace:
+def arguments(
+    methods: Sequence[str] = tuple(name for name in (*LEARNT, *PLANNERS) if name not in VARIANTS),
+) -> Namespace:
     """What both tables' commands take; ``methods`` are those of the default."""
     parser = ArgumentParser()
     parser.add_argument("--worlds", type=int, default=500, help="test arenas per density")

@@ -18,26 +18,32 @@ from eldenet.simulation.arenas import INFLATION, RESOLUTION, SIDE, Arena, cleara
 
 CARROT = 1.3  # how far ahead on the path the target lies [m]; nearer is safer and slower
 REPLAN_EVERY = 5  # control periods, on a map that grows
+TIGHT = 0.30  # inflation where nothing is free at the full one [m]
 _MARGIN = 2.0  # of a map that is built: odometry may drift out of the arena [m]
 
 
 def shortest_path(
-    cost: np.ndarray, start: tuple[float, float], goal: tuple[float, float], side: float = SIDE
+    cost: np.ndarray,
+    start: tuple[float, float],
+    goal: tuple[float, float],
+    side: float = SIDE,
+    *,
+    corner: tuple[int, int] = (0, 0),
 ) -> np.ndarray | None:
     """Way points ``(n, 2)`` [m] of the cheapest path over a grid, eight neighbours; None where there is none.
 
     Args:
-        cost: of every cell ``(n, n)``, rows along y; infinite where a robot must not be.
+        cost: of every cell ``(n, m)``, 0.1 m wide, rows along y; infinite where a robot must not be.
         start: x, y [m].
         goal: x, y [m].
-        side: of the grid [m]; its middle is the origin.
+        side: of the whole grid [m]; its middle is the origin.
+        corner: row and column of the whole grid at which the costs begin.
     """
     from skimage.graph import MCP_Geometric
 
-    resolution = side / len(cost)
     ends = [
-        tuple(np.clip(((np.array(point[::-1]) + side / 2) / resolution).astype(int), 0, len(cost) - 1))
-        for point in (start, goal)
+        tuple(np.clip(cell[::-1].astype(int) - corner, 0, np.array(cost.shape) - 1))
+        for cell in ((np.array(point) + side / 2) / RESOLUTION for point in (start, goal))
     ]
     cost = cost.copy()
     cost[ends[0]] = 1.0 if not np.isfinite(cost[ends[0]]) else cost[ends[0]]
@@ -46,7 +52,7 @@ def shortest_path(
     if not np.isfinite(costs[ends[1]]):
         return None
     cells = np.array(search.traceback(ends[1]))
-    return (cells[:, ::-1] + 0.5) * resolution - side / 2
+    return np.asarray(((cells + corner)[:, ::-1] + 0.5) * RESOLUTION - side / 2)
 
 
 def path_length(path: np.ndarray) -> float:
@@ -162,16 +168,15 @@ class AStarOnlineDWA:
             pose = senses.odometry[robot].copy()
             pose[:2] -= self._origin[robot]
             self._map(robot, pose, senses.ranges[robot])
-            taken = np.argwhere(self._evidence[robot] > 0)
-            walls = (taken[:, ::-1] + 0.5) * RESOLUTION - self.side / 2
             goal = _goal_in_world(pose, senses.goal[robot])
             if self._looks[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
                 self._paths[robot] = self._plan(robot, pose, goal)
             self._looks[robot] += 1
             path = self._paths[robot]
             target = goal if path is None else carrot(path, pose, self.carrot)
-            near = np.hypot(*(walls - pose[:2]).T) < 3.0
-            points = np.concatenate([_to_robot(walls[near], pose), seen_points(senses.ranges[robot])])
+            points = np.concatenate(
+                [_to_robot(self._walls_near(robot, pose), pose), seen_points(senses.ranges[robot])]
+            )
             self.last[robot] = self.window.choose(
                 points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
             )
@@ -195,16 +200,55 @@ class AStarOnlineDWA:
         numbers = np.clip(((points + self.side / 2) / RESOLUTION).astype(int), 0, self.cells - 1)
         return numbers[:, 1], numbers[:, 0]
 
-    def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
-        from scipy.ndimage import distance_transform_edt
+    def _walls_near(self, robot: int, pose: np.ndarray) -> np.ndarray:
+        """Middles of taken cells within 3 m ``(M, 2)`` [m]."""
+        low, high = (
+            np.clip((pose[:2] + self.side / 2 + reach) / RESOLUTION, 0, self.cells).astype(int)
+            for reach in (-3.2, 3.2)
+        )
+        window = self._evidence[robot, low[1] : high[1], low[0] : high[0]]
+        walls = (np.argwhere(window > 0)[:, ::-1] + low + 0.5) * RESOLUTION - self.side / 2
+        return np.asarray(walls[np.hypot(*(walls - pose[:2]).T) < 3.0])
 
-        clearance = distance_transform_edt(self._evidence[robot] <= 0) * RESOLUTION
-        for inflation, weight in ((INFLATION, 1.0), (0.30, 6.0)):
-            cost = np.where(clearance >= INFLATION, 1.0, np.where(clearance >= inflation, weight, np.inf))
-            path = shortest_path(cost, tuple(pose[:2]), goal, self.side)
+    def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
+        taken = self._evidence[robot] > 0
+        rows, columns = self._window(taken, tuple(pose[:2]), goal)
+        taken = taken[rows, columns].astype(np.uint8)
+        corner = (rows.start, columns.start)
+        too_close, much_too_close = (_within(taken, reach) for reach in (INFLATION, TIGHT))
+        for close, cost_of_close in ((too_close, np.inf), (much_too_close, 6.0)):
+            cost = np.where(close, np.inf, np.where(too_close, cost_of_close, 1.0))
+            path = shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=corner)
             if path is not None:
                 return path
         return None
+
+    def _window(
+        self, taken: np.ndarray, start: tuple[float, float], goal: tuple[float, float]
+    ) -> tuple[slice, slice]:
+        """Rows and columns that hold start, goal and all that is taken, with free cells round about.
+
+        No path outside is cheaper: clamped to the window it is no longer, and its border is free.
+        """
+        (y0, y1), (x0, x1) = self._cells(np.array([start, goal]))
+        margin = math.ceil(INFLATION / RESOLUTION) + 1
+        out = []
+        for used, ends in ((taken.any(axis=1), (y0, y1)), (taken.any(axis=0), (x0, x1))):
+            among = [*np.flatnonzero(used)[[0, -1]], *ends] if used.any() else list(ends)
+            out.append(slice(max(min(among) - margin, 0), min(max(among) + margin + 1, self.cells)))
+        return out[0], out[1]
+
+
+def _within(taken: np.ndarray, reach: float) -> np.ndarray:
+    """Which cells' middles lie nearer than ``reach`` [m] to that of a taken one ``(n, m)`` bool."""
+    import cv2
+
+    count = math.ceil(reach / RESOLUTION)
+    offset = np.arange(-count, count + 1)
+    # as a distance transform would say it, to the last digit
+    disc = np.sqrt(offset[:, None] ** 2 + offset**2) * RESOLUTION < reach
+    grown = cv2.dilate(taken, disc.astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(grown > 0)
 
 
 def seen_points(ranges: np.ndarray) -> np.ndarray:

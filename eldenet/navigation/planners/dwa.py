@@ -137,7 +137,7 @@ class LocalDWA:
             np.put_along_axis(kept, nearest, np.take_along_axis(parts, nearest, axis=2), axis=2)
             senses = senses._replace(ranges=kept.reshape(senses.ranges.shape))
         self.observer.observe(senses, who)
-        row, x, y, _ = self.observer.near_points(senses.odometry[who], who)
+        row, x, y, _ = self.observer.memory.near(senses.odometry[who], who)
         for number, robot in enumerate(who):
             distance, bearing = senses.goal[robot]
             mine = row == number

@@ -1,0 +1,96 @@
+"""Where a robot is: wheel odometry and now and then a position, such as ultra-wideband beacons or GPS give.
+
+An extended Kalman filter over the pose and over what is wrong with the odometry, so that it also learns by
+how much distances are off and how the heading drifts with the way (Larsen, Bak, Andersen, Poulsen, "Location
+estimation for an autonomously guided vehicle using an augmented Kalman filter to autocalibrate the
+odometry", FUSION 1998). A position tells no heading; driving does.
+
+NumPy alone; nothing here knows a simulator.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+Pose = tuple[float, float, float]
+
+
+class Fixes(NamedTuple):
+    """Positions from outside.
+
+    Attributes:
+        period: between two [s].
+        deviation: standard deviation of x and of y [m].
+    """
+
+    period: float = 1.0
+    deviation: float = 0.15
+
+
+class Localiser:
+    """Follows one robot.
+
+    Args:
+        pose: at the start: x, y [m], heading [rad], in the frame of the positions; the odometry begins there.
+        deviation: of the positions that will come [m].
+        distance: standard deviation of the odometry's scale of distances that is expected.
+        heading: standard deviation of its drift of the heading that is expected [rad/m].
+
+    Attributes:
+        odometry: without the errors that are known by now ``(x, y, heading)``. It jumps at no fix, so that
+            what was seen keeps its place: the memory's frame.
+    """
+
+    def __init__(
+        self, pose: Pose, *, deviation: float, distance: float = 0.02, heading: float = math.radians(1.0)
+    ) -> None:
+        self.odometry = pose
+        self._raw = pose
+        self._noise = deviation**2 * np.eye(2)
+        self._state = np.array([*pose, 0.0, 0.0])  # pose, scale of distances, heading's drift
+        self._covariance = np.diag([0.02**2, 0.02**2, 0.01**2, distance**2, heading**2])
+
+    @property
+    def pose(self) -> Pose:
+        """Best guess now: x, y [m], heading [rad]."""
+        x, y, yaw = self._state[:3].tolist()
+        return x, y, yaw
+
+    def move(self, odometry: Pose) -> None:
+        """Take over what the wheels say: x, y [m], heading [rad] of raw odometry."""
+        dx, dy = odometry[0] - self._raw[0], odometry[1] - self._raw[1]
+        c, s = math.cos(self._raw[2]), math.sin(self._raw[2])
+        turned = odometry[2] - self._raw[2]
+        self._raw = odometry
+        scale, drift = self._state[3:].tolist()
+        ahead, left = (c * dx + s * dy) / (1 + scale), (c * dy - s * dx) / (1 + scale)
+        way = math.hypot(ahead, left)
+        turned -= drift * way
+        yaw = self._state[2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        step = np.array([c * ahead - s * left, s * ahead + c * left])
+        self._state[:2] += step
+        self._state[2] += turned
+        jacobian = np.eye(5)
+        jacobian[:2, 2] = -step[1], step[0]
+        jacobian[:2, 3] = -step / (1 + scale)
+        jacobian[2, 3:] = drift * way / (1 + scale), -way
+        # what no scale and no drift explains: wheels slip
+        slip = np.diag([0.01**2, 0.01**2, 0.003**2, 0.0, 0.0]) * way
+        self._covariance = jacobian @ self._covariance @ jacobian.T + slip
+        x, y, yaw = self.odometry
+        c, s = math.cos(yaw), math.sin(yaw)
+        self.odometry = (x + c * ahead - s * left, y + s * ahead + c * left, yaw + turned)
+
+    def fix(self, x: float, y: float) -> None:
+        """Take over a position from outside [m]."""
+        gain = self._covariance[:, :2] @ np.linalg.inv(self._covariance[:2, :2] + self._noise)
+        self._state += gain @ (np.array([x, y]) - self._state[:2])
+        self._covariance -= gain @ self._covariance[:2]
+        self._covariance = (self._covariance + self._covariance.T) / 2
+
+    def towards(self, x: float, y: float) -> tuple[float, float]:
+        """Distance [m] and bearing [rad, counter-clockwise from ahead] of a point."""
+        dx, dy = x - self._state[0], y - self._state[1]
+        return float(math.hypot(dx, dy)), float(math.remainder(math.atan2(dy, dx) - self._state[2], math.tau))
