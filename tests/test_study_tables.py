@@ -39,7 +39,8 @@ def study(tmp_path: Path) -> Study:
 def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:
     """A stored run as a training leaves it, with these figures of its images."""
     (row,) = study.chosen(name)
-    config = compose_run([*study.overrides, *row.overrides], Path("f"), Path("r"), name=name, seed=seed)
+    overrides = [*study.overrides, *row.overrides, "optimizer.lr=1.0e-3"]
+    config = compose_run(overrides, Path("f"), Path("r"), name=name, seed=seed)
     run = {
         "model": name,
         "seed": seed,
@@ -148,6 +149,18 @@ def test_rows_of_an_older_plan_show_no_figures(study: Study, tmp_path: Path) -> 
     (tmp_path / "sweep.yaml").write_text(PLAN.replace("epochs=3", "epochs=4"))
     rows = table(read_study(tmp_path))
     assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+
+
+def test_runs_at_another_rate_than_the_chosen_one_are_outdated(study: Study, tmp_path: Path) -> None:
+    store(study, "small", 0, figures(0, 0))
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("learning_rate: 1.0e-3", "learning_rates: [1.0e-3]"))
+    study = read_study(tmp_path)
+    assert table(study)["small"]["seeds"] == "1 of 3"  # nothing has chosen yet
+    choice = tmp_path / "stored" / "small" / "learning_rate.json"
+    choice.write_text('{"learning_rate": 0.001}')
+    assert table(study)["small"]["seeds"] == "1 of 3"
+    choice.write_text('{"learning_rate": 0.0003}')
+    assert table(study)["small"]["seeds"] == "outdated: optimizer.lr=0.0003 (there 0.001)"
 
 
 def test_half_a_copy_is_no_stored_run(study: Study) -> None:

@@ -1,5 +1,6 @@
 """From a study's row to the training config of one of its runs, and back to what a stored run lacks of it."""
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 from eldenet import config as cfg
 from eldenet.record import differences
 from eldenet.sources import KEYS
+from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from eldenet.studies.plan import Study, StudyRow
 
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 
@@ -24,24 +24,27 @@ def compose_run(shared: Sequence[str], folder: Path, runs: Path, *, name: str, s
     return cfg.compose("train", [*filled, *own])
 
 
-def runs_needed(row: "StudyRow", runs: Path) -> list[Path]:
+def runs_needed(row: StudyRow, runs: Path) -> list[Path]:
     """Run folders of other rows whose weights this one starts from or is taught by."""
     names = [name for text in row.overrides for name in _NEEDED.findall(text)]
     return [Path(runs / name).resolve() for name in names]
 
 
-def outdated(study: "Study", row: "StudyRow", run: Mapping[str, Any]) -> list[str]:
+def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     """What the plan says today of a stored run's settings, where that is something else; no data is needed.
 
-    Learning rate, weights and teachers are left to the command that runs the row: it knows what is given.
+    Weights and teachers are left to the command that runs the row: it knows what is given. The learning rate
+    is the row's, or the one that is stored as its choice.
     """
-    plan = row.owner or study
-    config = compose_run(
-        [*plan.overrides, *row.overrides],
-        Path("unused"),
-        Path("unused"),
-        name=row.name,
-        seed=int(run["seed"]),
-    )
+    plan, nowhere = row.owner or study, Path("unused")
+    overrides = [*plan.overrides, *row.overrides]
+    choice = plan.folder / STORED / row.name / RATE_FILE
+    rate = row.learning_rate
+    if rate is None and plan.learning_rates and choice.is_file():
+        rate = float(json.loads(choice.read_text())["learning_rate"])
+    if rate is not None:
+        overrides.append(f"optimizer.lr={rate}")
+    config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))
     given = frozenset(setting.rpartition(".")[2] for setting in (row.given or {}).values())
-    return differences(cfg.plain(config), run["config"], ignored=KEYS | given | {"lr"})
+    ignored = KEYS | given | (frozenset() if rate is not None else {"lr"})
+    return differences(cfg.plain(config), run["config"], ignored=ignored)

@@ -11,6 +11,7 @@ from eldenet.metrics import METRICS
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
 STORED = "stored"  # results of finished runs, small enough for git
+RATE_FILE = "learning_rate.json"  # beside them: what the trials of a row chose
 KEPT = ("per_image.csv", "run.json")  # of each; the last one says that it is stored
 # of what a row needs, by its setting: "weights not given"; else data
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}

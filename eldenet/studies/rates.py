@@ -9,10 +9,9 @@ from eldenet import config as cfg
 from eldenet.record import differences, read_run, write_json
 from eldenet.sources import KEYS, fingerprints
 from eldenet.studies.composing import compose_run
-from eldenet.studies.plan import STORED, Study, StudyRow
+from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 from eldenet.train import train
 
-RATE_FILE = "learning_rate.json"
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
 
