@@ -14,9 +14,10 @@ from eldenet.studies import statistics
 from eldenet.studies.composing import outdated
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import KEPT, Study, StudyRow
-from eldenet.tables import COSTS, cost_line, heading, number, protocol_line, training_line
+from eldenet.tables import heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
+COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
 SEEDS_OF_A_VERDICT = 3  # the chance in a training is outside the interval over images
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
@@ -32,7 +33,7 @@ class Block:
     titles: list[str]
     rows: list[list[str]]
     notes: list[str]
-    points: list[tuple[str, float, float]]  # row, latency [ms], metric
+    points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric
     published: int
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
@@ -146,7 +147,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         if latencies and member.runs:
             latencies.check(member.row.name, member.runs[0]["cost"]["params"])
     every = [run for member in members for run in member.runs]
-    notes, costs = _notes(every, latencies)
+    notes = _notes(every, latencies)
     columns: list[tuple[str, Callable[[Member], str]]] = [
         ("row", lambda member: member.row.name),
         ("seeds", lambda member: member.status),
@@ -165,8 +166,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
             f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before); "
             f'"better" or "worse" where it leaves 0 out and both rows have {SEEDS_OF_A_VERDICT} seeds'
         )
-    shown = () if not costs else [cost for cost in COSTS if not latencies or cost in ("params", "gmacs")]
-    for cost in shown:
+    for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
         columns.append((f"{latencies.title} ↓", lambda member: latencies.text(member.row.name)))
@@ -177,7 +177,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     rows = [[cell(member) for _, cell in columns] for member in members]
     if every:
         rows.append(_constant(study, every[0], len(columns)))
-    points = [point for member in members if (point := _point(study, member, latencies, costs))]
+    points = [point for member in members if (point := _point(study, member, latencies))]
     return Block(name, [title for title, _ in columns], rows, notes, points, published)
 
 
@@ -196,19 +196,15 @@ def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> 
     return Member(row, grouped[0], files, expected)
 
 
-def _notes(runs: Sequence[Mapping[str, Any]], latencies: "Latencies | None") -> tuple[list[str], bool]:
-    """What makes the figures believable, and whether the costs compare."""
+def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> list[str]:
+    """What makes the figures believable."""
     if not runs:
-        return ["no run is stored yet"], False
+        return ["no run is stored yet"]
     refuse_mixtures(runs, costs=False)
-    notes = [protocol_line(runs[0]), training_line(runs)]
-    if latencies:
-        return [*notes, latencies.line], True
-    try:
-        refuse_mixtures(runs, costs=True)
-    except ValueError as error:
-        return [*notes, f"costs are left out: {error}"], False
-    return [*notes, cost_line(runs[0])], True
+    sizes = sorted({(run["cost"]["height"], run["cost"]["width"]) for run in runs})
+    inputs = ", ".join(f"{height} x {width}" for height, width in sizes)
+    notes = [protocol_line(runs[0]), training_line(runs), f"GMACs at an input of {inputs}; 1 MAC = 2 FLOPs"]
+    return [*notes, latencies.line] if latencies else notes
 
 
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
@@ -229,15 +225,10 @@ def _difference(study: Study, reference: Member, member: Member) -> str:
     return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{verdict if told else ''}"
 
 
-def _point(
-    study: Study, member: Member, latencies: "Latencies | None", costs: bool
-) -> tuple[str, float, float] | None:
-    """Where a row lies in the plot: its benchmarked latency, else the one its first run measured."""
+def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:
+    """Where a row lies in the plot: its benchmarked latency, else its multiply-adds."""
     if member.grouped is None:
         return None
-    if latencies:
-        latency = latencies.of(member.row.name)
-    else:
-        latency = member.runs[0]["cost"]["latency_ms_p50"] if costs else None
+    cost = latencies.of(member.row.name) if latencies else float(member.runs[0]["cost"]["gmacs"])
     values = member.grouped.values("metrics", study.compare)
-    return (member.row.name, latency, sum(values) / len(values)) if latency and values else None
+    return (member.row.name, cost, sum(values) / len(values)) if cost and values else None

@@ -66,9 +66,9 @@ class Study:
         reference: rows that the others of their block are compared with, image by image.
         compare: the metric of that comparison.
         columns: metrics of the tables.
-        plots: "pareto" (accuracy against latency), "convergence" (curves over the epochs).
-        latency: CSV in the study's folder with the columns ``row`` and ``latency_ms_p50``; None: the cost
-            that each run measured.
+        plots: "pareto" (accuracy against latency, else multiply-adds), "convergence" (curves of epochs).
+        latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies, for
+            those that runs measured beside other work mislead.
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""Pictures of a study: accuracy against latency, and curves over the epochs."""
+"""Pictures of a study: accuracy against latency or multiply-adds, and curves over the epochs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,9 +17,9 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def pareto_plot(
-    path: Path, blocks: Mapping[str, Sequence[tuple[str, float, float]]], *, metric: str, latency: str
+    path: Path, blocks: Mapping[str, Sequence[tuple[str, float, float]]], *, metric: str, cost: str
 ) -> None:
-    """One colour per block, its front as a line; rows are ``(name, latency [ms], metric)``."""
+    """One colour per block, its front as a line; rows are ``(name, cost, metric)``."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -38,7 +38,7 @@ def pareto_plot(
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
     axes.xaxis.set_minor_formatter("{x:g}")
-    axes.set_xlabel(latency)
+    axes.set_xlabel(cost)
     axes.set_ylabel(metric)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3, which="both")

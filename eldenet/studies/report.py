@@ -56,9 +56,9 @@ def write_study_report(folder: str | Path) -> list[Block]:
             study.folder / "pareto.png",
             points,
             metric=WORDS.get(study.compare, study.compare),
-            latency=latencies.title if latencies else "latency [ms] (each run's own)",
+            cost=latencies.title if latencies else "GMACs",
         )
-        markdown += ["![accuracy against latency](pareto.png)", ""]
+        markdown += ["![accuracy against cost](pareto.png)", ""]
     markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
     (study.folder / "results.md").write_text("\n".join(markdown))
     (study.folder / "results.tex").write_text("\n".join(latex))
