@@ -151,7 +151,7 @@ def test_a_goal_by_odometry_is_where_the_robot_believes_it_is():
         )
         assert (x, y) == pytest.approx((8.0, 0.0))
     assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
-    with pytest.raises(ValueError, match="goal='gps': choose one of known, odometry"):
+    with pytest.raises(ValueError, match="goal='gps': choose one of known, fixes, odometry"):
         Crossings(1, Ranges(), goal="gps")
 
 
