@@ -84,7 +84,7 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         for section in SAME_IN_A_ROW:
             settings = [run.get("config", {}).get(section) for run in members]
             _refuse_differences(model, settings, section, ignored=KEYS)
-        _refuse_differences(model, [_shared_sources(run) for run in members], "content of")
+        _refuse_differences(model, [_shared_sources(run) for run in members], "sources")
         _refuse_differences(model, [run.get("train_split_hash") for run in members], "train_split_hash")
         precision = [run.get("resources", {}).get("precision") for run in members]
         _refuse_differences(model, precision, "precision")

@@ -41,15 +41,17 @@ def fingerprints(config: Any) -> dict[str, str | None]:
     return {name: fingerprint(source) for name, source in sources_of(config).items()}
 
 
-def run_differences(config: Mapping[str, Any], record: Mapping[str, Any]) -> list[str]:
+def run_differences(
+    config: Mapping[str, Any], record: Mapping[str, Any], *, ignored: frozenset[str] = frozenset()
+) -> list[str]:
     """What tells a resolved config from that of a finished run (its ``run.json``), in words.
 
     Weights and teachers count by their content: the same ones may lie elsewhere by now, or not be here any
-    more. A run that did not record theirs counts by their path.
+    more. A run that did not record theirs counts by their path. ``ignored`` are further keys.
     """
     theirs = record.get("config", {})
     known = record.get("sources", {})
-    found = differences(config, theirs, ignored=KEYS)
+    found = differences(config, theirs, ignored=KEYS | ignored)
     ours, there = sources_of(config), sources_of(theirs)
     for name in dict.fromkeys([*ours, *there]):
         mine, other, wanted = ours.get(name), there.get(name), known.get(name)

@@ -1,4 +1,4 @@
-"""One block on flat ground, rendered without any renderer of ours: what boxes are lifted from in tests."""
+"""What tests lift boxes from: a block on flat ground by no renderer of ours; clear objects of a street."""
 
 import numpy as np
 
@@ -31,3 +31,9 @@ def block(center, size=(3.9, 1.6, 1.5), yaw=0.4, camera=CAMERA, shape=(240, 640)
 
 def detection(xyxy, name="car", style="projected") -> Detections2D:
     return Detections2D(xyxy, np.ones(len(xyxy)), np.zeros(len(xyxy), np.int64), (name,), style)
+
+
+def clear(view) -> np.ndarray:
+    """Numbers of a rendered view's objects that are seen well."""
+    tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
+    return np.nonzero((view.visible > 0.6) & ~view.truncated & (tall > 15))[0]

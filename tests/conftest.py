@@ -60,3 +60,11 @@ def store_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     folder = tmp_path_factory.mktemp("cache")
     monkeypatch.setenv("ELDENET_CACHE", str(folder))
     return folder / "frames"
+
+
+@pytest.fixture(scope="session")
+def views():
+    """Rendered streets, shared by the tests of one process."""
+    from eldenet.simulation.street_views import render_street
+
+    return [render_street("test", index, (192, 624)) for index in range(4)]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blocks import CAMERA, block, detection
+from blocks import CAMERA, block, clear, detection
 
 from eldenet.boxes import wrap_half
 from eldenet.geometry import PinholeCamera, pinhole
@@ -12,17 +12,6 @@ from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import METHODS, BoxLifter
 from eldenet.perception.priors import PRIORS
 from eldenet.perception.scores import compare
-from eldenet.simulation.street_views import render_street
-
-
-@pytest.fixture(scope="module")
-def views():
-    return [render_street("test", index, (192, 624)) for index in range(4)]
-
-
-def clear(view) -> np.ndarray:
-    tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
-    return np.nonzero((view.visible > 0.6) & ~view.truncated & (tall > 15))[0]
 
 
 def test_refine_finds_most_boxes_and_beats_the_others(views):

@@ -3,19 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from blocks import clear
 
 from eldenet.simulation.street_views import render_street
 from eldenet.simulation.streets import generate_scene
-
-
-@pytest.fixture(scope="module")
-def views():
-    return [render_street("test", index, (192, 624)) for index in range(4)]
-
-
-def clear(view) -> np.ndarray:
-    tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
-    return np.nonzero((view.visible > 0.6) & ~view.truncated & (tall > 15))[0]
 
 
 def test_scenes_are_the_same_every_time_and_differ_by_split():

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from eldenet.studies import statistics
-from eldenet.studies.plots import pareto_front
+from eldenet.studies.plots import _label_places, pareto_front
 
 
 def test_the_interval_is_that_of_scipys_bootstrap():
@@ -40,3 +40,10 @@ def test_speed_and_fluctuation_of_known_curves():
     assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
     run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
     assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
+
+
+def test_names_in_the_plot_keep_clear_of_each_other():
+    """Two points nearly in one place: the upper name goes above, the lower below; far ones stay above."""
+    rows = [("upper", 4.3, 0.705), ("lower", 4.6, 0.700), ("alone", 1.0, 0.5), ("level", 20.0, 0.702)]
+    below = {name: low for name, _, _, low in _label_places(rows)}
+    assert below == {"upper": False, "lower": True, "alone": False, "level": False}

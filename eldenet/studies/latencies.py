@@ -72,5 +72,5 @@ class Latencies:
             f"latency: median of interleaved rounds, {facts['runtime']}, {facts['precision']}, "
             f"{facts['threads']} threads, {facts['device']} ({facts['processor']}), "
             f"input {facts['height']} x {facts['width']}, batch {facts['batch']}; {facts['date']}, "
-            f"`{facts['command']}`"
+            f"`{facts['command']}`" + (f"; {facts['versions']}" if facts.get("versions") else "")
         )

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from eldenet import config as cfg
-from eldenet.record import differences, read_run, write_json
-from eldenet.sources import KEYS, fingerprints
+from eldenet.record import read_run, write_json
+from eldenet.sources import fingerprints, run_differences
 from eldenet.studies.composing import compose_run
 from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 from eldenet.train import train
@@ -88,13 +88,8 @@ def kept_rate(file: Path, rule: dict[str, Any]) -> float:
     kept = json.loads(file.read_text())
     theirs = kept["rule"]
     different = [] if rule["candidates"] == theirs["candidates"] else [f"candidates={rule['candidates']}"]
-    different += differences(rule["config"], theirs["config"], ignored=KEYS | {"lr"})
-    here = fingerprints(rule["config"])
-    different += [
-        f"{name} (content {here.get(name)}, there {wanted})"
-        for name, wanted in kept["sources"].items()
-        if wanted and here.get(name) not in (None, wanted)
-    ]
+    chosen = {"config": theirs["config"], "sources": kept["sources"]}
+    different += run_differences(rule["config"], chosen, ignored=frozenset(("lr",)))
     if different:
         raise ValueError(
             f"{file} was chosen by another rule ({'; '.join(different[:5])}): remove it, and the trials "
