@@ -202,6 +202,11 @@ def build_split(
 
     if not OmegaConf.is_dict(config.data.get(split)):
         raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
+    if "_target_" not in config.data[split]:  # a part of ${data.val} was overridden, so nothing else is left
+        raise ValueError(
+            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
+            f"those (data.val...), or give a whole data.{split}"
+        )
     steps: list[Any] = []
     changes: dict[str, Any] = {}
     if score and config.data[split].get("load_size") is not None:

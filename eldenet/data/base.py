@@ -3,18 +3,16 @@
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from eldenet.data.cache import FrameStore, open_store
 from eldenet.data.roots import check_files, missing_files, one_of
 from eldenet.geometry import resize_intrinsics, resize_sparse
 from eldenet.types import DepthSample, Frame
-
-if TYPE_CHECKING:
-    from eldenet.data.cache import FrameStore
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int]
@@ -211,8 +209,6 @@ class DepthDataset(Dataset[DepthSample]):
             ValueError: cache=ram and too little memory, or cache=disk and no ``frame_files``.
         """
         if self.cache != "none" and self._store is None:
-            from eldenet.data.cache import open_store
-
             self._store = open_store(self)
             if self._store is None:
                 self.cache = "none"

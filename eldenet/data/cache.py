@@ -17,20 +17,17 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from multiprocessing.context import get_spawning_popen
 from multiprocessing.reduction import DupFd
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from eldenet.data.shards import default_cache
 from eldenet.resources import available_memory
 from eldenet.types import Frame
-
-if TYPE_CHECKING:
-    from eldenet.data.base import DepthDataset
 
 VERSION = 1  # of the slots
 # stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of these and pixels
@@ -40,7 +37,29 @@ PAGE = 4096
 _LOG = logging.getLogger("eldenet")
 
 
-def open_store(dataset: "DepthDataset") -> "FrameStore | None":
+class CachedFrames(Protocol):
+    """What a store has to know of a data set (:class:`~eldenet.data.base.DepthDataset`)."""
+
+    cache: str
+    ground_truth: str
+    load_size: tuple[int, int] | None
+    resize_depth: bool
+
+    @property
+    def split_hash(self) -> str: ...  # noqa: D102
+
+    def __len__(self) -> int: ...
+
+    def frame_settings(self) -> Mapping[str, object]: ...  # noqa: D102
+
+    def frame_files(self, index: int) -> Sequence[Path]: ...  # noqa: D102
+
+    def size_group(self, index: int) -> Hashable: ...  # noqa: D102
+
+    def read_ready(self, index: int) -> Frame: ...  # noqa: D102
+
+
+def open_store(dataset: CachedFrames) -> "FrameStore | None":
     """The store of a data set whose ``cache`` is "ram" or "disk"; None where the disk does not take it.
 
     Raises:
@@ -233,7 +252,7 @@ def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:
     return zlib.crc32(depth.data, zlib.crc32(image.data, zlib.crc32(fields)))
 
 
-def _slot_bytes(dataset: "DepthDataset") -> int:
+def _slot_bytes(dataset: CachedFrames) -> int:
     """Room for the largest frame, as far as the first one of every size group tells."""
     first = {dataset.size_group(index): index for index in reversed(range(len(dataset)))}
     frames = [dataset.read_ready(index) for index in first.values()]
@@ -241,7 +260,7 @@ def _slot_bytes(dataset: "DepthDataset") -> int:
     return -(-(HEADER + largest) // PAGE) * PAGE
 
 
-def _identity(dataset: "DepthDataset") -> dict[str, object]:
+def _identity(dataset: CachedFrames) -> dict[str, object]:
     """All that a store's frames depend on, but for the files, which every slot has a stamp of."""
     import cv2
 
@@ -271,7 +290,7 @@ def _identity(dataset: "DepthDataset") -> dict[str, object]:
     }
 
 
-def _folder_name(dataset: "DepthDataset", slot: int) -> str:
+def _folder_name(dataset: CachedFrames, slot: int) -> str:
     identity = json.dumps([_identity(dataset), slot], sort_keys=True)
     return f"{type(dataset).__name__}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
 
