@@ -3,6 +3,7 @@
 import os
 import pickle
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.nyu import (
+    DEV_FRAMES,
     VAL_FRAMES,
     NYUDenseDepth,
     NYULabelled,
@@ -230,9 +232,12 @@ def test_wrong_encoding_is_refused(tmp_path: Path) -> None:
         NYUDenseDepth(densedepth(tmp_path), encoding="mm")[0]
 
 
-def test_val_frames_are_in_order_and_apart() -> None:
-    flat = [number for block in VAL_FRAMES for number in block]
-    assert flat == sorted(flat)
+def test_val_and_dev_frames_are_in_order_and_apart() -> None:
+    blocks = sorted([*VAL_FRAMES, *DEV_FRAMES])
+    assert [*VAL_FRAMES] == sorted(VAL_FRAMES)
+    assert [*DEV_FRAMES] == sorted(DEV_FRAMES)
+    # another frame at least stands between two blocks of different parts, or they would share a scene
+    assert all(end + 1 < start for (_, end), (start, _) in pairwise(blocks))
     assert is_val_frame(22)
     assert is_val_frame(27)
     assert not is_val_frame(21)
@@ -257,6 +262,9 @@ def test_real_labelled_frames(real: Path) -> None:
     train, val = NYULabelled(split="train"), NYULabelled(split="val")
     assert (len(everything), len(train), len(val)) == (795, 665, 130)
     assert not set(train.names) & set(val.names)
+    fit, dev = NYULabelled(split="fit"), NYULabelled(split="dev")
+    assert (len(fit), len(dev)) == (553, 112)
+    assert sorted([*fit.names, *dev.names]) == sorted(train.names)
     for index in range(0, 795, 53):
         frame = everything.load_frame(index)
         raw = cv2.imread(str(real / "labeled/data/nyu2_train" / f"{frame.name}.png"), cv2.IMREAD_UNCHANGED)

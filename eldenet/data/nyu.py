@@ -35,6 +35,20 @@ VAL_FRAMES: tuple[tuple[int, int], ...] = (
     *((1005, 1009), (1110, 1116), (1185, 1191), (1221, 1225), (1266, 1274), (1341, 1346), (1402, 1406)),
 )
 
+# 112 of the other training frames, whole scenes again: recipes are chosen on them, and scored on those above.
+DEV_FRAMES: tuple[tuple[int, int], ...] = (
+    *((3, 8), (286, 295), (527, 530), (534, 536), (608, 611), (652, 655), (682, 685), (700, 705), (735, 742)),
+    *((863, 868), (929, 931), (948, 958), (1024, 1031), (1040, 1047), (1132, 1134), (1137, 1143)),
+    *((1213, 1215), (1251, 1253), (1415, 1420), (1425, 1429)),
+)
+LABELLED_SPLITS = {
+    "all": ("fit", "dev", "val"),
+    "train": ("fit", "dev"),
+    "val": ("val",),
+    "fit": ("fit",),
+    "dev": ("dev",),
+}
+
 
 def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:
     """Intrinsics ``(3, 3)`` [px] of the colour camera for a picture of ``size`` ``(height, width)``."""
@@ -43,7 +57,14 @@ def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:
 
 def is_val_frame(number: int) -> bool:
     """Whether the labelled frame ``number`` (1-based) belongs to the own validation part."""
-    return any(first <= number <= last for first, last in VAL_FRAMES)
+    return _part(number) == "val"
+
+
+def _part(number: int) -> str:
+    for name, blocks in (("val", VAL_FRAMES), ("dev", DEV_FRAMES)):
+        if any(first <= number <= last for first, last in blocks):
+            return name
+    return "fit"
 
 
 class NYUFrames(DepthDataset):
@@ -145,7 +166,8 @@ class NYULabelled(_NYUPairs):
     Args:
         root: the folder that holds ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``. The file names
             are the frame numbers of the labelled .mat (1-based).
-        split: "train" or "val", which share no scene (see ``VAL_FRAMES``), or "all" for the 795.
+        split: "train" or "val", which share no scene (see ``VAL_FRAMES``), or "all" for the 795; "fit" or
+            "dev", parts of "train" that share none either: to choose a recipe on, before "val" scores it.
         encoding: of the depth files.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
@@ -164,12 +186,11 @@ class NYULabelled(_NYUPairs):
         encoding: Encoding = "nyu8_labelled",
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, ("train", "val", "all"))
+        one_of("split", split, tuple(LABELLED_SPLITS))
         table = "data/nyu2_train.csv"
         folder = find_root(root, "nyu_depth_v2/labeled", [table], DENSEDEPTH_TREE)
         pairs = csv_pairs(folder / table)
-        if split != "all":
-            pairs = [p for p in pairs if is_val_frame(_frame_number(p[0])) == (split == "val")]
+        pairs = [pair for pair in pairs if _part(_frame_number(pair[0])) in LABELLED_SPLITS[split]]
         names = [_stem(image, "data/nyu2_train/") for image, _ in pairs]
         super().__init__(folder, pairs, names, encoding, **options)
 
