@@ -84,17 +84,25 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         for section in SAME_IN_A_ROW:
             settings = [run.get("config", {}).get(section) for run in members]
             _refuse_differences(model, settings, section, ignored=KEYS)
-        _refuse_differences(model, [_shared_sources(run) for run in members], "sources")
+        _refuse_differences(model, _shared_sources(members), "sources")
         _refuse_differences(model, [run.get("train_split_hash") for run in members], "train_split_hash")
         precision = [run.get("resources", {}).get("precision") for run in members]
         _refuse_differences(model, precision, "precision")
     return [Row(model, members) for model, members in rows.items()]
 
 
-def _shared_sources(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of the weights and teachers that a run was given, but of those that are its seed's own."""
-    named, own = sources_of(run.get("config", {})), f"seed{run.get('seed')}"
-    return {name: found for name, found in run.get("sources", {}).items() if own not in named.get(name, "")}
+def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Content of the weights and teachers that each run was given, but of those that are each seed's own."""
+    found: list[dict[str, Any]] = [dict(run.get("sources", {})) for run in members]
+    places = [sources_of(run.get("config", {})) for run in members]
+    for name in set().union(*found):
+        owned = (
+            f"seed{run.get('seed')}" in at.get(name, "") for run, at in zip(members, places, strict=True)
+        )
+        if all(owned):
+            for content in found:
+                content.pop(name, None)
+    return found
 
 
 def _refuse_differences(

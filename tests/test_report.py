@@ -124,6 +124,17 @@ def test_other_settings_are_no_seeds():
     assert table_of(runs, COLUMNS)[1][0][1] == "2"
 
 
+def started(seed: int, place: str, content: str) -> dict:
+    return run_with(seed=seed, config={"weights": place}, sources={"weights": content})
+
+
+def test_seeds_start_from_the_same_weights_or_each_from_its_own() -> None:
+    group_rows([started(seed, "runs/start/seed0", "0a") for seed in (0, 1)])
+    group_rows([started(seed, f"runs/start/seed{seed}", f"{seed}a") for seed in (0, 1)])
+    with pytest.raises(ValueError, match=r"sources differs.*weights=0a \(there 1a\)"):
+        group_rows([started(seed, "runs/start/seed0", f"{seed}a") for seed in (0, 1)])
+
+
 def test_a_missing_value_is_shown_as_missing():
     runs = [RUN, run_with(seed=1, metrics__rmse=None, constant_predictor__rmse=None)]
     _, rows = table_of(runs[::-1], COLUMNS)
