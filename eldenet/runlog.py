@@ -123,7 +123,8 @@ class Bar:
     def advance(self, images: int, note: str = "") -> None:
         """Count ``images`` more."""
         self.done += images
-        text = f"{self.rate:.0f} {self.unit}/s  {note}"
+        digits = 0 if self.rate >= 10 else 2
+        text = f"{self.rate:.{digits}f} {self.unit}/s  {note}"
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, completed=self.done, note=text)
         elif time.monotonic() - self.last_line > LINE_EVERY_S:

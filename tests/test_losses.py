@@ -63,7 +63,7 @@ def value_and_gradient(loss: Callable[..., Tensor], prediction: Tensor, target: 
 
 
 def test_the_yaml_files_are_found() -> None:
-    assert {"berhu", "l1", "l2", "silog", "ssim_l1", "ssim_l1_gradient"} <= set(NAMES)
+    assert {"berhu", "l1", "l2", "silog", "ssim_l1", "ssim_l1_gradient", "ssim_l1_log"} <= set(NAMES)
 
 
 SPACED = {
@@ -307,6 +307,7 @@ def test_the_papers_loss_shows_both_weights() -> None:
     assert {name: term.weight for name, term in loss.terms.items()} == {"ssim": 1.0, "l1": 1.0}
     assert loss.terms["ssim"].loss.value_range == 10.0
     assert set(from_yaml("ssim_l1_gradient").terms) == {"ssim", "l1", "gradient"}
+    assert from_yaml("ssim_l1_log").terms["log_l1"].space == "log"
 
 
 def test_wrong_inputs_say_so() -> None:

@@ -21,8 +21,8 @@ LIGHT = (0.05, 3.0)  # dim to glaring, as a share of a normal day's
 MOST_OBSTACLES, MOST_MOVERS = 80, 10
 FRAME_STREAM = 104  # beside arenas.SPLITS and tasks.TASK_STREAM
 _ROOM = 0.30  # that a robot has at least around its middle [m]
-_CLOSE = 1.2  # what counts as close to something [m]
-_NOSE_TO_WALL = 0.8  # median depth [m]
+_CLOSE = 0.8  # what counts as close to something [m]
+_NOSE_TO_WALL = 0.4  # median depth [m]
 
 
 def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
