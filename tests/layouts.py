@@ -1,6 +1,7 @@
 """Tiny data sets in the layouts that people have on disk, written by the tests."""
 
 import json
+import os
 import shutil
 import tarfile
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import cv2
 import h5py
 import numpy as np
+import pytest
 from scipy.io import savemat
 
 
@@ -286,3 +288,13 @@ def eigen_list(path: Path, drives: tuple[str, ...], number: int = 5, none: tuple
 def devkit_metres(path: Path) -> np.ndarray:
     """Metres as the devkit's readme says."""
     return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float64) / 256
+
+
+def real_folder(place: str, holds: str) -> Path:
+    """``$ELDENET_DATA/<place>`` with real frames; a test without them is skipped and says why."""
+    if not os.environ.get("ELDENET_DATA"):
+        pytest.skip("ELDENET_DATA is not set: no real data to read")
+    root = Path(os.environ["ELDENET_DATA"]) / place
+    if not (root / holds).exists():
+        pytest.skip(f"{root / holds} is not there")
+    return root

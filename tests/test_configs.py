@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import os
 import re
 import typing
 from collections.abc import Callable, Iterator
@@ -384,12 +383,7 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
 
 @pytest.fixture
 def real() -> Path:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    root = Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/labeled"
-    if not (root / "data/nyu2_train.csv").exists():
-        pytest.skip(f"{root} is not there")
-    return root
+    return layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
 
 
 def test_real_labelled_frames_build(real: Path) -> None:

@@ -1,13 +1,12 @@
 """Real KITTI frames: the devkit's, scans against derived maps, the selection, calibration."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from layouts import devkit_metres
+from layouts import devkit_metres, real_folder
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_calibration import entry, rectified_intrinsics, velodyne_to_image
@@ -16,12 +15,7 @@ from eldenet.data.kitti_velodyne import project_scan, read_scan
 
 @pytest.fixture
 def real() -> Path:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    root = Path(os.environ["ELDENET_DATA"]) / "kitti"
-    if not (root / "raw").is_dir():
-        pytest.skip(f"{root} is not there")
-    return root
+    return real_folder("kitti", "raw")
 
 
 def test_real_devkit_frames(real: Path) -> None:

@@ -1,6 +1,5 @@
 """NYU Depth V2 in every layout: metres, intrinsics, names, the split, and errors that name the file."""
 
-import os
 import pickle
 from collections.abc import Callable
 from itertools import pairwise
@@ -10,7 +9,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, sync
+from layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, real_folder, sync
 from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
@@ -249,12 +248,7 @@ def test_val_and_dev_frames_are_in_order_and_apart() -> None:
 
 @pytest.fixture
 def real() -> Path:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    root = Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2"
-    if not (root / "labeled/data/nyu2_train.csv").exists():
-        pytest.skip(f"{root}/labeled is not there")
-    return root
+    return real_folder("nyu_depth_v2", "labeled/data/nyu2_train.csv")
 
 
 def test_real_labelled_frames(real: Path) -> None:
