@@ -1,7 +1,6 @@
 """``check_data`` on whole and on damaged data sets: everything wrong is named, nothing stops it."""
 
 import json
-import os
 from pathlib import Path
 
 import cv2
@@ -138,10 +137,7 @@ def test_bars() -> None:
 
 
 def test_real_labelled_frames(tmp_path: Path) -> None:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    if not (Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/labeled/data/nyu2_train.csv").exists():
-        pytest.skip("the labelled frames are not there")
+    layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
     good, report = run(tmp_path, "data=nyu_labelled", "frames=8")
     assert good
     assert [part["frames"] for part in report["splits"]] == [665, 130]

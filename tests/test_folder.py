@@ -1,11 +1,11 @@
 """Anyone's own pictures with depth."""
 
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from layouts import real_folder
 
 from eldenet.data.folder import FolderDataset
 
@@ -170,11 +170,7 @@ def test_range_must_be_given_and_typos_do_not_vanish(tmp_path: Path) -> None:
 
 
 def test_real_pair() -> None:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    root = Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/mmseg_pseudo_160x120"
-    if not root.is_dir():
-        pytest.skip(f"{root} is not there")
+    root = real_folder("nyu_depth_v2/mmseg_pseudo_160x120", "annotations")
     data = FolderDataset(root, depths="annotations", max_depth=10.0)
     raw = cv2.imread(str(root / "annotations" / f"{data.names[0]}.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(data.load_frame(0).depth, (raw / 1000.0).astype(np.float32))

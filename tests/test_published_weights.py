@@ -7,6 +7,7 @@ import cv2
 import pytest
 import torch
 import torch.nn.functional as F
+from layouts import real_folder
 from networks import picture
 
 import eldenet
@@ -80,10 +81,7 @@ def test_meter_knows_nyu(weights_dir: Path) -> None:
     """
     from eldenet.config import build_protocol, build_split, compose
 
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    if not (Path(os.environ["ELDENET_DATA"]) / "nyu_depth_v2/labeled/data/nyu2_train.csv").is_file():
-        pytest.skip("the labelled NYU frames are not there")
+    real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
     config = compose("train", ["data=nyu_labelled", "data.input_size=[192,256]"])
     protocol = build_protocol(config)
     frames = build_split(config, "val", protocol)
@@ -106,9 +104,7 @@ def test_meter_knows_nyu(weights_dir: Path) -> None:
 
 def test_meter_knows_kitti(weights_dir: Path) -> None:
     """AbsRel 0.07 on two frames: images without normalisation in, decimetres out."""
-    root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti"
-    if not (root / "depth").is_dir():
-        pytest.skip("ELDENET_DATA has no kitti/depth: no real data to read")
+    root = real_folder("kitti", "depth")
     model, errors = published(weights_dir, "kitti"), []
     truths = sorted((root / "depth/train").glob("*/proj_depth/groundtruth/image_02/*.png"))
     for path in truths:
