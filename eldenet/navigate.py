@@ -164,31 +164,43 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
 
 def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> Path:
     """Measure the errors of a sensor's ranges, on arenas of the "val" split, for ``sensor=noisy``."""
+    from eldenet.data.roots import one_of
+    from eldenet.navigation.looks import look_along, look_near
     from eldenet.navigation.policy import Navigator
-    from eldenet.navigation.range_errors import fit_errors, look_along
+    from eldenet.navigation.range_errors import fit_errors
     from eldenet.navigation.tasks import frozen_arenas
     from eldenet.record import environment
 
-    sensor = cfg.instantiate(config.sensor)
+    options, sensor = cfg.plain(config.measure), cfg.instantiate(config.sensor)
+    one_of("measure.places", options["places"], ("crossings", "near"))
     arenas = [a for density in densities for a in frozen_arenas(density, int(config.worlds), split="val")]
     with log.bar("looking", len(arenas), unit="worlds") as bar:
-        looks = look_along(
-            arenas, sensor, Navigator.load(), seed=int(config.seed), time_limit=float(config.time_limit),
-            advance=bar.advance,
-        )  # fmt: skip
+        if options["places"] == "near":
+            looks = look_near(
+                arenas, sensor, looks=options["looks"], seed=int(config.seed), advance=bar.advance
+            )
+        else:
+            looks = look_along(
+                arenas, sensor, Navigator.load(), seed=int(config.seed), time_limit=float(config.time_limit),
+                advance=bar.advance,
+            )  # fmt: skip
     where = environment()
     note = {"sensor": cfg.plain(config.sensor), "densities": densities, "worlds": int(config.worlds)}
-    note |= {name: where[name] for name in ("date", "git", "versions", "command")}
-    errors = fit_errors(looks, split="val", **note)
+    note |= {"measure": options} | {name: where[name] for name in ("date", "git", "versions", "command")}
+    errors = fit_errors(looks, options["edges"], split="val", **note)
     path = folder / "range_errors.json"
     errors.write(path)
     names = ("count", "bias", "spread", "missed", "ghost")
     table = [
-        [f"{row['from']} to {row['to']} m", *(f"{row.get(name, float('nan')):.3g}" for name in names)]
-        for row in errors.sectors
+        [
+            f"{row['from']} to {row['to']} m",
+            *(f"{row.get(name, float('nan')):.3g}" for name in names),
+            f"{bias:.3g}",
+        ]
+        for row, bias in zip(errors.sectors, errors.bias, strict=True)
     ]
-    title = f"errors of sector ranges (natural logarithm): {path}"
-    log.table(title, ["true range", "looks", "bias", "spread", "missed", "ghosts"], table)
+    title = f"errors of sectors' nearest ranges (natural logarithm), and the bias of columns: {path}"
+    log.table(title, ["true range", "looks", "bias", "spread", "missed", "ghosts", "columns' bias"], table)
     return path
 
 

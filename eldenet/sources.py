@@ -12,6 +12,12 @@ KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a
 _FILES = ("model.safetensors", "model/model.safetensors")
 
 
+def located(source: str | Path) -> Path:
+    """Folder or file of a source: that of the package's own weights for their name, else the path itself."""
+    own = PACKAGED / source
+    return own if own.parent == PACKAGED and (own / _FILES[0]).is_file() else Path(source)
+
+
 def sources_of(config: Any, name: str = "") -> dict[str, str]:
     """Setting, dotted -> the file, folder or id that a config gives it."""
     if not isinstance(config, Mapping):
@@ -28,7 +34,7 @@ def sources_of(config: Any, name: str = "") -> dict[str, str]:
 
 def fingerprint(source: str) -> str | None:
     """First 16 digits of the SHA-256 of a source's weights; None where they do not lie here."""
-    folder = PACKAGED / source if (PACKAGED / source / _FILES[0]).is_file() else Path(source)
+    folder = located(source)
     for file in (folder, *(folder / name for name in _FILES)):
         if file.is_file():
             with file.open("rb") as content:

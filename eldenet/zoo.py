@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.sources import PACKAGED
+from eldenet.sources import PACKAGED, located
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -66,7 +66,7 @@ def load(
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides change a network built by name; {source} is read as it was saved")
-    folder = PACKAGED / source if str(source) in list_weights() else Path(source)
+    folder = located(source)
     if "/" not in str(source) and not folder.is_dir():
         raise ValueError(
             f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, trained weights "

@@ -13,9 +13,10 @@ from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.navigation.cameras import Camera, CameraEye, camera, near_faces, objects, simulated_detections
+from eldenet.navigation.looks import Looks, look_along, look_near
 from eldenet.navigation.noise import NoisyRanges, without_missed
 from eldenet.navigation.policy import Navigator
-from eldenet.navigation.range_errors import EDGES, Looks, RangeErrors, fit_errors, look_along, things
+from eldenet.navigation.range_errors import EDGES, RangeErrors, fit_errors, things
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.perception.detectors import CallableDetector
@@ -202,6 +203,21 @@ def test_errors_that_were_put_in_are_measured(put_in, measured):
     assert missed[0] == 0
     assert missed[3] > 0.03
     assert sum(row["count"] for row in measured.sectors) > 1000
+
+
+def test_looks_from_places_close_to_obstacles(put_in):
+    arenas = list(frozen_arenas(80, 3, split="val"))
+    looks = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
+    assert looks.ranges.shape == looks.true.shape == (60, 40)
+    assert len(np.unique(looks.crossing)) == 60
+    close, along = looks.true < 0.8, drawn(put_in).true < 0.8
+    assert close.mean() > 0.05 > 0.02 > along.mean()
+    again = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
+    np.testing.assert_array_equal(again.ranges, looks.ranges)
+    with pytest.raises(ValueError, match="looks=0"):
+        look_near(arenas, NoisyRanges(errors=put_in), looks=0)
+    with pytest.raises(ValueError, match="people who walk"):
+        look_near(list(frozen_arenas(5, 1, split="val", movers=2)), NoisyRanges(errors=put_in))
 
 
 def test_no_errors_measure_as_none():

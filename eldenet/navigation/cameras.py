@@ -57,7 +57,7 @@ class Camera:
         lifter: BoxLifter | None = None,
         detector: Detector | None = None,
         *,
-        size: tuple[int, int] = (120, 160),
+        size: tuple[int, int] = (96, 128),
         light: float = 1.0,
         drift: Drift = Drift(),  # noqa: B008 - immutable
     ) -> None:
@@ -153,7 +153,7 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], np.ndarray] | No
 def camera(
     checkpoint: str | None = None,
     *,
-    size: tuple[int, int] = (120, 160),
+    size: tuple[int, int] = (96, 128),
     light: float = 1.0,
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
 ) -> Camera:
@@ -169,7 +169,7 @@ def objects(
     detector: Detector | None = None,
     method: Method = "refine",
     depth_sigma: float = 0.08,
-    size: tuple[int, int] = (120, 160),
+    size: tuple[int, int] = (96, 128),
     light: float = 1.0,
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
 ) -> Camera:

@@ -1,4 +1,4 @@
-"""How wrong a camera's ranges are: measured along crossings, kept as a small JSON file, drawn by ``noisy``.
+"""How wrong a camera's ranges are: measured from looks, kept as a small JSON file, drawn by ``noisy``.
 
 An error is the logarithm of a column's range over the true one. Each distance has its bias and spread; what
 is left, over the spread, is the sum of three parts: one that the whole frame shares and that wanders from
@@ -7,7 +7,7 @@ frame to frame, one that about four neighbouring columns share, and each column'
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -15,12 +15,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from eldenet.navigation.crossings import Crossings, Event
-from eldenet.navigation.evaluation import Policy
+from eldenet.navigation.looks import Looks
 from eldenet.navigation.observer import SECTORS
-from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.robot import ROBOT
-from eldenet.simulation.arenas import Arena
 
 EDGES = (0.3, 1.0, 2.0, 3.0, 4.5, 6.5, 10.0)  # of the distances that are told apart [m]
 MISSED = math.log(1.5)  # a thing that reads half as far again as it is was not seen; the reverse is a ghost
@@ -90,45 +87,6 @@ class RangeErrors:
         if not {len(errors.bias), len(errors.spread), len(errors.miss)} == {len(errors.edges) - 1}:
             raise ValueError(f"{path}: bias, spread and miss need {len(errors.edges) - 1} entries each")
         return errors
-
-
-@dataclass(frozen=True)
-class Looks:
-    """Ranges of ``F`` looks ``(F, columns)`` [m], what is true, and which crossing each is of ``(F,)``."""
-
-    ranges: np.ndarray
-    true: np.ndarray
-    crossing: np.ndarray
-
-
-def look_along(
-    arenas: Sequence[Arena],
-    sensor: Sensor,
-    policy: Policy,
-    *,
-    physics: str = "kinematic",
-    seed: int = 0,
-    time_limit: float = 60.0,
-    advance: Callable[[int], None] = lambda count: None,
-) -> Looks:
-    """Let a sensor look along crossings that ``policy`` drives by true ranges, so that none depends on it."""
-    crossings = Crossings(1, Ranges(), physics=physics, time_limit=time_limit)
-    rows: list[tuple[np.ndarray, np.ndarray, int]] = []
-    for number, arena in enumerate(arenas):
-        crossings.start(0, arena, (seed, number))
-        world = crossings.worlds[0]
-        assert world is not None
-        policy.reset(0, world)
-        eye = sensor.begin(world, np.random.default_rng((seed, number)))
-        event = Event.NONE
-        while event is Event.NONE:
-            senses = crossings.sense()
-            rows.append((eye.look().ranges, senses.ranges[0].copy(), number))
-            _, events = crossings.step(policy.commands(senses))
-            event = Event(int(events[0]))
-        advance(1)
-    ranges, true, crossing = zip(*rows, strict=True)
-    return Looks(np.array(ranges), np.array(true), np.array(crossing))
 
 
 def fit_errors(looks: Looks, edges: Sequence[float] = EDGES, **measured: Any) -> RangeErrors:

@@ -16,6 +16,7 @@ from eldenet.profiling import median_ms, time_interleaved
 from eldenet.resources import available_cores
 from eldenet.runtimes.base import PRECISIONS, Runtime
 from eldenet.runtimes.stream import DepthStream
+from eldenet.sources import located
 
 __all__ = ["PRECISIONS", "RUNTIMES", "DepthStream", "Runtime", "fastest", "load"]
 
@@ -37,8 +38,8 @@ def load(
     """A network ready to run: ``load(...)(images) -> metres``.
 
     Args:
-        source: an ``.onnx`` or ``.xml`` file, a folder that ``save_pretrained`` or a training wrote, or a
-            :class:`~eldenet.model.DepthNet` (``eldenet.load(name)``).
+        source: an ``.onnx`` or ``.xml`` file, a folder that ``save_pretrained`` or a training wrote, the name
+            of the package's own weights ("eldenet_rooms"), or a :class:`~eldenet.model.DepthNet`.
         runtime: "torch", "torch_channels_last", "torch_compile", "onnxruntime" or "openvino"; "auto": torch
             for a model, and for a file the fastest that is installed (:func:`fastest`).
         precision: "fp32", "bf16", "fp16" or "int8"; None: the file's own, or fp32.
@@ -142,7 +143,8 @@ def _open(path: Path, runtime: str, precision: str | None, threads: int, device:
     return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
 
 
-def _from_folder(folder: Path, trusted_modules: Sequence[str]) -> DepthNet:
+def _from_folder(source: Path, trusted_modules: Sequence[str]) -> DepthNet:
+    folder = located(source)
     inner = folder / "model"
     return DepthNet.from_pretrained(
         inner if (inner / CONFIG_NAME).is_file() else folder, trusted_modules=trusted_modules

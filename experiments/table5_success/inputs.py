@@ -13,6 +13,7 @@ from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noise import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.sources import training_hash
+from eldenet.sources import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
@@ -45,7 +46,7 @@ def depth_files(source: str | None) -> list[Path]:
         return []
     if source is None:
         raise ValueError(f"--depth: say what feeds the camera: a network's folder or file, or {TRUTH}")
-    for path in (Path(source) / "model", Path(source)):
+    for path in (Path(source) / "model", located(source)):
         if (path / "model.safetensors").is_file():
             return sorted(file for file in path.iterdir() if file.is_file())
     if Path(source).is_file():
