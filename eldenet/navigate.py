@@ -190,15 +190,12 @@ def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunL
     errors = fit_errors(looks, options["edges"], split="val", **note)
     path = folder / "range_errors.json"
     errors.write(path)
-    names = ("count", "bias", "spread", "missed", "ghost")
-    table = [
-        [
-            f"{row['from']} to {row['to']} m",
-            *(f"{row.get(name, float('nan')):.3g}" for name in names),
-            f"{bias:.3g}",
-        ]
-        for row, bias in zip(errors.sectors, errors.bias, strict=True)
-    ]
+    names = ("bias", "spread", "missed", "ghost")
+    table = []
+    for row, bias in zip(errors.sectors, errors.bias, strict=True):
+        values = (row.get(name, float("nan")) for name in names)
+        count = f"{row['count']:.0f}"
+        table.append([f"{row['from']} to {row['to']} m", count, *(f"{v:.3f}" for v in values), f"{bias:.3f}"])
     title = f"errors of sectors' nearest ranges (natural logarithm), and the bias of columns: {path}"
     log.table(title, ["true range", "looks", "bias", "spread", "missed", "ghosts", "columns' bias"], table)
     return path

@@ -18,7 +18,7 @@ def list_models() -> list[str]:
 
 
 def list_weights() -> list[str]:
-    """Trained weights that come with the package: ``eldenet_rooms`` is eldenet trained on rooms."""
+    """Trained weights that come with the package, such as ``eldenet_rooms``: eldenet trained on rooms."""
     return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
 
 

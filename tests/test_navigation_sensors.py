@@ -247,7 +247,7 @@ def test_errors_are_kept_in_a_small_file(tmp_path, measured):
 
 def test_the_packaged_errors_say_where_they_come_from():
     errors = NoisyRanges(errors="packaged").errors
-    assert "data=arenas" in errors.measured["network"]
+    assert "data=arenas" in errors.measured["training"]
     assert {"training", "command", "date", "versions"} <= set(errors.measured)
     assert errors.measured["split"] == "val"
     assert all(0.02 < spread < 0.3 for spread in errors.spread)
@@ -267,8 +267,8 @@ def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
 
 def test_the_command_measures_and_noisy_reads_it(run_command, tmp_path):
     finished = run_command(
-        "navigate", "mode=measure", "sensor=camera", "sensor.size=[60,80]", "density=40", "worlds=2",
-        "time_limit=6", "run_dir=run",
+        "navigate", "mode=measure", "sensor=camera", "sensor.checkpoint=null", "sensor.size=[60,80]",
+        "density=40", "worlds=2", "time_limit=6", "run_dir=run",
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr
     errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
@@ -278,3 +278,16 @@ def test_the_command_measures_and_noisy_reads_it(run_command, tmp_path):
     assert max(errors.miss[:4]) < 0.02
     assert "bias" in finished.stdout
     NoisyRanges(errors=str(tmp_path / "run" / "range_errors.json"))
+
+
+def test_the_packaged_network_measures_places_close_to_obstacles(run_command, tmp_path):
+    finished = run_command(
+        "navigate", "mode=measure", "sensor=camera", "measure.places=near", "measure.looks=4",
+        "measure.edges=[0.3,1.0,3.0,10.0]", "density=80", "worlds=8", "run_dir=run",
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
+    assert errors.measured["looks"] == 32
+    assert len(errors.bias) == 3
+    assert max(abs(bias) for bias in errors.bias) < 0.2
+    assert max(errors.spread) < 0.3
