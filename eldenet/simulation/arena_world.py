@@ -107,8 +107,8 @@ class ArenaWorld:
         return False
 
     def _move_people(self) -> None:
-        for number, obstacle in enumerate(self._movers):
-            self.data.mocap_pos[number, :2] = obstacle.position(self.time)
+        if self._movers:  # 200 times a simulated second on wheels
+            self.data.mocap_pos[:, :2] = [obstacle.position(self.time) for obstacle in self._movers]
 
     def ranges(self) -> np.ndarray:
         """Distance from the camera to what each column's middle ray meets ``(columns,)`` [m].

@@ -8,8 +8,11 @@ An arena depends on ``(split, density, index)`` alone and is the same on every m
 import hashlib
 import json
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -75,13 +78,18 @@ class Obstacle:
         """Where its middle is after ``time`` [s]."""
         if not self.path:
             return self.x, self.y
-        corners = np.array([*self.path, self.path[0]])
-        lengths = np.hypot(*np.diff(corners, axis=0).T)
-        along = (time * self.speed) % float(lengths.sum())
-        leg = int(np.searchsorted(np.cumsum(lengths), along, side="right").clip(0, len(lengths) - 1))
-        share = (along - float(lengths[:leg].sum())) / float(lengths[leg])
-        x, y = corners[leg] + share * (corners[leg + 1] - corners[leg])
-        return float(x), float(y)
+        lengths, starts = self._legs
+        along = (time * self.speed) % starts[-1]
+        leg = min(bisect_right(starts, along) - 1, len(lengths) - 1)
+        share = (along - starts[leg]) / lengths[leg]
+        (x, y), (to_x, to_y) = self.path[leg], self.path[(leg + 1) % len(self.path)]
+        return x + share * (to_x - x), y + share * (to_y - y)
+
+    @cached_property
+    def _legs(self) -> tuple[list[float], list[float]]:
+        """Length of every leg of the path, and what was walked before it; at the end the whole [m]."""
+        lengths = [math.dist(a, b) for a, b in zip(self.path, (*self.path[1:], self.path[0]), strict=True)]
+        return lengths, [0.0, *accumulate(lengths)]
 
 
 @dataclass(frozen=True)
