@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Places of the points ``(latency, accuracy)`` that no other is faster and better than, fastest first."""
@@ -50,7 +52,7 @@ def pareto_plot(
 def _label_places(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float, bool]]:
     """Each row, and whether its name goes below its point: one right above it has the room over it."""
     heights = [y for _, _, y in rows]
-    near = 0.05 * (max(heights) - min(heights))
+    near = 0.07 * (max(heights) - min(heights))
     placed: list[tuple[str, float, float, bool]] = []
     for name, x, y in sorted(rows, key=lambda row: -row[2]):
         crowded = any(0.5 < x / other < 2 and above - y < near for _, other, above, low in placed if not low)
@@ -58,8 +60,20 @@ def _label_places(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, f
     return placed
 
 
+def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:
+    """Row -> epochs and values of each of its runs that has the curve."""
+    rows: dict[str, list[tuple[Any, Any]]] = {}
+    for name, curve in runs.items():
+        if key in curve:
+            rows.setdefault(name.rpartition("/")[0] or name, []).append((curve["epoch"], curve[key]))
+    return rows
+
+
 def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
-    """Loss, SSIM and MSE over the epochs: one line per run, ``runs`` is name -> curves."""
+    """Loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
+
+    A colour for each row: a thin line for every run, a thick one for their mean where there are several.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -69,9 +83,13 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
     figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
     for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
-        for name, curve in runs.items():
-            if key in curve:
-                axis.plot(curve["epoch"], curve[key], label=name, linewidth=1.2)
+        for number, (row, curves) in enumerate(_by_row(runs, key).items()):
+            for epochs, values in curves:
+                axis.plot(epochs, values, color=f"C{number}", linewidth=0.6, alpha=0.6)
+            shortest = min(len(epochs) for epochs, _ in curves)
+            mean = np.mean([values[:shortest] for _, values in curves], axis=0)
+            label = f"{row} ({len(curves)} seed{'s' if len(curves) > 1 else ''})"
+            axis.plot(curves[0][0][:shortest], mean, color=f"C{number}", linewidth=1.6, label=label)
         axis.set_title(title, fontsize=9)
         axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize=7)
