@@ -22,7 +22,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 
         log = RunLog(Path(config.study))
         for block in write_study_report(config.study):
-            log.table(block.name, *block.measured_here())
+            log.table(block.name, *block.on_a_screen())
         log.say(f"written to {Path(config.study) / 'results'}.md, .csv and .tex")
         return
     runs = find_runs(cfg.plain(config.runs))

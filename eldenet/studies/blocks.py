@@ -18,6 +18,7 @@ from eldenet.tables import heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
+SEEN = "weights have seen"  # title of a column
 SEEDS_OF_A_VERDICT = 3  # the chance in a training is outside the interval over images
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
@@ -39,6 +40,11 @@ class Block:
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows without the published figures."""
         return self.titles[: self.published], [row[: self.published] for row in self.rows]
+
+    def on_a_screen(self) -> tuple[list[str], list[list[str]]]:
+        """Those without the long texts of what weights have seen: they stand in the written table."""
+        kept = [place for place, title in enumerate(self.titles[: self.published]) if title != SEEN]
+        return [self.titles[place] for place in kept], [[row[place] for place in kept] for row in self.rows]
 
     def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows of the published figures, where there are any."""
@@ -151,7 +157,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     columns: list[tuple[str, Callable[[Member], str]]] = [
         ("row", lambda member: member.row.name),
         ("seeds", lambda member: member.status),
-        ("weights have seen", lambda member: member.row.seen),
+        (SEEN, lambda member: member.row.seen),
     ]
     for metric in study.columns:
         title = heading(metric, every[0]) if every else metric
