@@ -72,14 +72,14 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, 
     weights.write_bytes(b"1")
     options = given(tmp_path, depth=str(tmp_path / "net"), sensors="camera@0.1,ranges", courses="5")
     dim, plain = rows.all_rows(options)
-    before = [rows.key_of(row, options, None, []) for row in (dim, plain)]
+    before = [rows.key_of(row, options, None, "of them") for row in (dim, plain)]
     for changed in (weights, weights.with_name("config.json")):
         changed.write_bytes(b"2")
-        after = [rows.key_of(row, options, None, []) for row in (dim, plain)]
+        after = [rows.key_of(row, options, None, "of them") for row in (dim, plain)]
         assert after[0]["depth"] != before[0]["depth"], changed
         assert after[1] == before[1]
         before[0] = after[0]
-    assert rows.key_of(dim, options, DEFAULT_WEIGHTS, [])["policy"] is not None
+    assert rows.key_of(dim, options, DEFAULT_WEIGHTS, "of them")["policy"] is not None
     assert before[0]["sources"] != before[1]["sources"]
     assert rows.make_sensor(dim.sensor, given(tmp_path, depth="truth")).light == 0.1
     assert "camera@0.1-kinematic-5-2" in dim.name
@@ -170,6 +170,19 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
     (folder / "training.json").unlink()
     with pytest.raises(ValueError, match=r"without training\.json"):
         rows.policy_file(row, options)
+
+
+def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
+    from eldenet.config import compose, plain
+
+    row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path, packaged=False)
+    config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
+    trained = policy_folder(tmp_path, config, sources.training_hash())
+    rows.policy_file(row, options)
+    shutil.rmtree(trained)
+    kept = rows.policy_file(row, options)
+    assert kept.read_bytes() == DEFAULT_WEIGHTS.read_bytes()
+    assert not trained.exists()
 
 
 def test_a_part_does_not_replace_the_whole_table(rows, tmp_path):

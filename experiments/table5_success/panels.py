@@ -24,10 +24,14 @@ def draw_panels(
     figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.6), sharey=True, squeeze=False)
     for axis, panel in zip(axes[0], panels, strict=True):
         draw(axis, panel)
-        axis.set(title=f"{panel[1]}, {panel[0]}", xlabel="obstacles on 400 m2")
+        axis.set(title=f"{panel[1]}, {panel[0]}", xlabel="obstacles on 400 m²")
         axis.grid(alpha=0.3)
     axes[0][0].set_ylabel(ylabel)
-    axes[0][0].legend(fontsize=7)
+    lines: dict[str, Any] = {}  # a method may be in one panel alone
+    for axis in axes[0]:
+        handles, labels = axis.get_legend_handles_labels()
+        lines |= dict(zip(labels, handles, strict=True))
     figure.tight_layout()
-    figure.savefig(path, dpi=130)
+    figure.legend(lines.values(), lines, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.savefig(path, dpi=130, bbox_inches="tight")
     plt.close(figure)

@@ -1,7 +1,9 @@
 """One row of the navigation tables: a method, a density, a sensor, a physics -> one CSV, made once."""
 
 import csv
+import functools
 import json
+import shutil
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Iterator, Sequence
@@ -181,21 +183,38 @@ def all_rows(given: Namespace) -> Iterator[Row]:
 
 
 def policy_file(row: Row, given: Namespace) -> Path | None:
-    """The trained policy of a row; it is trained now if it was not yet. None for planners."""
+    """The trained policy of a row; it is trained now if it was not yet. None for planners.
+
+    What rows rest on is kept beside them, in ``policies``: a table is rebuilt without its trainings' folders.
+    """
     if row.seed is None:
         return None
     method = "dqn" if row.method == "dqn_follows" else row.method
     if given.packaged and method == "dqn":
         return DEFAULT_WEIGHTS
     options = [*LEARNT[method], f"seed={row.seed}"]
-    return training_of(given.runs / f"{method}-{row.seed}", options, any_sources=given.any_sources)
+    folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
+    if not folder.is_dir() and kept.is_dir():
+        return training_of(kept, options, any_sources=given.any_sources)
+    policy = training_of(folder, options, any_sources=given.any_sources)
+    kept.mkdir(parents=True, exist_ok=True)
+    for name in (policy.name, "training.json"):
+        shutil.copyfile(folder / name, kept / name)
+    return policy
 
 
-def key_of(row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> dict[str, Any]:
+@functools.cache
+def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str]:
+    """Test arenas, the same for every method and sensor, and their hash."""
+    arenas = frozen_arenas(density, worlds, movers=movers)
+    return arenas, arenas_hash(arenas)
+
+
+def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
     """All that a row's crossings depend on: where any of it has changed, the row is made anew."""
     versions = environment()["versions"]
     return {
-        "arenas": arenas_hash(arenas),
+        "arenas": arenas,
         "sources": crossing_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
@@ -205,12 +224,12 @@ def key_of(row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Ar
 
 def measure(row: Row, given: Namespace) -> list[Crossing]:
     """The crossings of a row: read, if nothing that they depend on has changed since, or made now."""
-    arenas = frozen_arenas(row.density, row.worlds, movers=row.movers)
-    frozen = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
-    if frozen is not None and arenas_hash(arenas) != frozen:
+    arenas, found = frozen(row.density, row.worlds, row.movers)
+    wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
+    if wanted is not None and found != wanted:
         raise ValueError(f"the test arenas {row.course} are not those that were frozen (arenas.json)")
     weights = policy_file(row, given)
-    key = key_of(row, given, weights, arenas)
+    key = key_of(row, given, weights, found)
     table, note = given.rows / f"{row.name}.csv", given.rows / f"{row.name}.json"
     if table.is_file() and note.is_file() and json.loads(note.read_text())["key"] == key:
         return read_rows(table)
