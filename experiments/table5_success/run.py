@@ -113,8 +113,9 @@ def plot(tables: Tables, path: Path) -> None:
             axis.errorbar(at, mean[0], yerr=reach, marker="o", capsize=3, label=method)
         axis.set_ylim(0, 102)
 
-    panels = list(dict.fromkeys((key[0], key[1]) for key in tables))
-    draw_panels(panels, draw, "success [%]", path)
+    panels = list(dict.fromkeys(key[:2] for key in tables if key[3].isdigit()))
+    if panels:  # walkers have one column alone, no curve
+        draw_panels(panels, draw, "success [%]", path)
 
 
 if __name__ == "__main__":
