@@ -1,13 +1,14 @@
 """How many steps a second the training environment makes: steps.md.
 
-python experiments/table6_time/steps.py        one thread; a few minutes
+python experiments/table6_time/steps.py        a few minutes, on a machine that does nothing else
 
 The packaged driver chooses the actions, so that episodes are as long as in training; its network's time is
-not counted, episodes that end and new arenas are. Figures count processor time, so that a busy machine does
-not spoil them; on two free cores two trainings run at this rate each.
+not counted, episodes that end and new arenas are.
 """
 
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -21,6 +22,7 @@ from eldenet.record import environment
 
 HERE = Path(__file__).parent
 ROBOTS, ROUNDS = 64, 450  # about four episodes of every robot: each arena is crossed four times in training
+PROCESSES = (1, 2)  # that train side by side, a thread each
 ROWS: tuple[tuple[str, str, Sensor], ...] = (
     ("kinematic, true ranges", "kinematic", Ranges()),
     ("kinematic, measured errors", "kinematic", NoisyRanges(errors="packaged")),
@@ -30,30 +32,42 @@ ROWS: tuple[tuple[str, str, Sensor], ...] = (
 
 def main() -> None:
     where = environment()
+    titles = [f"{density} obstacles, {count} at once" for density in (5, 80) for count in PROCESSES]
     lines = [
-        "# Steps of the environment a second of processor time",
+        "# Steps of the environment a second",
         "",
-        f"{ROBOTS} robots of the packaged driver, one thread, {ROUNDS} steps of all (wheels: a quarter); new "
-        "arenas are counted, the network is not.",
+        f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps of all "
+        "(wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is not.",
         "",
-        "| environment | 5 obstacles | 80 obstacles |",
-        "|---|---:|---:|",
+        f"| environment | {' | '.join(titles)} |",
+        f"|---|{'---:|' * len(titles)}",
     ]
     for name, physics, sensor in ROWS:
-        rates = [f"{rate(density, physics, sensor):,.0f}" for density in (5, 80)]
+        rates = [
+            f"{together(count, density, physics, sensor):,.0f}" for density in (5, 80) for count in PROCESSES
+        ]
         lines.append(f"| {name} | {' | '.join(rates)} |")
         print(lines[-1], flush=True)
+    hardware = where["hardware"]
     lines += [
         "",
-        f"{where['hardware']['processor']}, mujoco {where['versions']['mujoco']}, {where['date']}, "
+        f"{hardware['processor']}, {hardware['cores']} cores, mujoco {where['versions']['mujoco']}, {where['date']}, "
         f"commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
     (HERE / "steps.md").write_text("\n".join(lines) + "\n")
 
 
+def together(processes: int, density: int, physics: str, sensor: Sensor) -> float:
+    """Steps a second of so many processes at once."""
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(rate, density, physics, sensor) for _ in range(processes)]
+        return sum(job.result() for job in jobs)
+
+
 def rate(density: int, physics: str, sensor: Sensor) -> float:
-    """Steps of one robot a second of processor time."""
+    """Steps of one robot a second."""
+    torch.set_num_threads(1)
     driver = Navigator.load()
     env = ArenaNavVectorEnv(
         ROBOTS, sensor=sensor, physics=physics, arenas=TrainingArenas((density, density)),
@@ -64,9 +78,9 @@ def rate(density: int, physics: str, sensor: Sensor) -> float:
     with torch.inference_mode():
         for _ in range(rounds):
             actions = driver.network(torch.from_numpy(observation).double()).argmax(1).numpy()
-            started = time.process_time()
+            started = time.perf_counter()
             observation = env.step(actions)[0]
-            spent += time.process_time() - started
+            spent += time.perf_counter() - started
     return rounds * ROBOTS / spent
 
 
