@@ -36,8 +36,9 @@ def main() -> None:
     lines = [
         "# Steps of the environment a second",
         "",
-        f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps of all "
-        "(wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is not.",
+        f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps of "
+        "all (wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is "
+        "not.",
         "",
         f"| environment | {' | '.join(titles)} |",
         f"|---|{'---:|' * len(titles)}",
@@ -51,8 +52,8 @@ def main() -> None:
     hardware = where["hardware"]
     lines += [
         "",
-        f"{hardware['processor']}, {hardware['cores']} cores, mujoco {where['versions']['mujoco']}, {where['date']}, "
-        f"commit {(where['git'] or {}).get('commit')}.",
+        f"{hardware['processor']}, {hardware['cores']} cores, mujoco {where['versions']['mujoco']}, "
+        f"{where['date']}, commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
     (HERE / "steps.md").write_text("\n".join(lines) + "\n")
