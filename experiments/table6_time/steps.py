@@ -36,8 +36,8 @@ def main() -> None:
     lines = [
         "# Steps of the environment a second",
         "",
-        f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps of "
-        "all (wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is "
+        f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps "
+        "of all (wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is "
         "not.",
         "",
         f"| environment | {' | '.join(titles)} |",
