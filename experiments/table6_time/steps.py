@@ -37,8 +37,8 @@ def main() -> None:
         "# Steps of the environment a second",
         "",
         f"{ROBOTS} robots of the packaged driver in one or two processes of one thread each, {ROUNDS} steps "
-        "of all (wheels: a quarter), wall clock, all processes together; new arenas are counted, the network is "
-        "not.",
+        "of all (wheels: a quarter), wall clock, all processes together; new arenas are counted, the network "
+        "is not.",
         "",
         f"| environment | {' | '.join(titles)} |",
         f"|---|{'---:|' * len(titles)}",
