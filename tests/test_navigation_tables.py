@@ -33,7 +33,7 @@ def given(tmp_path: Path, **options) -> Namespace:
     settings = {
         "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
         "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged", "packaged": True,
-        "goal": "known", "any_sources": False, "out": None, "runs": tmp_path / "runs",
+        "goal": "known", "any_sources": False, "recheck": 0, "out": None, "runs": tmp_path / "runs",
         "rows": tmp_path / "rows",
     }  # fmt: skip
     return Namespace(**(settings | options))
@@ -64,6 +64,25 @@ def test_rows_are_read_until_something_changes(rows, tmp_path, monkeypatch, caps
         (row, _) = rows.all_rows(options)
         rows.measure(row, options)
         assert ("of 2" in capsys.readouterr().out) == counts, name
+
+
+def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same(
+    rows, tmp_path, monkeypatch, capsys
+):
+    options = given(tmp_path, courses="5", recheck=1)
+    (row,) = rows.all_rows(options)
+    first = rows.measure(row, options)
+    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after a change")
+    assert rows.measure(row, options) == first
+    assert rows.measure(row, options) == first
+    assert capsys.readouterr().out.count("the first 1 came out the same, kept") == 1
+    note, table = (options.rows / f"{row.name}.{ending}" for ending in ("json", "csv"))
+    assert json.loads(note.read_text())["rechecked"][0]["worlds"] == 1
+    table.write_text(table.read_text().replace(str(first[0].seconds), "1.0"))
+    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after another")
+    assert rows.measure(row, options) == first
+    assert "of 2" in capsys.readouterr().out
+    assert "rechecked" not in json.loads(note.read_text())
 
 
 def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, monkeypatch):
