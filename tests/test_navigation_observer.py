@@ -43,16 +43,9 @@ def test_observation_columns():
     ("law", "expected"), [("paper", 0.5), ("turn", 0.5 * 0.75), ("prox", 0.5 * 0.75 * 0.5)]
 )
 def test_speed_laws(law, expected):
-    observer = Observer(speed=law, slows_within=3.0)
+    observer = Observer(speed=law)
     observer.observe(senses(np.full((1, ROBOT.columns), 0.9), goal=(1.5, 0.0)))
     assert observer.commands(np.array([1]))[0] == pytest.approx([expected, 0.5])
-
-
-@pytest.mark.parametrize(("distance", "expected"), [(5.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.1, 0.25)])
-def test_it_slows_down_before_the_goal(distance, expected):
-    observer = Observer(slows_within=1.0)
-    observer.observe(senses(goal=(distance, 0.0)))
-    assert observer.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
 
 
 def test_memory_keeps_what_left_the_view():
@@ -191,7 +184,6 @@ def test_near_the_table_s_edge_nothing_breaks():
     ({"turn_rates": (1.0,)}, "give one each"),
     ({"memory": -1}, "memory=-1"),
     ({"seen_through": -1}, "seen_through=-1"),
-    ({"slows_within": 0.0}, "slows_within=0.0: give metres"),
     ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "with speed=paper"),
 ])  # fmt: skip
 def test_wrong_observers_are_refused(options, message):

@@ -54,10 +54,8 @@ class Observer:
         turn_rates: of the actions [rad/s].
         turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up. speed="paper"
             knows none.
-        speed: law of the speed. "paper": full, but within ``slows_within`` of the goal in proportion to its
-            distance (at least a quarter), the same for all actions; "turn": times the action's factor;
-            "prox": and slower near obstacles.
-        slows_within: [m]; the paper's is 3.
+        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter),
+            the same for all actions; "turn": times the action's factor; "prox": and slower near obstacles.
         memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
         bins: bearings into which the memory is divided; 0: no memory columns.
         arcs: add the free time along each action's arc.
@@ -75,7 +73,6 @@ class Observer:
         turn_rates: Sequence[float] = (1.2, 0.5, 0.0, -0.5, -1.2),
         turn_factors: Sequence[float] = (0.35, 0.75, 1.0, 0.75, 0.35),
         speed: str = "prox",
-        slows_within: float = 1.0,
         memory: int = 60,
         bins: int = 24,
         arcs: bool = True,
@@ -93,20 +90,16 @@ class Observer:
                 f"turn_factors={list(turn_factors)} with speed=paper, which knows none: "
                 "for actions that stop or back up choose speed=turn or prox"
             )
-        if slows_within <= 0:
-            raise ValueError(f"slows_within={slows_within}: give metres from the goal, above 0")
         if min(memory, bins, seen_through) < 0 or robots < 1:
             raise ValueError(
                 f"robots={robots}, memory={memory}, bins={bins}, seen_through={seen_through}: give at least "
                 "1, 0, 0 and 0"
             )
         self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs
-        self.slows_within = float(slows_within)
         self.options = {
             "turn_rates": [float(rate) for rate in turn_rates],
             "turn_factors": [float(factor) for factor in turn_factors],
-            **{"speed": speed, "slows_within": float(slows_within)},
-            **{"memory": memory, "bins": bins, "arcs": arcs},
+            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs},
             **{"seen_through": seen_through, "walkers": walkers},
         }
         self.turn_rates = np.array(turn_rates, dtype=np.float64)
@@ -160,8 +153,7 @@ class Observer:
 
     def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
         """Speed of every action ``(N, actions)`` [m/s]."""
-        speed = ROBOT.max_speed * np.clip(distance / self.slows_within, 0.25, 1.0)[:, None]
-        speed = speed * np.ones(self.actions)
+        speed = ROBOT.max_speed * np.clip(distance / 3.0, 0.25, 1.0)[:, None] * np.ones(self.actions)
         if self.speed != "paper":
             speed = speed * self.turn_factors
         if self.speed == "prox":
