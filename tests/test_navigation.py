@@ -11,6 +11,7 @@ import torch
 
 from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarise
 from eldenet.navigation.noise import NoisyRanges
+from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, export_onnx
@@ -59,6 +60,41 @@ def test_saved_and_loaded_it_decides_alike(tmp_path):
         Navigator.load(tmp_path / "other.safetensors")
     with pytest.raises(ValueError, match="not trained together"):
         Navigator(QNetwork(10, 5), {})
+
+
+def test_several_drive_together_by_the_mean_of_their_values(tmp_path):
+    torch.manual_seed(0)
+    files = [tmp_path / f"{number}.safetensors" for number in range(3)]
+    for number, file in enumerate(files):
+        Navigator(QNetwork(39, 5, (16,)), {}, info={"seed": number}).save(file)
+    together = Navigator.load(files, slows_within=1.0)
+    assert together.info == {"members": [{"seed": 0}, {"seed": 1}, {"seed": 2}]}
+    rows = torch.rand(8, 39, dtype=torch.float64)
+    apart = [Navigator.load(file).network(rows) for file in files]
+    torch.testing.assert_close(together.network(rows), sum(apart) / 3)
+    together.save(tmp_path / "all.safetensors")
+    again = Navigator.load(tmp_path / "all.safetensors")
+    torch.testing.assert_close(again.network(rows), together.network(rows), rtol=0, atol=2e-3)
+    assert again.observer.options == together.observer.options
+    assert again.observer.options["slows_within"] == 1.0
+    Navigator(QNetwork(39, 5, (16,)), {"memory": 30}).save(files[1])
+    with pytest.raises(ValueError, match=r"1\.safetensors was trained with the observer .*'memory': 30"):
+        Navigator.load(files)
+
+
+@pytest.mark.parametrize(
+    ("within", "distance", "expected"),
+    [(None, 5.0, 1.0), (None, 1.5, 0.5), (1.0, 1.5, 1.0), (1.0, 0.5, 0.5), (1.0, 0.1, 0.25)],
+)
+def test_it_slows_down_before_the_goal(within, distance, expected):
+    torch.manual_seed(0)
+    driver = Navigator(QNetwork(39, 5, (16,)), {} if within is None else {"slows_within": within}).observer
+    driver.observe(
+        Senses(np.full((1, ROBOT.columns), ROBOT.far), np.zeros((1, 3)), np.array([[distance, 0.0]]))
+    )
+    assert driver.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
+    with pytest.raises(ValueError, match=r"slows_within=0\.0: give metres"):
+        Navigator(QNetwork(39, 5, (16,)), {"slows_within": 0.0})
 
 
 def test_the_robot_s_side_loads_no_simulator():

@@ -32,7 +32,7 @@ def rows(monkeypatch):
 def given(tmp_path: Path, **options) -> Namespace:
     settings = {
         "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
-        "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged", "packaged": True,
+        "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged",
         "goal": "known", "any_sources": False, "recheck": 0, "out": None, "runs": tmp_path / "runs",
         "rows": tmp_path / "rows",
     }  # fmt: skip
@@ -175,7 +175,7 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
     from eldenet.config import compose, plain
 
     row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
-    options = given(tmp_path, packaged=False)
+    options = given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
     folder = policy_folder(tmp_path, config, sources.training_hash())
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
@@ -185,7 +185,7 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
     policy_folder(tmp_path, config, "of another day")
     with pytest.raises(ValueError, match="by other sources"):
         rows.policy_file(row, options)
-    assert rows.policy_file(row, given(tmp_path, packaged=False, any_sources=True)) is not None
+    assert rows.policy_file(row, given(tmp_path, any_sources=True)) is not None
     (folder / "training.json").unlink()
     with pytest.raises(ValueError, match=r"without training\.json"):
         rows.policy_file(row, options)
@@ -194,7 +194,7 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
 def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
     from eldenet.config import compose, plain
 
-    row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path, packaged=False)
+    row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
     trained = policy_folder(tmp_path, config, sources.training_hash())
     rows.policy_file(row, options)

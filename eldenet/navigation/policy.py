@@ -4,7 +4,9 @@
 Needs torch, NumPy and safetensors; neither MuJoCo nor Gymnasium is imported.
 """
 
+import copy
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,6 +14,7 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from torch import Tensor, nn
 
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.qnetwork import QNetwork
@@ -19,14 +22,53 @@ from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.robot import ROBOT
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
+SLOWS_WITHIN = 3.0  # [m] of the observer's speed laws, and so of training
+
+
+class Driver(Observer):
+    """An observer that may drive with another slow-down before the goal than that of its training.
+
+    Args:
+        robots: how many at once.
+        slows_within: metres from the goal where it begins to slow down.
+        options: of :class:`~eldenet.navigation.observer.Observer`.
+
+    Raises:
+        ValueError: an argument is out of its range.
+    """
+
+    def __init__(self, robots: int = 1, *, slows_within: float = SLOWS_WITHIN, **options: Any) -> None:
+        if slows_within <= 0:
+            raise ValueError(f"slows_within={slows_within}: give metres from the goal, above 0")
+        super().__init__(robots, **options)
+        self.trained_with = dict(self.options)
+        self.slows_within = float(slows_within)
+        self.options["slows_within"] = self.slows_within
+
+    def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+        return super()._speeds(distance * (SLOWS_WITHIN / self.slows_within), nearest)
+
+
+class Ensemble(nn.Module):
+    """Networks that were trained apart; a value is their mean."""
+
+    def __init__(self, members: Sequence[QNetwork]) -> None:
+        super().__init__()
+        self.members = nn.ModuleList(members)
+        first = members[0]
+        self.inputs, self.actions, self.hidden = first.inputs, first.actions, first.hidden
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Values ``(N, actions)``, the greater the better."""
+        return torch.stack([member(observation) for member in self.members]).mean(0)
 
 
 class Navigator:
-    """A Q-network with the observer it was trained with, for one robot or many.
+    """A Q-network, or several, with the observer of their training, for one robot or many.
 
     Args:
         network: trained.
-        observer: options of :class:`~eldenet.navigation.observer.Observer`.
+        observer: options of :class:`Driver`.
         robots: how many drive at once.
         info: what is known of the training.
     """
@@ -35,13 +77,13 @@ class Navigator:
 
     def __init__(
         self,
-        network: QNetwork,
+        network: QNetwork | Ensemble,
         observer: dict[str, Any],
         *,
         robots: int = 1,
         info: dict[str, Any] | None = None,
     ) -> None:
-        self.observer = Observer(robots, **observer)
+        self.observer = Driver(robots, **observer)
         if network.inputs != self.observer.size or network.actions != self.observer.actions:
             raise ValueError(
                 f"the network takes {network.inputs} inputs, values {network.actions} actions; its observer "
@@ -54,59 +96,64 @@ class Navigator:
     @classmethod
     def load(
         cls,
-        path: str | Path | None = None,
+        path: str | Path | Sequence[str | Path] | None = None,
         *,
         observer: dict[str, Any] | None = None,
         walkers: bool | None = None,
+        slows_within: float | None = None,
         robots: int = 1,
     ) -> Self:
         """Read a policy.
 
         Args:
-            path: of the file; None: the policy that comes with the package.
+            path: of the file; several: their networks drive together, by the mean of their values; None: the
+                policy that comes with the package.
             observer: what it must have been trained with; None: anything.
             walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
-                that was trained without; None: as it was trained.
+                that was trained without; None: as the file says.
+            slows_within: metres from the goal where it begins to slow down; None: as the file says.
             robots: how many drive at once.
 
         Raises:
             FileNotFoundError: there is none.
-            ValueError: the file is no policy, or one with another observer.
+            ValueError: a file is no policy, or one with another observer than was asked for or than the
+                others.
         """
-        path = DEFAULT_WEIGHTS if path is None else Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(
-                f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file "
-                "that it wrote"
-            )
-        with safe_open(str(path), framework="pt") as file:
-            notes = (file.metadata() or {}).get("navigator")
-            if notes is None:
-                raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
-            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        content = json.loads(notes)
-        if observer is not None and Observer(**observer).options != Observer(**content["observer"]).options:
-            raise ValueError(
-                f"{path} was trained with the observer {content['observer']}, not {observer}: give the "
-                "checkpoint of a driver that was trained so"
-            )
-        if walkers is not None:
-            content["observer"]["walkers"] = walkers
-        network = QNetwork(content["inputs"], content["actions"], tuple(content["hidden"]))
-        network.load_state_dict(weights)
-        return cls(network, content["observer"], robots=robots, info=content["info"])
+        if path is None or isinstance(path, str | Path):
+            path = [DEFAULT_WEIGHTS if path is None else path]
+        files = [Path(each) for each in path]
+        networks, notes = [], []
+        for file in files:
+            members, content = _read(file)
+            networks += members
+            notes.append(content)
+            wanted = notes[0]["observer"] if observer is None else observer
+            if Driver(**wanted).trained_with != Driver(**content["observer"]).trained_with:
+                raise ValueError(
+                    f"{file} was trained with the observer {content['observer']}, not {wanted}: give the "
+                    "checkpoint of a driver that was trained so"
+                )
+        options = dict(notes[0]["observer"])
+        options |= {} if walkers is None else {"walkers": walkers}
+        options |= {} if slows_within is None else {"slows_within": slows_within}
+        info = notes[0]["info"] if len(notes) == 1 else {"members": [each["info"] for each in notes]}
+        network = networks[0] if len(networks) == 1 else Ensemble(networks)
+        return cls(network, options, robots=robots, info=info)
 
     def save(self, path: Path) -> None:
-        """Write weights and observer into one ``.safetensors`` file."""
+        """Write weights and observer into one ``.safetensors`` file; the networks of several as float16."""
+        together = isinstance(self.network, Ensemble)
         notes = {
             "inputs": self.network.inputs,
             "actions": self.network.actions,
             "hidden": self.network.hidden,
+            "members": len(self.network.members) if isinstance(self.network, Ensemble) else 1,
             "observer": self.observer.options,
             "info": self.info,
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        weights = {name: tensor.float().contiguous() for name, tensor in self.network.state_dict().items()}
+        stored = torch.float16 if together else torch.float32
+        weights = {name: tensor.to(stored).contiguous() for name, tensor in self.network.state_dict().items()}
         save_file(weights, str(path), metadata={"navigator": json.dumps(notes)})
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
@@ -154,6 +201,30 @@ class Navigator:
         return speed, turn
 
 
+def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
+    """Networks of a policy's file, and its notes.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: the file is no policy.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file "
+            "that it wrote"
+        )
+    with safe_open(str(path), framework="pt") as file:
+        notes = (file.metadata() or {}).get("navigator")
+        if notes is None:
+            raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    content: dict[str, Any] = json.loads(notes)
+    shape = content["inputs"], content["actions"], tuple(content["hidden"])
+    networks = [QNetwork(*shape) for _ in range(content.get("members", 1))]
+    (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
+    return networks, content
+
+
 def as_ranges(sight: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
     """Ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
     if sight.ndim == 2:
@@ -178,8 +249,7 @@ def export_onnx(navigator: Navigator, path: Path) -> None:
     import onnx
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    network = QNetwork(navigator.network.inputs, navigator.network.actions, navigator.network.hidden)
-    network.load_state_dict({name: t.float() for name, t in navigator.network.state_dict().items()})
+    network = copy.deepcopy(navigator.network).float()
     rows = torch.export.Dim("robots", min=1)
     torch.onnx.export(
         network.eval(), (torch.zeros(2, network.inputs),), str(path), input_names=["observation"],

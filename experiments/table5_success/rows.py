@@ -31,7 +31,10 @@ LEARNT = {  # name -> what to train it with
     "paper_literal": ["policy=paper_literal"],
     "paper_state": ["policy=paper_state"],
     "dqn": [],
+    "dqn_ensemble": [],  # the packaged policy: three of dqn's trainings drive together
+    "dqn_as_trained": [],  # dqn's trainings slow down 3 m before the goal, not 1 m
     "dqn_follows": [],  # dqn's trainings, told to follow what moves
+    "dqn_ensemble_follows": [],
     "dqn_walkers": ["movers=10", "observer.walkers=true"],
     "dqn_mixed": ["sensor=mixed"],  # half of the crossings with a depth network's measured errors
     "dqn_by_age": ["observer.seen_through=0"],  # remembered points are forgotten with age alone
@@ -43,6 +46,9 @@ LEARNT = {  # name -> what to train it with
     "dqn_quantile": ["learner.quantiles=16"],
 }
 VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # asked for by name alone
+PACKAGED = ("dqn_ensemble", "dqn_ensemble_follows")
+SLOWS_WITHIN = 1.0  # [m] of the goal: how all drive but these, which do it as they were trained
+AS_TRAINED = ("paper_literal", "paper_state", "dqn_as_trained")
 PLANNERS = {
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
@@ -114,7 +120,6 @@ def arguments(
     parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
     parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")
     parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
-    parser.add_argument("--packaged", action="store_true", help="the packaged policy is dqn's only training")
     parser.add_argument("--any-sources", action="store_true", help="take trainings that other sources made")
     parser.add_argument(
         "--recheck",
@@ -182,8 +187,7 @@ def all_rows(given: Namespace) -> Iterator[Row]:
     for physics in given.physics.split(","):
         for sensor in sensors:
             for method in methods:
-                packaged = given.packaged and method in ("dqn", "dqn_follows")
-                seeds = [0] if packaged else list(range(given.seeds))
+                seeds = range(1 if method in PACKAGED else given.seeds)
                 for seed in seeds if method in LEARNT else [None]:
                     for course in courses:
                         yield Row(method, *known[course], sensor, physics, given.worlds, seed, given.goal)
@@ -196,9 +200,9 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     """
     if row.seed is None:
         return None
-    method = "dqn" if row.method == "dqn_follows" else row.method
-    if given.packaged and method == "dqn":
+    if row.method in PACKAGED:
         return DEFAULT_WEIGHTS
+    method = "dqn" if row.method in ("dqn_follows", "dqn_as_trained") else row.method
     options = [*LEARNT[method], f"seed={row.seed}"]
     folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
     if not folder.is_dir() and kept.is_dir():
@@ -266,8 +270,11 @@ def make_crossings(
     row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
 ) -> list[Crossing]:
     """Cross arenas as the row says; an outcome does not depend on the other arenas."""
-    walkers = True if row.method == "dqn_follows" else None
-    make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, walkers=walkers, robots=robots))
+    options = {
+        "walkers": True if row.method.endswith("follows") else None,
+        "slows_within": None if row.method in AS_TRAINED else SLOWS_WITHIN,
+    }
+    make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, **options, robots=robots))
     return cross(arenas, make, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
 
 

@@ -1,7 +1,7 @@
 """Table 5: how often a robot crosses arenas of 5, 20, 40 and 80 obstacles, and 20 with 10 walkers.
 
 python experiments/table5_success/run.py                                      500 worlds, 3 trainings
-python experiments/table5_success/run.py --worlds 100 --packaged --methods dqn,,astar_dwa,,dwa
+python experiments/table5_success/run.py --worlds 100 --methods dqn_ensemble,,astar_dwa,,dwa
 
 Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results-500.md,
 .csv and .png at the end. A killed command goes on where it stopped.
