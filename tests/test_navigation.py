@@ -239,6 +239,10 @@ def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
     finished = run_command("navigate", *small, "seed=1")
     assert finished.returncode == 1
     assert "other settings" in finished.stderr
+    both = ("checkpoint=[run/policy.safetensors,run/policy.safetensors]", "run_dir=both")
+    finished = run_command("navigate", "mode=evaluate", *both, "density=5", "worlds=1", "physics=kinematic")
+    assert finished.returncode == 0, finished.stderr
+    assert json.loads((tmp_path / "both" / "run.json").read_text())["metrics"]["5"]["worlds"] == 1
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
