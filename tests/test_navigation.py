@@ -77,6 +77,11 @@ def test_several_drive_together_by_the_mean_of_their_values(tmp_path):
     torch.testing.assert_close(again.network(rows), together.network(rows), rtol=0, atol=2e-3)
     assert again.observer.options == together.observer.options
     assert again.observer.options["slows_within"] == 1.0
+    with pytest.raises(ValueError, match="an empty list was given"):
+        Navigator.load([])
+    Navigator(QNetwork(39, 5, (8,)), {}).save(files[2])
+    with pytest.raises(ValueError, match=r"\(39, 5, \(8,\)\), \(39, 5, \(16,\)\).*give those of one shape"):
+        Navigator.load(files)
     Navigator(QNetwork(39, 5, (16,)), {"memory": 30}).save(files[1])
     with pytest.raises(ValueError, match=r"1\.safetensors was trained with the observer .*'memory': 30"):
         Navigator.load(files)

@@ -50,13 +50,21 @@ class Driver(Observer):
 
 
 class Ensemble(nn.Module):
-    """Networks that were trained apart; a value is their mean."""
+    """Networks of one shape that were trained apart; a value is their mean.
+
+    Raises:
+        ValueError: they have different shapes.
+    """
 
     def __init__(self, members: Sequence[QNetwork]) -> None:
         super().__init__()
+        shapes = {(member.inputs, member.actions, member.hidden) for member in members}
+        if len(shapes) > 1:
+            raise ValueError(
+                f"networks of {sorted(shapes)} (inputs, actions, hidden): give those of one shape"
+            )
         self.members = nn.ModuleList(members)
-        first = members[0]
-        self.inputs, self.actions, self.hidden = first.inputs, first.actions, first.hidden
+        ((self.inputs, self.actions, self.hidden),) = shapes
 
     def forward(self, observation: Tensor) -> Tensor:
         """Values ``(N, actions)``, the greater the better."""
@@ -116,12 +124,14 @@ class Navigator:
 
         Raises:
             FileNotFoundError: there is none.
-            ValueError: a file is no policy, or one with another observer than was asked for or than the
-                others.
+            ValueError: a file is no policy, or of another observer than was asked for or another shape than
+                the others.
         """
         if path is None or isinstance(path, str | Path):
             path = [DEFAULT_WEIGHTS if path is None else path]
         files = [Path(each) for each in path]
+        if not files:
+            raise ValueError("no policy: an empty list was given, give one file or more")
         networks, notes = [], []
         for file in files:
             members, content = _read(file)
@@ -142,17 +152,17 @@ class Navigator:
 
     def save(self, path: Path) -> None:
         """Write weights and observer into one ``.safetensors`` file; the networks of several as float16."""
-        together = isinstance(self.network, Ensemble)
+        members = len(self.network.members) if isinstance(self.network, Ensemble) else 1
         notes = {
             "inputs": self.network.inputs,
             "actions": self.network.actions,
             "hidden": self.network.hidden,
-            "members": len(self.network.members) if isinstance(self.network, Ensemble) else 1,
+            "members": members,
             "observer": self.observer.options,
             "info": self.info,
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        stored = torch.float16 if together else torch.float32
+        stored = torch.float16 if members > 1 else torch.float32
         weights = {name: tensor.to(stored).contiguous() for name, tensor in self.network.state_dict().items()}
         save_file(weights, str(path), metadata={"navigator": json.dumps(notes)})
 
