@@ -10,6 +10,7 @@ from eldenet.navigation.statistics import mcnemar
 Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]
 #: A sensor's loss is against true ranges: of the method itself, and of the default for one trained for it.
 ALSO_AGAINST = {"dqn_mixed": ("dqn",)}
+OURS = ("dqn_ensemble", "dqn")  # the first of them that a table has is compared with all others
 
 
 def courses_of(tables: Tables) -> list[str]:
@@ -23,17 +24,19 @@ def solved(trainings: list[list[Crossing]]) -> np.ndarray:
 
 
 def paired(tables: Tables, physics: str, sensor: str) -> list[str]:
-    """dqn's first training against every other method on the same worlds."""
+    """The default's first training against every other method on the same worlds."""
+    methods = dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor))
+    default = next((name for name in OURS if name in methods), None)
     lines = []
-    for method in dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor)):
+    for method in methods:
         for course in courses_of(tables):
-            ours, theirs = (tables.get((physics, sensor, name, course)) for name in ("dqn", method))
-            if method == "dqn" or not ours or not theirs:
+            ours, theirs = (tables.get((physics, sensor, str(name), course)) for name in (default, method))
+            if method == default or not ours or not theirs:
                 continue
             only_ours, only_theirs, p = mcnemar(solved(ours)[0], solved(theirs)[0])
             lines.append(f"| {method} | {course} | {only_ours} | {only_theirs} | {p:.2g} |")
     head = [
-        "| dqn against | arenas | only dqn | only the other | McNemar p |",
+        f"| {default} against | arenas | only {default} | only the other | McNemar p |",
         "|---|---:|---:|---:|---:|",
     ]
     return [*head, *lines] if lines else []
