@@ -166,7 +166,7 @@ def test_the_environment_s_info_says_what_fed_each_sector():
 
 
 def drawn(errors: RangeErrors) -> Looks:
-    arenas = [arena for density in (20, 60) for arena in frozen_arenas(density, 4, split="val")]
+    arenas = [arena for density in (20, 60) for arena in frozen_arenas(density, 8, split="val")]
     return look_along(arenas, NoisyRanges(errors=errors), Navigator.load())
 
 
