@@ -25,6 +25,22 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
     return os.environ.get("ELDENET_CACHE") or str(tmp_path_factory.mktemp("cache"))
 
 
+@pytest.fixture(scope="session")
+def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small network as if trained at 32 x 64, for the tests of ``predict``."""
+    from predicting import small_model
+
+    return small_model(tmp_path_factory.mktemp("trained") / "model")
+
+
+@pytest.fixture(scope="session")
+def model(model_folder: Path):
+    """The network in it."""
+    import eldenet
+
+    return eldenet.load(model_folder)
+
+
 @pytest.fixture
 def run_command(tmp_path: Path, cache: str):
     """Run ``python -m eldenet.<command>`` from another folder; returns the finished process."""

@@ -5,9 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from predicting import photo, read_ply, run, save, small_model
+from predicting import photo, read_ply, run, save
 
-import eldenet
 from eldenet.config import compose
 from eldenet.data.io import read_depth
 from eldenet.model import DepthNet
@@ -17,16 +16,6 @@ from eldenet.predictor import DepthPredictor
 
 RNG = np.random.default_rng(0)
 CAMERA = [50.0, 52.0, 31.0, 22.5]
-
-
-@pytest.fixture(scope="module")
-def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_model(tmp_path_factory.mktemp("trained") / "model")
-
-
-@pytest.fixture(scope="module")
-def model(model_folder: Path) -> DepthNet:
-    return eldenet.load(model_folder)
 
 
 def test_one_picture(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:

@@ -5,24 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from predicting import photo, run, save, small_model
+from predicting import photo, run, save
 
-import eldenet
 from eldenet.config import compose
 from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.model import DepthNet
 from eldenet.predict import predict
 from eldenet.predictor import DepthPredictor, to_millimetres
-
-
-@pytest.fixture(scope="module")
-def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_model(tmp_path_factory.mktemp("trained") / "model")
-
-
-@pytest.fixture(scope="module")
-def model(model_folder: Path) -> DepthNet:
-    return eldenet.load(model_folder)
 
 
 def video(path: Path, frames: int = 5) -> Path:

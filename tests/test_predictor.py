@@ -7,23 +7,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from predicting import photo, read_ply, small_model
+from predicting import photo, read_ply
 
 import eldenet
 from eldenet.legend import photo_beside_depth, round_numbers, visible_range
 from eldenet.model import DepthNet
 from eldenet.pointcloud import write_ply
 from eldenet.predictor import DepthPredictor, to_millimetres
-
-
-@pytest.fixture(scope="module")
-def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_model(tmp_path_factory.mktemp("trained") / "model")
-
-
-@pytest.fixture(scope="module")
-def model(model_folder: Path) -> DepthNet:
-    return eldenet.load(model_folder)
 
 
 def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: DepthNet) -> None:
