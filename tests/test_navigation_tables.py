@@ -1,5 +1,6 @@
 """Tables 5 and 6: rows are kept, and made anew when anything that they depend on has changed."""
 
+import dataclasses
 import importlib
 import json
 import shutil
@@ -15,18 +16,34 @@ from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash
 
-MODULES = ("rows", "panels", "inputs", "comparisons", "run", "trajectories")
+MODULES = ("rows", "command", "methods", "panels", "inputs", "comparisons", "run", "trajectories")
 FOLDER = Path(__file__).parents[1] / "experiments" / "table5_success"
 
 
 @pytest.fixture
-def rows(monkeypatch):
+def study(monkeypatch):
+    """Its modules by their names: other studies have some of the same name."""
     monkeypatch.syspath_prepend(str(FOLDER))
     for name in MODULES:
         sys.modules.pop(name, None)
-    yield importlib.import_module("rows")
+    yield importlib.import_module
     for name in MODULES:
         sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def rows(study):
+    return study("rows")
+
+
+@pytest.fixture
+def command(study):
+    return study("command")
+
+
+@pytest.fixture
+def methods(study):
+    return study("methods")
 
 
 def given(tmp_path: Path, **options) -> Namespace:
@@ -39,12 +56,12 @@ def given(tmp_path: Path, **options) -> Namespace:
     return Namespace(**(settings | options))
 
 
-def test_rows_are_read_until_something_changes(rows, tmp_path, monkeypatch, capsys):
+def test_rows_are_read_until_something_changes(rows, command, tmp_path, monkeypatch, capsys):
     options = given(tmp_path)
-    first = [rows.measure(row, options) for row in rows.all_rows(options)]
-    assert [row.course for row in rows.all_rows(options)] == ["5", "20+10"]
+    first = [rows.measure(row, options) for row in command.all_rows(options)]
+    assert [row.course for row in command.all_rows(options)] == ["5", "20+10"]
     assert capsys.readouterr().out.count("of 2") == 2
-    assert [rows.measure(row, options) for row in rows.all_rows(options)] == first
+    assert [rows.measure(row, options) for row in command.all_rows(options)] == first
     assert capsys.readouterr().out == ""
     package = tmp_path / "eldenet"
     shutil.copytree(sources.PACKAGE, package, ignore=shutil.ignore_patterns("weights", "__pycache__"))
@@ -61,16 +78,16 @@ def test_rows_are_read_until_something_changes(rows, tmp_path, monkeypatch, caps
     ):
         file = package / name
         file.write_text(file.read_text() + "# changed\n")
-        (row, _) = rows.all_rows(options)
+        (row, _) = command.all_rows(options)
         rows.measure(row, options)
         assert ("of 2" in capsys.readouterr().out) == counts, name
 
 
 def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same(
-    rows, tmp_path, monkeypatch, capsys
+    rows, command, tmp_path, monkeypatch, capsys
 ):
     options = given(tmp_path, courses="5", recheck=1)
-    (row,) = rows.all_rows(options)
+    (row,) = command.all_rows(options)
     first = rows.measure(row, options)
     monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after a change")
     assert rows.measure(row, options) == first
@@ -85,12 +102,12 @@ def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same
     assert "rechecked" not in json.loads(note.read_text())
 
 
-def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, monkeypatch):
+def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, tmp_path, monkeypatch):
     (tmp_path / "net" / "model").mkdir(parents=True)
     weights = tmp_path / "net" / "model" / "model.safetensors"
     weights.write_bytes(b"1")
     options = given(tmp_path, depth=str(tmp_path / "net"), sensors="camera@0.1,ranges", courses="5")
-    dim, plain = rows.all_rows(options)
+    dim, plain = command.all_rows(options)
     before = [rows.key_of(row, options, None, "of them") for row in (dim, plain)]
     for changed in (weights, weights.with_name("config.json")):
         changed.write_bytes(b"2")
@@ -102,6 +119,17 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, 
     assert before[0]["sources"] != before[1]["sources"]
     assert rows.make_sensor(dim.sensor, given(tmp_path, depth="truth")).light == 0.1
     assert "camera@0.1-kinematic-5-2" in dim.name
+
+
+def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeypatch):
+    row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
+    before = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
+    for changed in ({"slows_within": 2.0}, {"follows": True}):
+        other = dataclasses.replace(methods.LEARNT["dqn"], **changed)
+        monkeypatch.setitem(methods.LEARNT, "dqn", other)
+        after = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
+        assert [name for name in before if before[name] != after[name]] == ["drives"]
+        before = after
 
 
 @pytest.mark.parametrize(
@@ -122,15 +150,17 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, tmp_path, 
         ({"sensors": "noisy", "errors": "none.json"}, "--errors none.json"),
     ],
 )
-def test_what_there_is_not_is_refused(rows, tmp_path, options, message):
+def test_what_there_is_not_is_refused(command, tmp_path, options, message):
     with pytest.raises(ValueError, match=message):
-        list(rows.all_rows(given(tmp_path, **options)))
+        list(command.all_rows(given(tmp_path, **options)))
 
 
-def test_learnt_rows_are_trainings_of_the_command(rows):
+def test_learnt_rows_are_trainings_of_the_command(methods):
     from eldenet.config import compose, plain
 
-    configs = {name: compose("navigate", ["mode=train", *options]) for name, options in rows.LEARNT.items()}
+    configs = {
+        name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNT.items()
+    }
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
     assert configs["paper_literal"].learner.target_every > 0
     assert configs["paper_literal"].learner.steps == configs["dqn"].learner.steps
@@ -146,10 +176,10 @@ def test_learnt_rows_are_trainings_of_the_command(rows):
     assert configs["dqn_quantile"].learner.quantiles == 16
 
 
-def test_ways_are_drawn_with_their_end(rows):
-    trajectories = importlib.import_module("trajectories")
+def test_ways_are_drawn_with_their_end(study, methods):
+    trajectories = study("trajectories")
     (arena,) = frozen_arenas(40, 1, split="val")
-    picture = trajectories.panel(arena, "straight", rows.PLANNERS["straight"](1))
+    picture = trajectories.panel(arena, "straight", methods.PLANNERS["straight"](1))
     assert picture.shape == (trajectories.TITLE + trajectories.SIDE, trajectories.SIDE, 3)
     scene = trajectories.Scene(arena, trajectories.SIDE)
     column, row = scene.pixel(*arena.start[:2])
@@ -204,16 +234,16 @@ def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
     assert not trained.exists()
 
 
-def test_a_part_does_not_replace_the_whole_table(rows, tmp_path):
+def test_a_part_does_not_replace_the_whole_table(command, tmp_path):
     table = tmp_path / "results-2.csv"
-    assert rows.results_name(given(tmp_path)) == "results-2"
-    assert rows.results_name(given(tmp_path, goal="odometry")) == "results-2-goal-odometry"
-    assert rows.results_name(given(tmp_path, out="mine")) == "mine"
-    rows.refuse_to_drop(table, [("wheels", "dwa")])
+    assert command.results_name(given(tmp_path)) == "results-2"
+    assert command.results_name(given(tmp_path, goal="odometry")) == "results-2-goal-odometry"
+    assert command.results_name(given(tmp_path, out="mine")) == "mine"
+    command.refuse_to_drop(table, [("wheels", "dwa")])
     table.write_text("physics,method,success\nwheels,dwa,1\nwheels,dqn,2\n")
-    rows.refuse_to_drop(table, [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
+    command.refuse_to_drop(table, [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
     with pytest.raises(ValueError, match="such as wheels, dqn"):
-        rows.refuse_to_drop(table, [("wheels", "dwa")])
+        command.refuse_to_drop(table, [("wheels", "dwa")])
 
 
 def crossings(solved: list[bool], seconds: float = 10.0) -> list[Crossing]:
@@ -221,8 +251,8 @@ def crossings(solved: list[bool], seconds: float = 10.0) -> list[Crossing]:
             for k, ok in enumerate(solved)]  # fmt: skip
 
 
-def test_a_sensor_s_loss_is_tested_in_pairs(rows):
-    comparisons = importlib.import_module("comparisons")
+def test_a_sensor_s_loss_is_tested_in_pairs(study):
+    comparisons = study("comparisons")
     true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
     tables = {
         ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
@@ -243,8 +273,8 @@ def test_a_sensor_s_loss_is_tested_in_pairs(rows):
     assert comparisons.loss(tables, "wheels", "ranges") == []
 
 
-def test_the_default_is_compared_with_all_others(rows):
-    comparisons = importlib.import_module("comparisons")
+def test_the_default_is_compared_with_all_others(study):
+    comparisons = study("comparisons")
     tables = {
         ("wheels", "ranges", "dqn", "5"): [crossings([True] * 6 + [False] * 4)],
         ("wheels", "ranges", "dwa", "5"): [crossings([False] * 10)],
@@ -261,10 +291,10 @@ def test_the_default_is_compared_with_all_others(rows):
     ]
 
 
-def test_time_is_compared_over_all_trainings_in_pairs(rows, monkeypatch):
+def test_time_is_compared_over_all_trainings_in_pairs(study, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER.parent / "table6_time"))
     sys.modules.pop("run", None)
-    run = importlib.import_module("run")
+    run = study("run")
     ok = [True] * 40
     made = {
         "astar_dwa": [crossings(ok)],
@@ -281,8 +311,8 @@ def test_time_is_compared_over_all_trainings_in_pairs(rows, monkeypatch):
     assert run.cell(float("nan"), float("nan"), 0.0, 0.0) == "-"
 
 
-def test_the_whole_command_writes_headings_with_what_fed_them(rows, tmp_path, monkeypatch):
-    run = importlib.import_module("run")
+def test_the_whole_command_writes_headings_with_what_fed_them(study, tmp_path, monkeypatch):
+    run = study("run")
     monkeypatch.setattr(run, "HERE", tmp_path)
     monkeypatch.setattr(run, "arguments", lambda: given(
         tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight"))  # fmt: skip

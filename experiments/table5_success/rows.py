@@ -5,19 +5,16 @@ import functools
 import json
 import shutil
 import time
-from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inputs import CAMERAS, TRUTH, check_inputs, digest, input_hashes, make_sensor, training_of
+from inputs import CAMERAS, digest, input_hashes, make_sensor, training_of
+from methods import LEARNT, PLANNERS
 
-from eldenet.navigation.crossings import GOALS
-from eldenet.navigation.evaluation import Crossing, as_rows, cross
-from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
-from eldenet.navigation.planners.dwa import LocalDWA
-from eldenet.navigation.planners.straight import Straight
+from eldenet.navigation.evaluation import Crossing, Policy, as_rows, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.sources import crossing_hash
 from eldenet.navigation.tasks import frozen_arenas
@@ -25,37 +22,6 @@ from eldenet.record import environment, write_json, write_rows
 from eldenet.simulation.arenas import Arena, arenas_hash
 
 HERE = Path(__file__).parent
-COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, people who walk
-SENSORS = ("ranges", "noisy", "camera", "objects")
-LEARNT = {  # name -> what to train it with
-    "paper_literal": ["policy=paper_literal"],
-    "paper_state": ["policy=paper_state"],
-    "dqn": [],
-    "dqn_ensemble": [],  # the packaged policy: three of dqn's trainings drive together
-    "dqn_as_trained": [],  # dqn's trainings slow down 3 m before the goal, not 1 m
-    "dqn_follows": [],  # dqn's trainings, told to follow what moves
-    "dqn_ensemble_follows": [],
-    "dqn_walkers": ["movers=10", "observer.walkers=true"],
-    "dqn_mixed": ["sensor=mixed"],  # half of the crossings with a depth network's measured errors
-    "dqn_by_age": ["observer.seen_through=0"],  # remembered points are forgotten with age alone
-    "dqn_reverse": [  # beside the five turns: on the spot to either side, and straight back
-        "observer.turn_rates=[1.2,0.5,0.0,-0.5,-1.2,1.2,-1.2,0.0]",
-        "observer.turn_factors=[0.35,0.75,1.0,0.75,0.35,0.0,0.0,-0.4]",
-    ],
-    "dqn_curriculum": ["training.arenas.curriculum=0.5"],
-    "dqn_quantile": ["learner.quantiles=16"],
-}
-VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # asked for by name alone
-PACKAGED = ("dqn_ensemble", "dqn_ensemble_follows")
-SLOWS_WITHIN = 1.0  # [m] of the goal: how all drive but these, which do it as they were trained
-AS_TRAINED = ("paper_literal", "paper_state", "dqn_as_trained")
-PLANNERS = {
-    "astar_dwa": lambda robots: AStarDWA(robots=robots),
-    "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
-    "dwa": lambda robots: LocalDWA(robots=robots),
-    "dwa, 5 sectors, no memory": lambda robots: LocalDWA(sight="sectors", memory=0, robots=robots),
-    "straight": lambda robots: Straight(robots=robots),
-}
 
 
 @dataclass(frozen=True)
@@ -101,98 +67,6 @@ def course_name(density: int, movers: int) -> str:
     return f"{density}+{movers}" if movers else str(density)
 
 
-def arguments(
-    methods: Sequence[str] = tuple(name for name in (*LEARNT, *PLANNERS) if name not in VARIANTS),
-) -> Namespace:
-    """What both tables' commands take; ``methods`` are those of the default."""
-    parser = ArgumentParser()
-    parser.add_argument("--worlds", type=int, default=500, help="test arenas per density")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of every learnt method")
-    parser.add_argument("--methods", default=",,".join(methods), help="names, separated by ,,")
-    parser.add_argument(
-        "--sensors",
-        default="ranges",
-        help="of ranges, noisy, camera, objects; camera@0.1: in a tenth of the light",
-    )
-    parser.add_argument("--physics", default="wheels")
-    parser.add_argument("--courses", default=",".join(course_name(*course) for course in COURSES))
-    parser.add_argument("--goal", default="known", choices=GOALS, help="where the goal's place is taken from")
-    parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
-    parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")
-    parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
-    parser.add_argument("--any-sources", action="store_true", help="take trainings that other sources made")
-    parser.add_argument(
-        "--recheck",
-        type=int,
-        default=0,
-        metavar="N",
-        help="keep a row that other sources made if its first N crossings come out the same, bit for bit",
-    )
-    parser.add_argument("--out", help="name of the results; default: results-<worlds>")
-    parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")
-    parser.add_argument("--rows", type=Path, default=HERE / "rows", help="where rows are kept")
-    return parser.parse_args()
-
-
-def results_name(given: Namespace) -> str:
-    """Of a table's files, without their endings."""
-    goal = "" if given.goal == "known" else f"-goal-{given.goal}"
-    return str(given.out or f"results-{given.worlds}{goal}")
-
-
-def refuse_to_drop(path: Path, asked: Iterable[Sequence[str]]) -> None:
-    """A part of a table must not replace the whole.
-
-    Args:
-        path: of the table's CSV.
-        asked: first columns of every row that the command will write.
-
-    Raises:
-        ValueError: the file holds rows that were not asked for.
-    """
-    if not path.is_file():
-        return
-    asked = {tuple(row) for row in asked}
-    width = len(next(iter(asked)))
-    with path.open() as file:
-        dropped = [row for row in list(csv.reader(file))[1:] if tuple(row[:width]) not in asked]
-    if dropped:
-        raise ValueError(
-            f"{path} holds {len(dropped)} rows that this command does not ask for, such as "
-            f"{', '.join(dropped[0][:width])}: ask for them too (they are not made twice), or give --out"
-        )
-
-
-def without_nan(row: Sequence[Any]) -> list[Any]:
-    """For a CSV: an empty field where there is no number."""
-    return ["" if isinstance(value, float) and value != value else value for value in row]
-
-
-def all_rows(given: Namespace) -> Iterator[Row]:
-    """Every row that the command asks for.
-
-    Raises:
-        ValueError: a method, a sensor or a course that there is not, or something that a sensor needs.
-    """
-    methods, sensors, courses = given.methods.split(",,"), given.sensors.split(","), given.courses.split(",")
-    known = {course_name(*course): course for course in COURSES}
-    for kind, asked, there in (
-        ("methods", methods, [*LEARNT, *PLANNERS]),
-        ("sensors", [sensor.partition("@")[0] for sensor in sensors], SENSORS),
-        ("courses", courses, known),
-    ):
-        if not set(asked) <= set(there):
-            raise ValueError(f"--{kind}: {sorted(set(asked) - set(there))} is none of {', '.join(there)}")
-    check_inputs(given, sensors)
-    for physics in given.physics.split(","):
-        for sensor in sensors:
-            for method in methods:
-                seeds = range(1 if method in PACKAGED else given.seeds)
-                for seed in seeds if method in LEARNT else [None]:
-                    for course in courses:
-                        yield Row(method, *known[course], sensor, physics, given.worlds, seed, given.goal)
-
-
 def policy_file(row: Row, given: Namespace) -> Path | None:
     """The trained policy of a row; it is trained now if it was not yet. None for planners.
 
@@ -200,10 +74,10 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     """
     if row.seed is None:
         return None
-    if row.method in PACKAGED:
+    if LEARNT[row.method].packaged:
         return DEFAULT_WEIGHTS
-    method = "dqn" if row.method in ("dqn_follows", "dqn_as_trained") else row.method
-    options = [*LEARNT[method], f"seed={row.seed}"]
+    method = LEARNT[row.method].drivers or row.method
+    options = [*LEARNT[method].options, f"seed={row.seed}"]
     folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
     if not folder.is_dir() and kept.is_dir():
         return training_of(kept, options, any_sources=given.any_sources)
@@ -229,6 +103,7 @@ def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dic
         "sources": crossing_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
+        "drives": None if row.seed is None else LEARNT[row.method].drives,
         **input_hashes(row.sensor, given),
     }
 
@@ -270,12 +145,13 @@ def make_crossings(
     row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
 ) -> list[Crossing]:
     """Cross arenas as the row says; an outcome does not depend on the other arenas."""
-    options = {
-        "walkers": True if row.method.endswith("follows") else None,
-        "slows_within": None if row.method in AS_TRAINED else SLOWS_WITHIN,
-    }
-    make = PLANNERS.get(row.method, lambda robots: Navigator.load(weights, **options, robots=robots))
-    return cross(arenas, make, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
+
+    def driver(robots: int) -> Policy:
+        if row.seed is None:
+            return PLANNERS[row.method](robots)
+        return Navigator.load(weights, **LEARNT[row.method].drives, robots=robots)
+
+    return cross(arenas, driver, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
 
 
 def read_rows(path: Path) -> list[Crossing]:

@@ -12,10 +12,12 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from command import all_rows, arguments, refuse_to_drop, results_name, without_nan
 from comparisons import Tables, courses_of, loss, paired
 from inputs import fed_by
+from methods import LEARNT
 from panels import draw_panels
-from rows import LEARNT, all_rows, arguments, measure, refuse_to_drop, results_name, without_nan
+from rows import measure
 
 from eldenet.navigation.evaluation import Crossing, summarise
 from eldenet.record import environment, write_rows

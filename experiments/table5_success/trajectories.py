@@ -14,7 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rows import PLANNERS
+from methods import PLANNERS
 
 from eldenet.navigation.crossings import Crossings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Policy

@@ -18,9 +18,10 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
+from command import all_rows, arguments, refuse_to_drop, results_name, without_nan  # noqa: E402
 from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
-from rows import all_rows, arguments, measure, refuse_to_drop, results_name, without_nan  # noqa: E402
+from rows import measure  # noqa: E402
 
 from eldenet.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
