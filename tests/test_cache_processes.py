@@ -10,7 +10,7 @@ import pytest
 import torch
 from frame_caches import same
 from synthetic import SyntheticDepth
-from test_trainer import digest, make_trainer
+from training import digest, make_trainer
 
 import eldenet
 from eldenet.data.io import ENCODINGS
