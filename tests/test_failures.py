@@ -8,6 +8,7 @@ import pytest
 from eldenet.navigation.evaluation import cross
 from eldenet.navigation.failures import as_rows, draw_worst, touched_spot, trace
 from eldenet.navigation.planners.straight import Straight
+from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
 
@@ -74,6 +75,18 @@ def test_a_time_out_is_one_and_successes_are_left_out():
     assert failure.remaining == pytest.approx(9.0 - 7.3, abs=0.8)
     with pytest.raises(ValueError, match="of the first drive"):
         trace(worlds, rows, straight, Ranges(), time_limit=60.0)
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_a_learnt_driver_s_failures_are_traced_too(follows):
+    def packaged(robots: int) -> Navigator:
+        return Navigator.load(walkers=follows, slows_within=1.0, robots=robots)
+
+    worlds = [arena(goal=(9.0, 0.0))]
+    rows = cross(worlds, packaged, Ranges(), time_limit=3.0)
+    (failure,) = trace(worlds, rows, packaged, Ranges(), time_limit=3.0)
+    assert failure.kind == "timeout"
+    assert failure.remaining == pytest.approx(9.0 - 3.0, abs=1.5)
 
 
 def test_the_spot_lies_between_robot_and_obstacle():

@@ -9,13 +9,10 @@ import pytest
 from eldenet.navigation.arcs import ArcTable, arc_table
 from eldenet.navigation.noise import NoisyRanges
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.policy import as_ranges
-from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import Drift, Odometry
 from eldenet.robot import ROBOT
-from eldenet.simulation.arena_view import ArenaView
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, Obstacle, generate_arena, triangle_course
+from eldenet.simulation.arenas import generate_arena
 
 FAR = np.full((1, ROBOT.columns), ROBOT.far)
 
@@ -192,41 +189,6 @@ def test_wrong_observers_are_refused(options, message):
 
 
 # --- ranges ---
-
-
-def test_depth_becomes_the_ranges_that_rays_give():
-    arena = generate_arena("val", 40, 5)
-    world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
-    depth = view.photo(arena.start).depth
-    got, true = depth_to_ranges(depth, view.intrinsics), world.ranges()
-    near = true < 8
-    assert near.sum() > 10
-    assert np.median(np.abs(got - true)[near] / true[near]) < 0.03
-    assert (got > true * 1.1).mean() < 0.05  # never far where something is near
-
-
-def test_blindness_reads_as_near():
-    intrinsics = ArenaView(triangle_course(), (120, 160)).intrinsics
-    assert (depth_to_ranges(np.zeros((120, 160)), intrinsics) == ROBOT.near).all()
-    assert (
-        as_ranges(np.array([0.0, np.nan, 20.0, 5.0, 0.1]), None).reshape(5, -1)[:, 0]
-        == [0.3, 0.3, 10, 5, 0.3]
-    ).all()
-    with pytest.raises(ValueError, match="intrinsics"):
-        as_ranges(np.ones((4, 4)), None)
-    with pytest.raises(ValueError, match=r"\(7,\)"):
-        as_ranges(np.ones(7), None)
-
-
-def test_boxes_become_the_ranges_of_their_near_faces():
-    box = Obstacle("box", 3.0, 0.7, 0.4, (0.5, 0.3), 1.0)
-    arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
-    true = ArenaWorld(arena).ranges()
-    got = footprints_to_ranges(np.array([[3.0 - ROBOT.camera_ahead, 0.7, 0.4, 0.5, 0.3]]))
-    on_box = got < ROBOT.far
-    assert on_box.sum() > 5
-    assert got[on_box] == pytest.approx(true[on_box], abs=1e-4)
-    assert (footprints_to_ranges(np.empty((0, 5))) == ROBOT.far).all()
 
 
 def test_noise_has_the_deviations_it_was_given():

@@ -144,8 +144,9 @@ def _drive(arena: Arena, policy: Policy, crossings: Crossings) -> tuple[Failure,
 def _witness(policy: Policy) -> Observer:
     """Sees and remembers all that there was to be known, whatever the policy makes of it."""
     own = getattr(policy, "observer", None)
-    options: dict[str, Any] = own.options if isinstance(own, Observer) else Observer().options
-    return Observer(1, **(options | {"memory": 60, "bins": 0, "arcs": True}))
+    own = own if isinstance(own, Observer) else Observer()
+    options: dict[str, Any] = own.options | {"memory": 60, "bins": 0, "arcs": True}
+    return type(own)(1, **options)
 
 
 def _points(ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:

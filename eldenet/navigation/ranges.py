@@ -8,20 +8,26 @@ from eldenet.robot import ROBOT
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that could touch the robot, with room for an error of the floor's [m]
 QUANTILE = 0.10  # of a column's pixels that is taken for its nearest surface
+_BEYOND = 100.0  # stands for what is out of reach [m]
 
 
-def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+def depth_to_ranges(
+    depth: np.ndarray, intrinsics: np.ndarray, *, camera_height: float = ROBOT.camera_height
+) -> np.ndarray:
     """Nearest range in each column of the field of view ``(columns,)`` [m], right to left.
 
     Of the pixels that show something between 15 and 60 cm above the floor, the 10 % quantile of each
     column's horizontal ranges: one wrong pixel is no obstacle.
 
-    Convention: unknown depth (0 or not finite) reads as near, never as far: a camera that is blind close up
-    must not drive on.
+    Infinite depth shows nothing within reach (ROS REP 117), negative infinite depth something too close.
+    What is unknown (0, negative, nan) is taken for a thing that stands on the floor where the floor is last
+    seen below it: small holes are lower than 15 cm and count for nothing, a patch that could hide an obstacle
+    is one. Where no floor is seen below, the camera may be blind close up, and the column reads as near.
 
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(3, 3)`` of the depth map [px].
+        camera_height: optical centre above the floor [m].
 
     Raises:
         ValueError: the camera sees less than the driver's field of view, or its pixels are too few for the
@@ -29,14 +35,16 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """
     height, width = depth.shape
     column = check_view(width, intrinsics)
-    known = np.isfinite(depth) & (depth > 0)
-    depth = np.where(known, depth, ROBOT.near)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
-    above_floor = ROBOT.camera_height - down * depth
+    close = np.isneginf(depth)
+    known = (depth > 0) | close  # nan is not
+    depth = np.where(np.isposinf(depth), _BEYOND, np.where(close, 0.0, depth))
+    if not known.all():
+        depth = _standing_on_the_floor(depth, known, down, camera_height)
+    above_floor = camera_height - down * depth
     counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
-    ranges = np.where(known, depth * np.sqrt(1 + right * right), ROBOT.near)
-    ranges = np.where(counts, ranges, np.inf)
+    ranges = np.where(counts, depth * np.sqrt(1 + right * right), np.inf)
     out = np.full(ROBOT.columns, ROBOT.far)
     for number in range(ROBOT.columns):
         values = ranges[:, column == number]
@@ -44,6 +52,22 @@ def depth_to_ranges(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
         if values.size:
             out[number] = np.partition(values, int(QUANTILE * values.size))[int(QUANTILE * values.size)]
     return np.clip(out, ROBOT.near, ROBOT.far)
+
+
+def _standing_on_the_floor(
+    depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float
+) -> np.ndarray:
+    """Depth ``(H, W)`` whose unknown pixels have that of the floor where their column last shows it."""
+    with np.errstate(divide="ignore"):
+        floor = np.where(down > 0, camera_height / down, _BEYOND)[:, 0]
+    filled, at = depth.copy(), np.full(depth.shape[1], np.nan)
+    below = np.full(depth.shape[1], False)  # there is a known pixel below
+    for row in range(len(depth) - 1, -1, -1):
+        at = np.where(known[row], np.nan, np.where(np.isnan(at), floor[row], at))
+        below |= known[row]
+        hides = camera_height - down[row] * at > LOWEST
+        filled[row] = np.where(known[row], depth[row], np.where(~below & hides, 0.0, at))
+    return filled
 
 
 def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:

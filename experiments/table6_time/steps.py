@@ -72,7 +72,7 @@ def rate(density: int, physics: str, sensor: Sensor) -> float:
     driver = Navigator.load()
     env = ArenaNavVectorEnv(
         ROBOTS, sensor=sensor, physics=physics, arenas=TrainingArenas((density, density)),
-        **driver.observer.options,
+        **driver.observer.trained_with,
     )  # fmt: skip
     observation, _ = env.reset(seed=0)
     rounds, spent = ROUNDS if physics == "kinematic" else ROUNDS // 4, 0.0
