@@ -14,7 +14,7 @@ from eldenet.navigation.tasks import TrainingArenas
 from eldenet.simulation.arenas import Arena, Obstacle, triangle_course
 
 gym = pytest.importorskip("gymnasium")
-from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, reward  # noqa: E402
+from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, make_sensor, reward  # noqa: E402
 from eldenet.navigation.registration import register  # noqa: E402
 
 register()  # as the installed package's entry point does
@@ -60,6 +60,14 @@ def test_importing_gymnasium_loads_no_simulator():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
     assert shown.stdout.split() == ["False", "True"]
+
+
+def test_noisy_is_the_same_here_as_in_the_command():
+    from eldenet.config import compose, instantiate
+
+    assert make_sensor("noisy").errors == instantiate(compose("navigate", ["sensor=noisy"]).sensor).errors
+    with pytest.raises(ValueError, match="choose ranges or noisy"):
+        make_sensor("camera")
 
 
 def test_same_seed_same_episodes_and_autoreset_within_the_step():

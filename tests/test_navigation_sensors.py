@@ -228,6 +228,18 @@ def test_no_errors_measure_as_none():
         fit_errors(Looks(true[:3], true[:3], np.zeros(3, int)))
 
 
+def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_that_has_enough():
+    rng = np.random.default_rng(0)
+    true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
+    true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
+    looks = Looks(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
+    errors = fit_errors(looks)
+    assert errors.bias == pytest.approx([errors.bias[2]] * 6)
+    assert errors.spread == pytest.approx([0.05] * 6, abs=0.01)
+    assert errors.column == pytest.approx(1.0, abs=0.1)
+    assert errors.scale < 0.3
+
+
 def test_errors_are_kept_in_a_small_file(tmp_path, measured):
     path = tmp_path / "errors.json"
     measured.write(path)

@@ -31,12 +31,12 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
 
 
 def make_sensor(sensor: str | Sensor) -> Sensor:
-    """A sensor by name: "ranges" or "noisy"; or one that was built already."""
+    """A sensor by name: "ranges", "noisy" (the packaged errors); or one that was built already."""
     if not isinstance(sensor, str):
         return sensor
     if sensor not in ("ranges", "noisy"):
         raise ValueError(f"sensor={sensor!r}: choose ranges or noisy, or give a Camera with its network")
-    return Ranges() if sensor == "ranges" else NoisyRanges()
+    return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 
 class ArenaNavVectorEnv(VectorEnv):

@@ -113,13 +113,12 @@ def fit_errors(looks: Looks, edges: Sequence[float] = EDGES, **measured: Any) ->
         raise ValueError(
             f"{int(kept.sum())} columns show something: too few to measure errors, look in more arenas"
         )
-    bias, spread = np.zeros(count), np.zeros(count)
-    for number in range(count):
-        values = error[kept & (where == number)]
-        if len(values) >= 50:  # a bin that is all but empty takes over its neighbour's
-            bias[number], spread[number] = np.median(values), values.std()
-        elif number:
-            bias[number], spread[number] = bias[number - 1], spread[number - 1]
+    bins = {number: error[kept & (where == number)] for number in range(count)}
+    enough = min(50, max(len(values) for values in bins.values()))
+    told = [number for number, values in bins.items() if len(values) >= enough]
+    # a bin that is all but empty takes over what the nearest other one tells
+    nearest = [bins[min(told, key=lambda other: abs(other - number))] for number in range(count)]
+    bias, spread = np.array([(np.median(values), values.std()) for values in nearest]).T
     unit = np.where(kept, (error - bias[where]) / np.maximum(spread[where], 1e-6), np.nan)
     scale, smooth, column, memory = _parts(unit, looks.crossing)
     beyond = error[~reach & ~_at_edge(thing)]
