@@ -221,6 +221,29 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
         rows.policy_file(row, options)
 
 
+def test_a_training_of_other_sources_is_kept_if_its_first_leg_comes_out_the_same(
+    study, tmp_path, monkeypatch, capsys
+):
+    inputs = study("inputs")
+    options = [
+        "learner.steps=600", "learner.leg=300", "learner.warmup=100", "learner.batch_size=16",
+        "training.robots=4", "training.validate=2", "training.arenas.densities=[0,5]",
+    ]  # fmt: skip
+    policy = inputs.training_of(tmp_path / "dqn-0", options)
+    monkeypatch.setattr(inputs, "training_hash", lambda: "after a change")
+    with pytest.raises(ValueError, match="--recheck"):
+        inputs.training_of(tmp_path / "dqn-0", options)
+    assert inputs.training_of(tmp_path / "dqn-0", options, recheck=True) == policy
+    assert "the first leg of its training came out the same" in capsys.readouterr().out
+    assert inputs.training_of(tmp_path / "dqn-0", options) == policy
+    note = tmp_path / "dqn-0" / "training.json"
+    content = json.loads(note.read_text())
+    content["legs"][0]["collision"] += 1
+    note.write_text(json.dumps(content | {"sources": "of another day"}))
+    with pytest.raises(ValueError, match="by other sources"):
+        inputs.training_of(tmp_path / "dqn-0", options, recheck=True)
+
+
 def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
     from eldenet.config import compose, plain
 

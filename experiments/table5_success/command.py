@@ -42,7 +42,8 @@ def arguments(
         type=int,
         default=0,
         metavar="N",
-        help="keep a row that other sources made if its first N crossings come out the same, bit for bit",
+        help="keep a row that other sources made if its first N crossings come out the same, bit for bit, "
+        "and a training if its first leg does",
     )
     parser.add_argument("--out", help="name of the results; default: results-<worlds>")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")

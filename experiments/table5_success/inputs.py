@@ -4,15 +4,20 @@ import hashlib
 import json
 import subprocess
 import sys
+import tempfile
+import time
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noise import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.sources import training_hash
+from eldenet.navigation.training import PROGRESS
+from eldenet.record import write_json
 from eldenet.sources import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
@@ -119,13 +124,16 @@ def make_sensor(sensor: str, given: Namespace) -> Sensor:
     return objects(depth, detector=detector, light=float(light or 1.0))
 
 
-def training_of(folder: Path, options: Sequence[str], *, any_sources: bool = False) -> Path:
+def training_of(
+    folder: Path, options: Sequence[str], *, any_sources: bool = False, recheck: bool = False
+) -> Path:
     """The policy that ``options`` train; it is trained now if it was not yet.
 
     Args:
         folder: of the run.
         options: of ``python -m eldenet.navigate mode=train``.
         any_sources: take a training that other sources made.
+        recheck: take it if its first leg comes out the same with these, and note so beside it.
 
     Raises:
         ValueError: the folder holds a training of other settings or other sources.
@@ -144,9 +152,29 @@ def training_of(folder: Path, options: Sequence[str], *, any_sources: bool = Fal
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:
         raise ValueError(f"{folder} was trained with another {', '.join(others)}: delete it, or give --runs")
-    if made.get("sources") != training_hash() and not any_sources:
-        raise ValueError(
-            f"{folder} was trained by other sources than these: delete it, give --runs, or --any-sources to "
-            "take it nevertheless (the results say so)"
-        )
-    return policy
+    if made.get("sources") == training_hash() or any_sources:
+        return policy
+    if recheck and first_leg(options) == made["legs"][0]:
+        again = {"steps": made["legs"][0]["steps"], "made_by": made["sources"]}
+        rechecked = [*made.get("rechecked", []), again]
+        write_json(note, made | {"sources": training_hash(), "rechecked": rechecked})
+        print(f"{folder.name}: the first leg of its training came out the same, kept", flush=True)
+        return policy
+    raise ValueError(
+        f"{folder} was trained by other sources than these: delete it, give --runs, --recheck to see whether "
+        "these begin the same training alike, or --any-sources to take it nevertheless (the results say so)"
+    )
+
+
+def first_leg(options: Sequence[str]) -> dict[str, Any]:
+    """What the validation after a training's first leg says; the training ends there."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "eldenet.navigate", "mode=train", *options, f"run_dir={folder}/run"]
+        progress, log = Path(folder) / "run" / PROGRESS, Path(folder) / "log.txt"
+        with log.open("w") as file, subprocess.Popen(command, stdout=file, stderr=file) as process:
+            while process.poll() is None and not progress.is_file():
+                time.sleep(0.2)
+            process.kill()
+        if not progress.is_file():
+            raise ValueError(f"{' '.join(command)} failed:\n{log.read_text()[-2000:]}")
+        return dict(json.loads(progress.read_text())["legs"][0])

@@ -79,9 +79,12 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     method = LEARNT[row.method].drivers or row.method
     options = [*LEARNT[method].options, f"seed={row.seed}"]
     folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
+    check = functools.partial(
+        training_of, options=options, any_sources=given.any_sources, recheck=given.recheck > 0
+    )
     if not folder.is_dir() and kept.is_dir():
-        return training_of(kept, options, any_sources=given.any_sources)
-    policy = training_of(folder, options, any_sources=given.any_sources)
+        return check(kept)
+    policy = check(folder)
     kept.mkdir(parents=True, exist_ok=True)
     for name in (policy.name, "training.json"):
         shutil.copyfile(folder / name, kept / name)
