@@ -16,6 +16,7 @@ import hydra  # noqa: E402
 from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
 from hydra._internal.utils import create_config_search_path  # noqa: E402
 from hydra.core.hydra_config import HydraConfig  # noqa: E402
+from hydra.core.override_parser.overrides_parser import OverridesParser  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf, open_dict  # noqa: E402
@@ -85,6 +86,20 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
         return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
 
     return decorate
+
+
+def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
+    """What the command line set, ``{"policy.walkers": "policy.walkers=true"}``.
+
+    A composed config does not tell it from the defaults.
+
+    Args:
+        overrides: as typed; None: those of the command, or of the sweep's job, that runs.
+    """
+    if overrides is None:
+        overrides = HydraConfig.get().overrides.task
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return {override.key_or_group: str(override.input_line) for override in parsed}
 
 
 def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:

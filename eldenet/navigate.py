@@ -19,10 +19,12 @@ MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 def main(config: "DictConfig", folder: Path) -> None:
     """Do what ``mode`` says; results go to the run folder."""
     from eldenet.data.roots import one_of
+    from eldenet.navigation.settings import refuse_ignored
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
 
     one_of("mode", str(config.mode), MODES)
+    refuse_ignored(cfg.given_settings(), cfg.plain(config))
     density = cfg.plain(config.density)
     densities = [int(value) for value in density] if isinstance(density, list) else [int(density)]
     if not densities or int(config.worlds) < 1:
@@ -72,11 +74,13 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
     from eldenet.navigation.evaluation import as_rows, summarise
+    from eldenet.navigation.identity import driver_identity, sensor_identity
     from eldenet.record import RUN_FILE, environment, write_json, write_rows
     from eldenet.simulation.arenas import arenas_hash
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
-    name = make_policy(robots=1).name
+    policy = make_policy(robots=1)
+    name, driver = policy.name, driver_identity(policy, cfg.plain(config.policy))
     metrics, hashes, table = {}, {}, []
     for density in densities:
         arenas, rows = _cross(config, density, make_policy, sensor, log)
@@ -86,6 +90,8 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
         table.append([str(density), *_cells(metrics[str(density)])])
     record = {
         "policy": name,
+        "driver": driver,
+        "inputs": sensor_identity(cfg.plain(config.sensor)),
         "metrics": metrics,
         "arenas": hashes,
         "seed": int(config.seed),
@@ -204,12 +210,10 @@ def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunL
 def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
     """Train a driver in ``folder``; goes on where a killed run stopped."""
     from eldenet.navigation.env import ArenaNavVectorEnv
-    from eldenet.navigation.sources import training_hash
-    from eldenet.navigation.training import POLICY
+    from eldenet.navigation.policy import POLICY
     from eldenet.navigation.training import train as train_driver
-    from eldenet.record import environment, write_json
 
-    sensor, sources = cfg.instantiate(config.sensor), training_hash()
+    sensor = cfg.instantiate(config.sensor)
     names = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
     settings = {name: cfg.plain(config[name]) for name in names}
 
@@ -221,11 +225,9 @@ def train(config: "DictConfig", folder: Path, log: "RunLog") -> dict[str, Any]:
         return cfg.instantiate(config.learner)(env, seed=int(config.seed))
 
     note = train_driver(
-        make_learner, sensor, folder, log, validate=int(config.training.validate), settings=settings
-    )
-    write_json(
-        folder / "training.json", {**note, "sources": sources, "config": cfg.plain(config), **environment()}
-    )
+        make_learner, sensor, folder, log, validate=int(config.training.validate), settings=settings,
+        config=cfg.plain(config),
+    )  # fmt: skip
     log.say(f"policy in {folder / POLICY}; {note['cpu_seconds']:.0f} s of processor time")
     return note
 

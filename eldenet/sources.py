@@ -32,14 +32,21 @@ def sources_of(config: Any, name: str = "") -> dict[str, str]:
     return found
 
 
-def fingerprint(source: str) -> str | None:
-    """First 16 digits of the SHA-256 of a source's weights; None where they do not lie here."""
+def sha256(source: str | Path) -> str | None:
+    """SHA-256 of a source's weights (those beside an OpenVINO ``.xml``); None where they do not lie here."""
     folder = located(source)
-    for file in (folder, *(folder / name for name in _FILES)):
+    weights = folder.with_suffix(".bin") if folder.suffix == ".xml" else folder
+    for file in (weights, *(folder / name for name in _FILES)):
         if file.is_file():
             with file.open("rb") as content:
-                return hashlib.file_digest(content, "sha256").hexdigest()[:16]
+                return hashlib.file_digest(content, "sha256").hexdigest()
     return None
+
+
+def fingerprint(source: str) -> str | None:
+    """First 16 digits of :func:`sha256`."""
+    found = sha256(source)
+    return None if found is None else found[:16]
 
 
 def fingerprints(config: Any) -> dict[str, str | None]:

@@ -123,7 +123,7 @@ def test_onnx_gives_the_same_values(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
     navigator = Navigator.load()
-    export_onnx(navigator, tmp_path / "policy.onnx")
+    export_onnx(navigator, str(tmp_path / "policy.onnx"))
     session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
     observation = np.random.default_rng(0).uniform(-1, 1, (7, navigator.network.inputs)).astype(np.float32)
     (values,) = session.run(None, {"observation": observation})

@@ -47,6 +47,15 @@ def test_make_vec_finds_the_vector_environment():
     assert env.metadata["autoreset_mode"] == gym.vector.AutoresetMode.SAME_STEP
 
 
+def test_what_is_no_option_is_refused():
+    message = r"^density=80: no option of the environment .*seen_through.*arenas=TrainingArenas\(\(80, 80\)\)"
+    with pytest.raises(ValueError, match=message):
+        gym.make("eldenet/ArenaNav-v0", density=80)
+    with pytest.raises(ValueError, match=message):
+        ArenaNavVectorEnv(2, density=80)
+    assert ArenaNavVectorEnv(2, memory=30, arenas=TrainingArenas((80, 80))).observer.options["memory"] == 30
+
+
 def test_importing_gymnasium_loads_no_simulator():
     import tomllib
 

@@ -1,5 +1,6 @@
 """``eldenet/ArenaNav-v0``: a Gymnasium environment, for one robot and for many."""
 
+import inspect
 from typing import Any
 
 import gymnasium as gym
@@ -39,6 +40,23 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
     return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 
+def make_observer(robots: int, options: dict[str, Any]) -> Observer:
+    """An observer with the options that an environment was given beside its own.
+
+    Raises:
+        ValueError: one is an option of neither.
+    """
+    known = inspect.signature(Observer).parameters.keys() - {"robots"}
+    unknown = sorted(options.keys() - known)
+    if unknown:
+        raise ValueError(
+            f"{', '.join(f'{name}={options[name]!r}' for name in unknown)}: no option of the environment or "
+            f"of its observer ({', '.join(sorted(known))}); arenas=TrainingArenas((80, 80)) says how many "
+            "obstacles there are"
+        )
+    return Observer(robots, **options)
+
+
 class ArenaNavVectorEnv(VectorEnv):
     """``num_envs`` robots in arenas of their own.
 
@@ -72,7 +90,7 @@ class ArenaNavVectorEnv(VectorEnv):
         **observer: Any,
     ) -> None:
         self.num_envs = num_envs
-        self.observer = Observer(num_envs, **observer)
+        self.observer = make_observer(num_envs, observer)
         self.crossings = Crossings(
             num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal
         )
@@ -175,7 +193,7 @@ class ArenaNavEnv(gym.Env):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
-        self.observer = Observer(1, **observer)
+        self.observer = make_observer(1, observer)
         self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal)
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)

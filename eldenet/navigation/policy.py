@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -22,6 +22,7 @@ from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.robot import ROBOT
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
+POLICY = "policy.safetensors"  # of a training, in its run folder
 SLOWS_WITHIN = 3.0  # [m] of the observer's speed laws, and so of training
 
 
@@ -114,8 +115,8 @@ class Navigator:
         """Read a policy.
 
         Args:
-            path: of the file; several: their networks drive together, by the mean of their values; None: the
-                policy that comes with the package.
+            path: of the file, or of its training's run folder; several: their networks drive together, by the
+                mean of their values; None: the policy that comes with the package.
             observer: what it must have been trained with; None: anything.
             walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
                 that was trained without; None: as the file says.
@@ -127,13 +128,8 @@ class Navigator:
             ValueError: a file is no policy, or of another observer than was asked for or another shape than
                 the others.
         """
-        if path is None or isinstance(path, str | Path):
-            path = [DEFAULT_WEIGHTS if path is None else path]
-        files = [Path(each) for each in path]
-        if not files:
-            raise ValueError("no policy: an empty list was given, give one file or more")
         networks, notes = [], []
-        for file in files:
+        for file in policy_files(path):
             members, content = _read(file)
             networks += members
             notes.append(content)
@@ -150,7 +146,7 @@ class Navigator:
         network = networks[0] if len(networks) == 1 else Ensemble(networks)
         return cls(network, options, robots=robots, info=info)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write weights and observer into one ``.safetensors`` file; the networks of several as float16."""
         members = len(self.network.members) if isinstance(self.network, Ensemble) else 1
         notes = {
@@ -161,6 +157,7 @@ class Navigator:
             "observer": self.observer.options,
             "info": self.info,
         }
+        path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         stored = torch.float16 if members > 1 else torch.float32
         weights = {name: tensor.to(stored).contiguous() for name, tensor in self.network.state_dict().items()}
@@ -211,6 +208,21 @@ class Navigator:
         return speed, turn
 
 
+def policy_files(path: str | Path | Sequence[str | Path] | None) -> list[Path]:
+    """The files that :meth:`Navigator.load` reads: of a run folder its policy, of None the packaged one.
+
+    Raises:
+        ValueError: an empty list, or something that is no path.
+    """
+    given = DEFAULT_WEIGHTS if path is None else path
+    paths = [given] if isinstance(given, str | Path) else given
+    if not (isinstance(paths, Sequence) and all(isinstance(each, str | Path) for each in paths)):
+        raise ValueError(f"no policy: {given} was given, give a run folder, a file or a list of them")
+    if not paths:
+        raise ValueError("no policy: an empty list was given, give one file or more")
+    return [Path(each) / POLICY if Path(each).is_dir() else Path(each) for each in paths]
+
+
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     """Networks of a policy's file, and its notes.
 
@@ -220,14 +232,19 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     """
     if not path.is_file():
         raise FileNotFoundError(
-            f"no policy at {path}: train one with python -m eldenet.navigate mode=train, or give a file "
-            "that it wrote"
+            f"no policy at {path}: train one with python -m eldenet.navigate mode=train, which writes it at "
+            "its end, and give its run folder or the file"
         )
-    with safe_open(str(path), framework="pt") as file:
-        notes = (file.metadata() or {}).get("navigator")
-        if notes is None:
-            raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
-        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            notes = (file.metadata() or {}).get("navigator")
+            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(
+            f"{path} is no .safetensors file ({error}): give a training's run folder, or the {POLICY} in it"
+        ) from error
+    if notes is None:
+        raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
     content: dict[str, Any] = json.loads(notes)
     shape = content["inputs"], content["actions"], tuple(content["hidden"])
     networks = [QNetwork(*shape) for _ in range(content.get("members", 1))]
@@ -251,13 +268,14 @@ def as_ranges(sight: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
     return np.repeat(ranges, ROBOT.columns // sight.size)
 
 
-def export_onnx(navigator: Navigator, path: Path) -> None:
+def export_onnx(navigator: Navigator, path: str | Path) -> None:
     """Write the network (observation ``(N, inputs)`` float32 -> values ``(N, actions)``) as ONNX.
 
     The observer's options stand in the file's metadata under "navigator".
     """
     import onnx
 
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     network = copy.deepcopy(navigator.network).float()
     rows = torch.export.Dim("robots", min=1)

@@ -9,8 +9,8 @@ _WORLD = ("robot.py", "simulation/arena*.py", "simulation/culling.py", "simulati
 _TRAINING = ("arcs", "crossings", "dqn", "env", "localisation", "memory", "noise",
              "observer", "qnetwork", "range_errors", "replay", "sensors", "tasks", "walkers")  # fmt: skip
 #: Of navigation, what no crossing rests on: a policy's file has a hash of its own.
-_NO_PART = ("dqn", "env", "failures", "film", "pictures", "registration", "replay",
-            "sources", "statistics", "training")  # fmt: skip
+_NO_PART = ("dqn", "env", "failures", "film", "identity", "pictures", "registration", "replay",
+            "settings", "sources", "statistics", "training")  # fmt: skip
 #: From a rendered frame to ranges.
 _CAMERA = (
     "simulation/*.py", "perception/*.py", "runtimes/*.py", "backbones/*.py", "decoders/*.py", "heads/*.py",

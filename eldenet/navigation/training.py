@@ -1,5 +1,6 @@
 """Train a driver: legs, validation on arenas of their own, TensorBoard, the policy file."""
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -7,13 +8,14 @@ from typing import Any
 
 from eldenet.navigation.dqn import CHECKPOINT, DQN
 from eldenet.navigation.evaluation import cross, summarise
-from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy import POLICY, Navigator
 from eldenet.navigation.sensors import Sensor
+from eldenet.navigation.sources import training_hash
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.record import write_json
+from eldenet.record import environment, write_json
 from eldenet.runlog import RunLog
 
-POLICY, PROGRESS = "policy.safetensors", "progress.json"
+PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80
 
 
@@ -25,9 +27,11 @@ def train(
     *,
     validate: int = 100,
     settings: dict[str, Any] | None = None,
+    config: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Train in ``folder`` to the end; a folder that holds a checkpoint of the same settings is gone on with.
 
+    One that is finished is left as it is: its record stays that of the sources that trained it.
     After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is
     kept is the last one: the validation is for people to see, and chooses nothing.
 
@@ -38,24 +42,24 @@ def train(
         log: bar, TensorBoard.
         validate: number of arenas; 0: none.
         settings: what must agree for a checkpoint to fit.
+        config: the whole of it, for the record.
 
     Returns:
         Steps, seconds spent by the processor and on the clock, and the validation after every leg.
 
     Raises:
-        ValueError: the folder holds a run with other settings.
+        ValueError: the folder holds a run with other settings, or one that other sources began.
     """
-    import json
-
     learner = make_learner()
-    note: dict[str, Any] = {"settings": settings or {}, "legs": [], "cpu_seconds": 0.0, "wall_seconds": 0.0}
+    note: dict[str, Any] = {
+        "settings": settings or {}, "sources": training_hash(), "legs": [],
+        "cpu_seconds": 0.0, "wall_seconds": 0.0,
+    }  # fmt: skip
     if (folder / CHECKPOINT).is_file() and (folder / PROGRESS).is_file():
-        before = json.loads((folder / PROGRESS).read_text())
-        if before["settings"] != json.loads(json.dumps(note["settings"])):
-            raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
-        learner.restore(folder / CHECKPOINT)
-        note = before
-        note["legs"] = [leg for leg in note["legs"] if leg["steps"] <= learner.done]
+        note = _begun(learner, folder, note)
+        if learner.done >= learner.steps and (folder / POLICY).is_file() and (folder / RECORD).is_file():
+            log.say(f"{folder}: finished already")
+            return note
         log.say(f"going on at step {learner.done:,} of {learner.steps:,}")
     arenas = frozen_arenas(VALIDATION_DENSITY, validate, split="val")
     clocks = time.process_time(), time.perf_counter()
@@ -91,7 +95,27 @@ def train(
     navigator = as_navigator(learner, 1)
     navigator.info = {"steps": learner.done, "seed": learner.seed}
     navigator.save(folder / POLICY)
+    write_json(folder / RECORD, {**note, "config": config or {}, **environment()})
     return note
+
+
+def _begun(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
+    """The note of the training that ``folder`` holds; the learner is put where it stopped.
+
+    Raises:
+        ValueError: it has other settings than ``fresh``, or it is not finished and other sources began it.
+    """
+    before: dict[str, Any] = {"sources": None} | json.loads((folder / PROGRESS).read_text())
+    if before["settings"] != json.loads(json.dumps(fresh["settings"])):
+        raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
+    learner.restore(folder / CHECKPOINT)
+    if learner.done < learner.steps and before["sources"] != fresh["sources"]:
+        raise ValueError(
+            f"run_dir={folder} holds a training that other sources began (hash {before['sources']}, now "
+            f"{fresh['sources']}) and that stopped at step {learner.done:,} of {learner.steps:,}: go on with "
+            "those, or give another folder"
+        )
+    return before | {"legs": [leg for leg in before["legs"] if leg["steps"] <= learner.done]}
 
 
 def as_navigator(learner: DQN, robots: int) -> Navigator:
