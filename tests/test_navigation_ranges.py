@@ -87,7 +87,7 @@ def test_blindness_reads_as_near():
     intrinsics = ArenaView(triangle_course(), (120, 160)).intrinsics
     assert (depth_to_ranges(np.zeros((120, 160)), intrinsics) == ROBOT.near).all()
     assert (
-        as_ranges(np.array([0.0, np.nan, 20.0, 5.0, 0.1]), None).reshape(5, -1)[:, 0]
+        as_ranges(np.array([0.0, np.nan, np.inf, 5.0, 0.1]), None).reshape(5, -1)[:, 0]
         == [0.3, 0.3, 10, 5, 0.3]
     ).all()
     with pytest.raises(ValueError, match="intrinsics"):

@@ -262,8 +262,8 @@ def as_ranges(sight: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
         raise ValueError(
             f"sight has shape {sight.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
         )
-    # unknown (0, nan) reads as near: a camera that is blind close up must not drive on
-    known = np.isfinite(sight) & (sight > 0)
+    # unknown (0, nan) reads as near: a camera that is blind close up must not drive on; inf shows nothing
+    known = sight > 0
     ranges = np.where(known, np.clip(sight, ROBOT.near, ROBOT.far), ROBOT.near)
     return np.repeat(ranges, ROBOT.columns // sight.size)
 
