@@ -8,9 +8,9 @@ says what is missing. A goal in another frame is refused, and the robot stands: 
 stops the robot. Keep a hardware emergency stop at hand, and let the base limit speed and acceleration.
 
 What the robot must be like: 0.60 x 0.50 m at most, turning about its middle, which the odometry follows; its
-camera level, 0.40 m above the floor and 0.20 m ahead of the axle. At 0.25 m or lower the floor reads as a
-wall, and things lower than 15 cm are never seen. docs/navigation.md has the whole table, and what to do for a
-camera at another height.
+camera level, 0.20 m ahead of the axle, CAMERA_HEIGHT above the floor: measure it, for with a height that is
+15 cm too great the floor reads as a wall. Things lower than 15 cm are never seen. docs/navigation.md has the
+whole table.
 
 The camera must see 69.4 degrees across, at least 46 pixels: a narrower one shows nothing in the policy's
 outer columns. The node then ends with an error that says so.
@@ -37,7 +37,9 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image
 
 from eldenet.navigation.policy import Navigator
+from eldenet.navigation.ranges import depth_to_ranges
 
+CAMERA_HEIGHT = 0.40  # optical centre above the floor, as in the simulation: change it to your robot's [m]
 PERIOD = 0.2  # the policy was trained at this rate [s]
 GOAL_RADIUS = 0.5  # [m]
 STALE = 0.5  # older data stop the robot [s]
@@ -139,8 +141,9 @@ class NavigationNode(Node):
                 self.get_logger().info("goal reached")
                 self.goal = None
             else:
+                ranges = depth_to_ranges(self.depth, self.intrinsics, camera_height=CAMERA_HEIGHT)
                 command.linear.x, command.angular.z = self.navigator.step(
-                    self.depth, (distance, bearing), self.pose, intrinsics=self.intrinsics
+                    ranges, (distance, bearing), self.pose
                 )
         if not (command.linear.x or command.angular.z):
             self.navigator.observer.last[:] = 0.0  # it stands, whatever was chosen last
