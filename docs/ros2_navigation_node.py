@@ -1,9 +1,19 @@
 """A ROS 2 node that drives to a goal with the packaged policy. Untested on hardware: an example.
 
 Subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
-odometry, and to a goal in the odometry's frame; publishes velocity commands five times a second. It stops
-when the goal is reached, when no goal is set, and when depth or odometry are older than half a second. Keep a
-hardware emergency stop at hand, and let the base limit speed and acceleration.
+odometry, and to a goal in the odometry's frame; publishes velocity commands five times a second. It stands
+when the goal is reached, when there is no goal, and when depth or odometry are older than half a second; it
+says what is missing. A goal in another frame is refused, and the robot stands: RViz sends goals in its
+"Fixed Frame", so set that to the odometry's. An error, Ctrl-C and SIGTERM end it with a last command that
+stops the robot. Keep a hardware emergency stop at hand, and let the base limit speed and acceleration.
+
+What the robot must be like: 0.60 x 0.50 m at most, turning about its middle, which the odometry follows; its
+camera level, 0.20 m ahead of the axle, CAMERA_HEIGHT above the floor: measure it, for with a height that is
+15 cm too great the floor reads as a wall. Things lower than 15 cm are never seen. docs/navigation.md has the
+whole table.
+
+The camera must see 69.4 degrees across, at least 46 pixels: a narrower one shows nothing in the policy's
+outer columns. The node then ends with an error that says so.
 
 The goal's distance and bearing come from odometry, so they drift with it: that is goal=odometry of
 python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the
@@ -11,23 +21,25 @@ simulation's default. On a robot that localises (in a map, by a beacon), publish
 odometry, or fuse its positions with the wheels' odometry in eldenet.navigation.localisation.Localiser, as
 goal=fixes does.
 
-The camera must see 69.4 degrees across, at least 46 pixels: a narrower one shows nothing in the policy's
-outer columns. The node then ends with an error that says so, and a last command that stops the robot.
-
 ros2 run needs a package around this file; for a try: python3 ros2_navigation_node.py
 """
 
 import math
+import signal
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image
 
 from eldenet.navigation.policy import Navigator
+from eldenet.navigation.ranges import depth_to_ranges
 
+CAMERA_HEIGHT = 0.40  # optical centre above the floor, as in the simulation: change it to your robot's [m]
 PERIOD = 0.2  # the policy was trained at this rate [s]
 GOAL_RADIUS = 0.5  # [m]
 STALE = 0.5  # older data stop the robot [s]
@@ -39,14 +51,18 @@ class NavigationNode(Node):
     def __init__(self) -> None:
         super().__init__("eldenet_navigation")
         self.navigator = Navigator.load()
+        self.navigator.step(np.full(40, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
+        self.navigator.reset()
         self.depth: np.ndarray | None = None
         self.intrinsics: np.ndarray | None = None
         self.pose: tuple[float, float, float] | None = None
+        self.frame: str | None = None  # of the odometry
         self.goal: tuple[float, float] | None = None
         self.depth_time = self.pose_time = -math.inf
-        self.create_subscription(Image, "camera/depth", self.on_depth, 1)
-        self.create_subscription(CameraInfo, "camera/camera_info", self.on_camera, 1)
-        self.create_subscription(Odometry, "odom", self.on_odometry, 1)
+        # best effort: a reliable subscription would get nothing from cameras that publish so
+        self.create_subscription(Image, "camera/depth", self.on_depth, qos_profile_sensor_data)
+        self.create_subscription(CameraInfo, "camera/camera_info", self.on_camera, qos_profile_sensor_data)
+        self.create_subscription(Odometry, "odom", self.on_odometry, qos_profile_sensor_data)
         self.create_subscription(PoseStamped, "goal_pose", self.on_goal, 1)
         self.velocity = self.create_publisher(Twist, "cmd_vel", 1)
         self.create_timer(PERIOD, self.decide)
@@ -77,18 +93,47 @@ class NavigationNode(Node):
         place, turn = message.pose.pose.position, message.pose.pose.orientation
         yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z))
         self.pose = (place.x, place.y, yaw)
+        self.frame = message.header.frame_id
         self.pose_time = self.now()
 
     def on_goal(self, message: PoseStamped) -> None:
-        """Start for a new goal; it must be given in the odometry's frame."""
-        self.goal = (message.pose.position.x, message.pose.position.y)
-        self.navigator.reset()
+        """Start for a new goal, which must be given in the odometry's frame; stand, if it is not."""
+        self.goal = None
+        if self.frame is None:
+            self.get_logger().error("goal refused: no odometry came yet; send it again when it does")
+        elif message.header.frame_id != self.frame:
+            self.get_logger().error(
+                f"goal refused: it is in frame '{message.header.frame_id}', the odometry in '{self.frame}': "
+                "give it in that frame (in RViz set Fixed Frame to it)"
+            )
+        else:
+            self.goal = (message.pose.position.x, message.pose.position.y)
+            self.navigator.reset()
+
+    def missing(self) -> list[str]:
+        """Topics without which it cannot drive now."""
+        now = self.now()
+        return [
+            name
+            for name, there in (
+                ("camera/depth", now - self.depth_time < STALE),
+                ("camera/camera_info", self.intrinsics is not None),
+                ("odom", now - self.pose_time < STALE),
+            )
+            if not there
+        ]
 
     def decide(self) -> None:
         """Publish one command."""
         command = Twist()
-        fresh = self.now() - min(self.depth_time, self.pose_time) < STALE
-        if fresh and self.goal is not None and self.intrinsics is not None:
+        missing = self.missing()
+        if missing:
+            self.get_logger().warn(
+                f"standing: nothing on {', '.join(missing)} lately; look at its name, its publisher and "
+                "what ros2 topic hz says",
+                throttle_duration_sec=5,
+            )
+        elif self.goal is not None:
             x, y, yaw = self.pose
             distance = math.dist((x, y), self.goal)
             bearing = math.remainder(math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw, math.tau)
@@ -96,8 +141,9 @@ class NavigationNode(Node):
                 self.get_logger().info("goal reached")
                 self.goal = None
             else:
+                ranges = depth_to_ranges(self.depth, self.intrinsics, camera_height=CAMERA_HEIGHT)
                 command.linear.x, command.angular.z = self.navigator.step(
-                    self.depth, (distance, bearing), self.pose, intrinsics=self.intrinsics
+                    ranges, (distance, bearing), self.pose
                 )
         if not (command.linear.x or command.angular.z):
             self.navigator.observer.last[:] = 0.0  # it stands, whatever was chosen last
@@ -106,14 +152,18 @@ class NavigationNode(Node):
 
 def main() -> None:
     """Run the node."""
-    rclpy.init()
+    # rclpy's own handlers would shut it down before the last command is sent
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = NavigationNode()
     try:
-        rclpy.spin(node)
+        rclpy.spin(node)  # the timer wakes it up five times a second, so signals are seen
+    except KeyboardInterrupt:
+        pass
     finally:
         node.velocity.publish(Twist())
         node.destroy_node()
-        rclpy.shutdown()
+        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":
