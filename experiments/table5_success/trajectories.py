@@ -14,7 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from methods import PLANNERS
+from methods import LEARNT, PLANNERS
 
 from eldenet.navigation.crossings import Crossings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Policy
@@ -27,6 +27,7 @@ from eldenet.simulation.arenas import Arena, generate_arena
 HERE = Path(__file__).parent
 SIDE, TITLE = 420, 24  # of a panel and its title [px]
 GAP = 6
+PACKAGED = "dqn_ensemble"
 
 
 def main() -> None:
@@ -36,9 +37,9 @@ def main() -> None:
     parser.add_argument("--policy", action="append", default=[], help="name=policy.safetensors; many times")
     parser.add_argument("--out", type=Path, default=HERE / "trajectories.png")
     given = parser.parse_args()
-    methods: dict[str, Callable[[int], Policy]] = {"dqn": lambda robots: Navigator.load(robots=robots)}
+    methods: dict[str, Callable[[int], Policy]] = {PACKAGED: partial(_load, PACKAGED, None)}
     for name, _, path in (text.partition("=") for text in given.policy):
-        methods[name] = partial(_load, path)
+        methods[name] = partial(_load, name, path)
     methods |= PLANNERS
     rows = []
     for density, index in (map(int, world.split(":")) for world in given.worlds.split(",")):
@@ -48,8 +49,9 @@ def main() -> None:
     write_picture(given.out, np.concatenate([part for row in rows for part in (row, gap(row, 0))], axis=0))
 
 
-def _load(path: str, robots: int) -> Policy:
-    return Navigator.load(path, robots=robots)
+def _load(name: str, path: str | None, robots: int) -> Policy:
+    """A policy that drives as the table's method of that name."""
+    return Navigator.load(path, **LEARNT.get(name, LEARNT["dqn"]).drives, robots=robots)
 
 
 def panel(arena: Arena, name: str, policy: Policy) -> np.ndarray:
