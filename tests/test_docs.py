@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from eldenet.config import compose, config_folder
+from eldenet.robot import ROBOT
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 PAGES = [
@@ -117,3 +118,17 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     exec(stream, names)
     assert names["number"] == 2
     assert names["depth"].shape == (48, 64)
+
+
+def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
+    """All of the page's Python in one program, top to bottom, as a reader would paste it."""
+    for library in ("gymnasium", "onnx", "onnxruntime"):
+        pytest.importorskip(library)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for block in python_blocks("docs/navigation.md"):
+        exec(compile(block, "docs/navigation.md", "exec"), names)
+    assert 0 <= names["speed"] <= ROBOT.max_speed
+    assert abs(names["turn"]) <= ROBOT.max_turn
+    assert names["envs"].num_envs == 16
+    assert (tmp_path / "driver.onnx").is_file()

@@ -1,5 +1,6 @@
 """Navigation: the Gymnasium environment."""
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -15,9 +16,8 @@ from eldenet.simulation.arenas import Arena, Obstacle, triangle_course
 
 gym = pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, make_sensor, reward  # noqa: E402
-from eldenet.navigation.registration import register  # noqa: E402
 
-register()  # as the installed package's entry point does
+NAME = "eldenet.navigation.registration:eldenet/ArenaNav-v0"
 
 
 def test_reward_is_algorithm_1():
@@ -30,7 +30,7 @@ def test_reward_is_algorithm_1():
 def test_check_env_of_gymnasium_and_of_stable_baselines3():
     from gymnasium.utils.env_checker import check_env
 
-    env = gym.make("eldenet/ArenaNav-v0", render_mode="rgb_array")
+    env = gym.make(NAME, render_mode="rgb_array")
     check_env(env.unwrapped)
     env.reset(seed=0)
     picture = env.render()
@@ -41,7 +41,7 @@ def test_check_env_of_gymnasium_and_of_stable_baselines3():
 
 
 def test_make_vec_finds_the_vector_environment():
-    env = gym.make_vec("eldenet/ArenaNav-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    env = gym.make_vec(NAME, num_envs=3, vectorization_mode="vector_entry_point")
     observation, _ = env.reset(seed=1)
     assert observation.shape == (3, 39)
     assert env.metadata["autoreset_mode"] == gym.vector.AutoresetMode.SAME_STEP
@@ -50,25 +50,32 @@ def test_make_vec_finds_the_vector_environment():
 def test_what_is_no_option_is_refused():
     message = r"^density=80: no option of the environment .*seen_through.*arenas=TrainingArenas\(\(80, 80\)\)"
     with pytest.raises(ValueError, match=message):
-        gym.make("eldenet/ArenaNav-v0", density=80)
+        gym.make(NAME, density=80)
     with pytest.raises(ValueError, match=message):
         ArenaNavVectorEnv(2, density=80)
     assert ArenaNavVectorEnv(2, memory=30, arenas=TrainingArenas((80, 80))).observer.options["memory"] == 30
 
 
-def test_importing_gymnasium_loads_no_simulator():
-    import tomllib
-
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    module, _, function = project["entry-points"]["gymnasium.envs"]["eldenet"].partition(":")
+def test_gymnasium_finds_the_environment_by_its_module_and_loads_no_simulator_before():
     code = (
-        f"import gymnasium, sys; from {module} import {function}; {function}(); "
-        "print('mujoco' in sys.modules, 'eldenet/ArenaNav-v0' in gymnasium.registry)"
+        "import gymnasium, sys; import eldenet.navigation.registration; print('mujoco' in sys.modules); "
+        f"gymnasium.registry.clear(); del sys.modules['eldenet.navigation.registration']; "
+        f"print(gymnasium.make({NAME!r}).unwrapped.observation_space.shape)"
     )
     shown = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
-    assert shown.stdout.split() == ["False", "True"]
+    assert shown.stdout.splitlines() == ["False", "(39,)"]
+
+
+def test_the_entry_point_names_what_registers():
+    import tomllib
+
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    module, _, function = project["entry-points"]["gymnasium.envs"]["eldenet"].partition(":")
+    gym.registry.pop("eldenet/ArenaNav-v0", None)
+    getattr(importlib.import_module(module), function)()
+    assert "eldenet/ArenaNav-v0" in gym.registry
 
 
 def test_noisy_is_the_same_here_as_in_the_command():

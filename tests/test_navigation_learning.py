@@ -13,9 +13,6 @@ from eldenet.navigation.tasks import TrainingArenas
 
 gym = pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavVectorEnv  # noqa: E402
-from eldenet.navigation.registration import register  # noqa: E402
-
-register()  # as the installed package's entry point does
 
 
 def test_windows_are_n_step_returns_that_end_with_the_episode():

@@ -1,4 +1,8 @@
-"""Tell Gymnasium of the environment: pyproject's entry point ``gymnasium.envs`` calls :func:`register`."""
+"""Tell Gymnasium of the environment: importing this does.
+
+``gymnasium.make("eldenet.navigation.registration:eldenet/ArenaNav-v0")`` imports it by itself. Gymnasium
+reads the entry points of packages no more since 1.0; pyproject's ``gymnasium.envs`` is for what still does.
+"""
 
 
 def register() -> None:
@@ -11,3 +15,6 @@ def register() -> None:
             entry_point="eldenet.navigation.env:ArenaNavEnv",
             vector_entry_point="eldenet.navigation.env:ArenaNavVectorEnv",
         )
+
+
+register()
