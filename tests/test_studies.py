@@ -20,6 +20,7 @@ from eldenet.studies.running import run_row, sole
 from eldenet.train import train
 from eldenet.zoo import list_models
 
+SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
 REPOSITORY = Path(__file__).resolve().parent.parent
 STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
 
@@ -293,6 +294,21 @@ def test_the_commands_run_and_report_a_study(tiny, run_command):
 
 
 @pytest.mark.slow
+def test_submitit_runs_a_row(tiny, run_command):
+    """On this machine: what Slurm itself does is not tried here."""
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="pip install 'eldenet[cluster]'")
+    (tiny / "sweep.yaml").write_text(short((tiny / "sweep.yaml").read_text()))
+    finished = run_command(
+        *("study", "-m", f"study={tiny}", "rows=[eldenet_s]", "hydra/launcher=submitit_local"),
+        "hydra.launcher.timeout_min=10",
+        cwd=tiny.parent,
+    )
+    assert finished.returncode == 0, finished.stderr[-3000:]
+    assert (tiny / "stored/eldenet_s/seed0/run.json").is_file()
+    assert list(tiny.parent.rglob("*_result.pkl"))  # submitit's own: its job ended
+
+
+@pytest.mark.slow
 def test_rays_workers_run_the_rows(tiny, run_command):
     pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="pip install 'eldenet[cluster]'")
     plan = tiny / "sweep.yaml"
@@ -358,16 +374,19 @@ def test_every_row_of_every_study_composes(folder):
         config = compose_run([*overrides, *trial], Path("f"), Path("r"), name=row.name, seed=0)
         assert (config.model_name, config.ckpt_path, config.seed) == (row.name, "auto", 0)
         assert cfg.plain(config.model)["_target_"].startswith("eldenet.")
-        if tried and config.data.name == "rooms":  # whose splits are different rooms
-            assert (config.data.train.split, config.data.test.split) == ("train", "val")
+        if tried and config.data.name in SCORES_TRIALS:  # on a split of its own: other rooms, drives, cities
+            split = SCORES_TRIALS[config.data.name]
+            assert config.data.test.split == config.data.val.split == split != config.data.train.split
+            reported = compose_run(overrides, Path("f"), Path("r"), name=row.name, seed=0)
+            assert reported.data.test.split not in (split, reported.data.train.split)
         elif tried:  # scored on training frames that it does not train on, nor does the table
             assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
             assert config.data.subset.train[1] <= config.data.subset.test[0]
 
 
 @pytest.mark.slow
-def test_the_kitti_rows_run_on_real_frames(tmp_path):
-    """The two frames of the depth devkit that are at hand, from the row of the study to its table."""
+def test_a_kitti_row_gets_from_given_folders_to_its_table(tmp_path):
+    """Two real frames: the way is shown, on another split and protocol than the row's own."""
     root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti" / "depth"
     if not os.environ.get("ELDENET_DATA") or not root.is_dir():
         pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
@@ -375,13 +394,16 @@ def test_the_kitti_rows_run_on_real_frames(tmp_path):
     folder.mkdir()
     plan = cfg.read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
     row = plan["rows"]["kitti_eldenet"]
-    row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth", "trainer.epochs=2"]
+    row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth"]
+    plan["overrides"] += ["trainer.epochs=2", "trainer.evaluate_every=2"]
     row["overrides"] += [f"data.{split}.split=all" for split in ("train", "val", "test")]
     row["overrides"] += [f"data.subset.{split}=null" for split in ("train", "val", "test")]
+    row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
     plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
     (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
     study = read_study(folder)
-    outcomes = run_row(study, study.rows[0], tmp_path / "runs", given={"kitti": root})
+    places = {"kitti": root, "kitti_raw": root.parent / "raw"}
+    outcomes = run_row(study, study.rows[0], tmp_path / "runs", given=places)
     assert [outcome.status for outcome in outcomes] == ["done"]
     write_study_report(folder)
     assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"
