@@ -144,7 +144,9 @@ def report_is_right(folder: Path) -> None:
     assert "## convergence" in text
     for name in ("results.tex", "pareto.png", "convergence.png"):
         assert (folder / name).stat().st_size > 200
-    assert (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,1,1,1,1,")
+    assert (
+        (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,training loss,")
+    )
 
 
 def test_a_row_of_another_study_is_run_once(tiny, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eldenet.studies import statistics
+from eldenet.studies import convergence, statistics
 from eldenet.studies.plots import _label_places, pareto_front
 
 
@@ -32,14 +32,19 @@ def test_the_front_holds_what_nothing_beats():
 def test_speed_and_fluctuation_of_known_curves():
     epochs = list(range(1, 11))
     falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
-    assert statistics.convergence_epoch(epochs, falling) == 10.0  # 0.9 is first reached at 0
-    assert statistics.convergence_epoch(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
-    assert statistics.fluctuation([1.0] * 10) == 0.0
-    assert statistics.fluctuation([9, 9, 1, 2, 1, 2]) == pytest.approx(1 / (5 / 3))
+    assert convergence.own_descent(epochs, falling) == 10.0  # 0.9 is first reached at 0
+    assert convergence.own_descent(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
+    assert convergence.first_epoch(epochs, falling, 4.5) == 6
+    assert convergence.first_epoch(epochs, falling, -1.0) is None
+    assert convergence.fluctuation([1.0] * 10) == 0.0
+    assert convergence.fluctuation(falling) == pytest.approx(0.0, abs=1e-12)  # a descent is none
+    # places 5 to 7 of ten have a whole window; a zigzag of 2 and 1 lies 0.4 off its means 1.6 and 1.4 there
+    assert convergence.fluctuation([9, 9, 9, 2, 1, 2, 1, 2, 1, 2]) == pytest.approx(0.4 / (5 / 3))
+    assert convergence.fluctuation([1.0, 2.0]) is None
     run = {"config": {"loss": {"terms": {"ssim": {"weight": 1.0}, "l1": {"weight": 0.5}}}}}
-    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
+    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
     run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
-    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
+    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
 
 
 def test_names_in_the_plot_keep_clear_of_each_other():

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from eldenet import config as cfg
 from eldenet.metrics import METRICS
 from eldenet.studies.blocks import build_blocks
 from eldenet.studies.composing import compose_run
+from eldenet.studies.convergence import convergence
 from eldenet.studies.plan import Study, read_study
 from eldenet.studies.report import write_study_report
 
@@ -76,6 +78,14 @@ def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:
 
 def figures(offset: float, seed: int) -> np.ndarray:
     return 0.5 + offset + 0.02 * np.random.default_rng(seed).standard_normal(len(IMAGES))
+
+
+def history(mse: Sequence[float]) -> list[dict[str, float]]:
+    """Of a training with this validation MSE after each epoch."""
+    return [
+        {"epoch": epoch, "train_total": value, "val_mse": value, "val_ssim": 0.9, "val_mae": value}
+        for epoch, value in enumerate(mse, 1)
+    ]
 
 
 @pytest.mark.parametrize(("offset", "verdict"), [(0.05, "better"), (-0.05, "worse"), (0.0, "")])
@@ -149,6 +159,59 @@ def test_rows_of_an_older_plan_show_no_figures(study: Study, tmp_path: Path) -> 
     (tmp_path / "sweep.yaml").write_text(PLAN.replace("epochs=3", "epochs=4"))
     rows = table(read_study(tmp_path))
     assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+
+
+def test_curves_of_an_older_plan_are_left_out(study: Study, tmp_path: Path) -> None:
+    for name in ("small", "large"):
+        store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
+    assert set(convergence(study).curves) == {"small/seed0", "large/seed0"}
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
+    assert set(convergence(read_study(tmp_path)).curves) == {"small/seed0"}
+
+
+def test_rows_are_compared_at_a_level_that_every_run_reaches(study: Study) -> None:
+    """A bad start makes 90 % of a descent early; the worst last value is one level for all."""
+    falls = {
+        ("small", 0): [9.0, 2.0, 1.5, 1.2, 1.1],
+        ("large", 0): [2.0, 1.8, 1.2, 1.0, 0.9],
+        ("large", 1): [2.0, 1.2, 1.1, 1.0, 1.0],
+        ("other", 0): [5.0, 5.0, 5.0, 5.0, 5.0],  # another block has another level
+    }
+    for (name, seed), mse in falls.items():
+        store(study, name, seed, figures(0, seed), training={"history": history(mse)})
+    found = convergence(study)
+    titles, rows = found.by_row()
+    cells = {(row[0], row[1]): dict(zip(titles, row, strict=True)) for row in rows}
+    small, large = cells["small", "MSE"], cells["large", "MSE"]
+    assert (small["level"], large["level"], cells["other", "MSE"]["level"]) == ("1.100", "1.100", "5.000")
+    assert small["90% of its own descent [epoch]"] == "3"
+    assert (small["at level [epoch]"], small["at 1.15 x level [epoch]"]) == ("5", "4")
+    assert large["at level [epoch]"] == "3.5 ± 0.7"  # 4 and 3
+    assert large["at 1.15 x level [epoch]"] == "2.5 ± 0.7"
+    assert (large["seeds"], large["epochs"], large["fluctuation"]) == ("2", "5", "-")
+    titles, rows = found.by_run()
+    assert [row[0] for row in rows if row[1] == "MSE"] == [f"{n}/seed{s}" for n, s in falls]
+
+
+def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_path: Path) -> None:
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
+    study = read_study(tmp_path)
+    for name in ("small", "large"):
+        store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
+    titles, rows = convergence(study).by_row()
+    levels = {tuple(row[:2]): row[titles.index("level")] for row in rows}
+    assert levels["small", "training loss"] == levels["large", "training loss"] == "-"
+    assert levels["small", "MSE"] == levels["large", "MSE"] == "1.000"
+
+
+def test_a_rule_that_a_run_does_not_know_was_not_applied(study: Study) -> None:
+    """Runs of before and after a new key of the protocol stand in one block."""
+    store(study, "small", 0, figures(0, 0))
+    folder = store(study, "large", 0, figures(0, 1))
+    run = json.loads((folder / "run.json").read_text())
+    assert run["protocol"].pop("inverse_scale") is None
+    (folder / "run.json").write_text(json.dumps(run))
+    assert table(study)["large"]["seeds"] == "1 of 3"
 
 
 def test_runs_at_another_rate_than_the_chosen_one_are_outdated(study: Study, tmp_path: Path) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
-from eldenet.record import read_run
 from eldenet.studies import statistics
-from eldenet.studies.composing import outdated
 from eldenet.studies.latencies import Latencies
-from eldenet.studies.plan import KEPT, Study, StudyRow
+from eldenet.studies.plan import Study, StudyRow
+from eldenet.studies.stored import stored_runs
 from eldenet.tables import heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
@@ -123,13 +122,6 @@ class Member:
         return (self.expected or {}).get(name) or "-"
 
 
-def stored_runs(study: Study, row: StudyRow) -> tuple[list[dict[str, Any]], list[Path]]:
-    """The finished runs of a row, and their ``per_image.csv``."""
-    folders = [study.stored(row, seed) for seed in row.seeds]
-    folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
-    return [read_run(folder) for folder in folders], [folder / "per_image.csv" for folder in folders]
-
-
 def build_blocks(study: Study) -> list[Block]:
     """All tables of a study, in the order of its plan.
 
@@ -188,18 +180,15 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
-    runs, files = stored_runs(study, row)
-    if not runs:
-        return Member(row, None, [], expected)
-    different = [text for run in runs for text in outdated(study, row, run)]
-    if different:
-        return Member(row, None, [], expected, outdated=different[0])
-    grouped = group_rows(runs)
+    stored = stored_runs(study, row)
+    if not stored.runs:
+        return Member(row, None, [], expected, outdated=stored.outdated)
+    grouped = group_rows(stored.runs)
     if len(grouped) > 1:
         raise ValueError(
             f"the stored runs of {row.name} have the names {', '.join(one.model for one in grouped)}"
         )
-    return Member(row, grouped[0], files, expected)
+    return Member(row, grouped[0], stored.files, expected)
 
 
 def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> list[str]:
