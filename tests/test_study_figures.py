@@ -8,20 +8,56 @@ from eldenet.studies import convergence, statistics
 from eldenet.studies.plots import _label_places, pareto_front
 
 
+def scores(values: np.ndarray, **changes: tuple[str, ...]) -> statistics.Scores:
+    return statistics.Scores(changes.get("images", tuple(map(str, range(values.shape[1])))), values)
+
+
 def test_the_interval_is_that_of_scipys_bootstrap():
     generator = np.random.default_rng(3)
-    theirs = {str(i): value for i, value in enumerate(generator.uniform(0.3, 0.9, 130))}
-    ours = {name: value + 0.03 + 0.1 * generator.normal() for name, value in theirs.items()}
-    mean, low, high = statistics.paired_interval(ours, theirs)
-    difference = np.array([ours[name] - theirs[name] for name in ours])
+    theirs = generator.uniform(0.3, 0.9, (1, 130))
+    ours = theirs + 0.03 + 0.1 * generator.normal(size=(1, 130))
+    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
     expected = scipy.stats.bootstrap(
-        (difference,), np.mean, n_resamples=20_000, method="percentile", random_state=1
+        (ours[0] - theirs[0],), np.mean, n_resamples=20_000, method="percentile", random_state=1
     ).confidence_interval
-    assert mean == pytest.approx(difference.mean(), abs=1e-12)
+    assert mean == pytest.approx((ours - theirs).mean(), abs=1e-12)
     assert (low, high) == pytest.approx((expected.low, expected.high), abs=1.5e-3)
-    assert statistics.paired_interval(ours, theirs) == (mean, low, high)  # the same every time
+    again = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
+    assert again == (mean, low, high)  # the same every time
     with pytest.raises(ValueError, match="different images"):
-        statistics.paired_interval(ours, {"x": 1.0})
+        statistics.paired_interval(
+            scores(ours), scores(theirs, images=tuple(map(str, range(1, 131)))), draw_seeds=False
+        )
+
+
+def test_the_interval_over_seeds_and_images_is_that_of_plain_draws():
+    """Beside a loop that draws runs and images by their places, one after the other."""
+    generator = np.random.default_rng(5)
+    hard = generator.uniform(0.3, 0.9, 60)
+    theirs = hard + generator.normal(0, 0.02, (3, 1)) + generator.normal(0, 0.05, (3, 60))
+    ours = hard + 0.03 + generator.normal(0, 0.03, (4, 1)) + generator.normal(0, 0.05, (4, 60))
+    draws = []
+    for _ in range(20_000):
+        images = generator.choice(60, 60)
+        one, two = generator.choice(4, 4), generator.choice(3, 3)
+        draws.append(ours[one][:, images].mean() - theirs[two][:, images].mean())
+    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True)
+    assert mean == pytest.approx(ours.mean() - theirs.mean(), abs=1e-12)
+    assert (low, high) == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=1.5e-3)
+    assert statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True) == (mean, low, high)
+    _, low_of_images, high_of_images = statistics.paired_interval(
+        scores(ours), scores(theirs), draw_seeds=False
+    )
+    assert low < low_of_images < mean < high_of_images < high
+
+
+def test_an_image_without_a_score_is_left_out_of_both():
+    ours, theirs = np.full((3, 4), 0.6), np.full((3, 4), 0.5)
+    ours[1, 2] = np.nan
+    theirs[:, 2] = 9.0
+    for draw_seeds in (True, False):
+        found = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
+        assert found == pytest.approx((0.1, 0.1, 0.1))
 
 
 def test_the_front_holds_what_nothing_beats():

@@ -18,7 +18,8 @@ from eldenet.tables import heading, number, protocol_line, training_line
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
 SEEN = "weights have seen"  # title of a column
-SEEDS_OF_A_VERDICT = 3  # the chance in a training is outside the interval over images
+SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
+IMAGES_ALONE = " (images alone)"  # an interval without that chance
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
@@ -161,8 +162,9 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         )
         notes.append(
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
-            f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before); "
-            f'"better" or "worse" where it leaves 0 out and both rows have {SEEDS_OF_A_VERDICT} seeds'
+            f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
+            f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
+            f"else of the{IMAGES_ALONE[2:-1]}, which says too little for a verdict"
         )
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
@@ -210,14 +212,18 @@ def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
 
 
 def _difference(study: Study, reference: Member, member: Member) -> str:
-    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more."""
+    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more.
+
+    Only there the chance in a training is in it.
+    """
     if not member.runs or member is reference:
         return "-"
     ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
-    mean, low, high = statistics.paired_interval(ours, theirs)
+    seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
+    mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
     verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
-    told = not low <= 0 <= high and min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
-    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{verdict if told else ''}"
+    told = "" if low <= 0 <= high else verdict
+    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{told if seeds else IMAGES_ALONE}"
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:
