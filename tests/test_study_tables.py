@@ -77,6 +77,10 @@ def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(found.titles, row, strict=True)) for row in found.rows}
 
 
+def notes(study: Study) -> list[str]:
+    return build_blocks(study)[0].notes
+
+
 def figures(offset: float, seed: int) -> np.ndarray:
     return 0.5 + offset + 0.02 * np.random.default_rng(seed).standard_normal(len(IMAGES))
 
@@ -238,10 +242,45 @@ def test_runs_at_another_rate_than_the_chosen_one_are_outdated(study: Study, tmp
     study = read_study(tmp_path)
     assert table(study)["small"]["seeds"] == "1 of 3"  # nothing has chosen yet
     choice = tmp_path / "stored" / "small" / "learning_rate.json"
-    choice.write_text('{"learning_rate": 0.001}')
+    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5, "0.003": null}}')
     assert table(study)["small"]["seeds"] == "1 of 3"
-    choice.write_text('{"learning_rate": 0.0003}')
+    assert not any("edge" in note for note in notes(study))
+    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5}}')
+    assert any(note.endswith("beyond: small (0.001; tried: 0.0003 to 0.001)") for note in notes(study))
+    choice.write_text('{"learning_rate": 0.0003, "delta1": {"0.0003": 0.5, "0.001": 0.4}}')
     assert table(study)["small"]["seeds"] == "outdated: optimizer.lr=0.0003 (there 0.001)"
+
+
+def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
+    """Where an epoch was chosen on the table's frames, the last one is shown, and no single images."""
+    (tmp_path / "sweep.yaml").write_text(PLAN + "epoch: last\n")
+    with pytest.raises(ValueError, match="epoch: last has no figures of images"):
+        read_study(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("reference: [small]", "epoch: last"))
+    study = read_study(tmp_path)
+    epochs = [{"epoch": epoch, "val_delta1": 0.3 * epoch, "val_rmse": 1.0 / epoch} for epoch in (1, 2, 3)]
+    for seed, kept in enumerate((2, 3)):
+        values = np.full(40, 0.3 * kept)
+        store(study, "small", seed, values, training={"history": epochs, "best_epoch": kept})
+    with pytest.raises(ValueError, match=r"small, seed 1 was validated on other frames .*\(rmse of the kept"):
+        build_blocks(study)
+    for seed, kept in enumerate((2, 3)):
+        store(
+            study,
+            "small",
+            seed,
+            np.full(40, 0.3 * kept),
+            metrics={"delta1": 0.3 * kept, "rmse": 1.0 / kept, "images": 40},
+            training={"history": epochs, "best_epoch": kept},
+        )
+    cells = table(study)["small"]
+    assert (cells["δ1 ↑"], cells["RMSE [m] ↓"]) == ("0.900 ± 0.000", "0.333 ± 0.000")
+    assert not any("95 %" in title for title in cells)
+    assert any(note.startswith("figures of the last epoch") for note in notes(study))
+    del epochs[2]["val_delta1"]
+    store(study, "small", 0, np.full(40, 0.6), training={"history": epochs, "best_epoch": 2})
+    with pytest.raises(ValueError, match="not validated after its last epoch"):
+        build_blocks(study)
 
 
 def test_half_a_copy_is_no_stored_run(study: Study) -> None:

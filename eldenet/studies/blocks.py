@@ -10,6 +10,7 @@ from typing import Any
 from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.studies import statistics
+from eldenet.studies.composing import stored_choice
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, StudyRow
 from eldenet.studies.stored import stored_runs
@@ -166,6 +167,11 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
             f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
             f"else of the{IMAGES_ALONE[2:-1]}, which says too little for a verdict"
         )
+    if study.epoch == "last" and every:
+        notes.append(
+            "figures of the last epoch: its frames are those that each run's kept epoch was chosen on"
+        )
+    notes += _edges(study, members)
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
@@ -202,6 +208,19 @@ def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> li
     inputs = ", ".join(f"{height} x {width}" for height, width in sizes)
     notes = [protocol_line(runs[0]), training_line(runs), f"GMACs at an input of {inputs}; 1 MAC = 2 FLOPs"]
     return [*notes, latencies.line] if latencies else notes
+
+
+def _edges(study: Study, members: Sequence[Member]) -> list[str]:
+    """A note on rows whose search for a learning rate ended at its edge, if there are any."""
+    found = []
+    for member in members:
+        choice = stored_choice(study, member.row) if member.runs else None
+        if choice is not None and choice.at_the_edge:
+            tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
+            found.append(f"{member.row.name} ({choice.rate:g}; {tried})")
+    return [
+        f"learning rate at the edge of the search, a better one may lie beyond: {', '.join(found)}"
+    ] * bool(found)
 
 
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
