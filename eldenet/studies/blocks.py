@@ -165,12 +165,10 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
             f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
             f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
-            f"else of the{IMAGES_ALONE[2:-1]}, which says too little for a verdict"
+            f"else of the {IMAGES_ALONE[2:-1]}, which says too little for a verdict"
         )
     if study.epoch == "last" and every:
-        notes.append(
-            "figures of the last epoch: its frames are those that each run's kept epoch was chosen on"
-        )
+        notes.append("figures of the last epoch: the kept one was chosen on these very frames")
     notes += _edges(study, members)
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
