@@ -60,9 +60,12 @@ def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
     runs = [read_run(file) for file in dict.fromkeys(file.resolve() for file in files)]
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
-    # a rule that did not exist yet was not applied: runs of before and after compare
-    rules = EvalProtocol("").as_dict()
-    return [run | {"protocol": rules | run["protocol"]} for run in runs]
+    return [with_every_rule(run) for run in runs]
+
+
+def with_every_rule(run: Mapping[str, Any]) -> dict[str, Any]:
+    """A run whose protocol has every rule: one that did not exist yet was not applied, so both compare."""
+    return {**run, "protocol": EvalProtocol("").as_dict() | run["protocol"]}
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -15,6 +15,7 @@ prepare_environment()
 import hydra  # noqa: E402
 from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
 from hydra._internal.utils import create_config_search_path  # noqa: E402
+from hydra.core.config_search_path import SearchPathQuery  # noqa: E402
 from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.core.override_parser.overrides_parser import OverridesParser  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
@@ -36,12 +37,16 @@ def config_folder() -> Path:
 def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
     """Compose a config as the command line would, without touching Hydra's global state.
 
-    So it works inside somebody else's Hydra application.
+    So it works inside somebody else's Hydra application. Inside a command of ours it finds what the command
+    finds: what ``--config-dir`` and ``hydra.searchpath`` add.
 
     Raises:
         ValueError: there is no such config, or an override does not fit it.
     """
-    loader = ConfigLoaderImpl(create_config_search_path(str(config_folder())))
+    search_path = create_config_search_path(str(config_folder()))
+    for source in added_sources():
+        search_path.prepend("command-line", source, anchor=SearchPathQuery(provider="schema"))
+    loader = ConfigLoaderImpl(search_path)
     try:
         config = loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
     except HydraException as error:
@@ -49,6 +54,20 @@ def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
     with open_dict(config):
         config.pop("hydra", None)
     return config
+
+
+def added_sources() -> list[str]:
+    """Where the command of ours that is running finds configs beside our own; none elsewhere."""
+    if not HydraConfig.initialized():
+        return []
+    sources = HydraConfig.get().runtime.config_sources
+    ours = any(source.provider == "main" and Path(source.path) == config_folder() for source in sources)
+    added = ("command-line", "hydra.searchpath")  # the latter names where it was given, too
+    return [
+        f"{source.schema}://{source.path}"
+        for source in sources
+        if ours and source.provider.startswith(added) and source.path
+    ]
 
 
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], Any]]:

@@ -23,15 +23,18 @@ def main(config: "DictConfig", folder: Path) -> None:
     """Run the chosen rows one after the other; say at the end what became of each.
 
     Raises:
-        ValueError: after all of them, if some failed; or at once, in a job of several processes.
+        ValueError: after all of them, if some failed; at once for seeds that no chosen row has, or in a job
+            of several processes.
     """
     from eldenet.runlog import RunLog
     from eldenet.studies.plan import read_study
-    from eldenet.studies.running import run_row
+    from eldenet.studies.running import refuse_unknown_seeds, run_row
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")
     study = read_study(config.study)
+    seeds = cfg.plain(config.seeds)
+    refuse_unknown_seeds(study.chosen(cfg.plain(config.rows)), seeds)  # a sweep's job has one row of these
     names = config.row if config.row is not None else cfg.plain(config.rows)
     log = RunLog(folder, quiet=not cfg.is_main_process())
     outcomes = []
@@ -42,7 +45,7 @@ def main(config: "DictConfig", folder: Path) -> None:
             row,
             Path(config.runs),
             given=given,
-            seeds=cfg.plain(config.seeds),
+            seeds=seeds,
             rerun=config.rerun,
             say=log.say,
         )

@@ -145,7 +145,9 @@ def report_is_right(folder: Path) -> None:
     assert "## convergence" in text
     for name in ("results.tex", "pareto.png", "convergence.png"):
         assert (folder / name).stat().st_size > 200
-    assert (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,1,1,1,1,")
+    assert (
+        (folder / "convergence.csv").read_text().splitlines()[1].startswith("eldenet_s/seed0,training loss,")
+    )
 
 
 def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
@@ -192,6 +194,9 @@ def test_latencies_of_a_study(tiny, tmp_path):
     assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
     write_study_report(tiny)
     assert cells(tiny)["scratch/same"]["latency [ms] (torch) ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
+    again = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
+    assert [line["date"] for line in again] == [line["date"] for line in rows]  # recognised, not measured
+    assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == len(rows)
     with pytest.raises(ValueError, match="give one value of sizes, runtimes"):
         benchmark(cfg.compose("benchmark", [f"study={tiny}", "sizes=[[32,40],[64,64]]"]))
 
@@ -230,6 +235,19 @@ def test_a_run_begun_with_other_settings_does_not_go_on(tiny, tmp_path):
     changed = compose_run([*shared, "loss=l1_sparse"], folder, tmp_path, name="eldenet", seed=0)
     with pytest.raises(ValueError, match=r"run begun with other settings: loss"):
         train(changed, folder)
+
+
+def test_what_a_row_asks_for_is_said_as_hydra_takes_it(tiny, tmp_path):
+    """A name that configs/study.yaml does not have needs Hydra's plus."""
+    plan = (tiny / "sweep.yaml").read_text()
+    (tiny / "sweep.yaml").write_text(plan + "  mine: {given: {mine: data.root}}\n")
+    study, said = read_study(tiny), []
+    given = cfg.plain(cfg.compose("study", [f"study={tiny}"]).given)
+    for row in study.chosen(["elsewhere", "mine"]):
+        run_row(study, row, tmp_path / "runs", given=given, say=said.append)
+    assert [line.partition("(")[2] for line in said] == ["given.kitti=...)", "+given.mine=...)"]
+    for word in ("given.kitti=/data", "+given.mine=/data"):
+        assert "/data" in cfg.plain(cfg.compose("study", [f"study={tiny}", word]).given).values()
 
 
 def test_one_process_a_row(tiny, tmp_path):
@@ -274,6 +292,34 @@ def test_rows_that_start_from_others(tiny, tmp_path):
     outcome = run(second, "elsewhere")
     assert outcome.status == "failed"
     assert "weights=" in outcome.reason
+    assert "rerun=true" in outcome.reason
+    assert run(second, "elsewhere", rerun=True).status == "done"  # from these weights, and stored instead
+    assert run(second, "elsewhere").status == "finished before"
+    again = json.loads((tiny / "stored/next/seed0/run.json").read_text())
+    assert again["sources"] != record["sources"]
+
+
+def test_without_its_frames_a_stored_run_is_finished(tmp_path, monkeypatch):
+    """A fresh clone has the results, not the data: the settings tell."""
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    plan = "rows: {small: {overrides: [data=nyu_labelled, model=eldenet_s]}}"
+    (tmp_path / "sweep.yaml").write_text(plan)
+    study, said = read_study(tmp_path), []
+    (row,) = study.rows
+    config = compose_run(row.overrides, tmp_path, tmp_path, name="small", seed=0)
+    folder = study.stored(row, 0)
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(json.dumps({"metrics": {}, "config": cfg.plain(config)}))
+    (folder / "per_image.csv").write_text("name\n")
+    (outcome,) = run_row(study, row, tmp_path / "runs", say=said.append)
+    assert outcome.status == "finished before"
+    assert "not here to be compared" in said[-1]
+    (tmp_path / "sweep.yaml").write_text(plan.replace("model=eldenet_s", "model=eldenet_s, trainer.epochs=3"))
+    study = read_study(tmp_path)
+    (outcome,) = run_row(study, study.rows[0], tmp_path / "runs", say=said.append)
+    assert outcome.status == "failed"
+    assert "trainer.epochs=3" in outcome.reason
+    assert "rerun=true" in outcome.reason
 
 
 def test_the_commands_run_and_report_a_study(tiny, run_command):
@@ -287,10 +333,32 @@ def test_the_commands_run_and_report_a_study(tiny, run_command):
     finished = run_command("study", "-m", f"study={tiny}", "rows=[wrong,eldenet_s]", cwd=tiny.parent)
     assert finished.returncode == 1
     assert "wrong/seed0" in finished.stderr
+    unknown = run_command("study", f"study={tiny}", "rows=[eldenet]", "seeds=[0,5]", cwd=tiny.parent)
+    assert unknown.returncode == 1
+    assert "seeds=[5]: the chosen rows have the seeds 0;" in unknown.stderr
     assert (tiny / "stored" / "eldenet_s" / "seed0" / "run.json").is_file()  # the failed row lost nothing
     finished = run_command("report", f"study={tiny}", cwd=tiny.parent)
     assert finished.returncode == 0, finished.stderr
     assert "eldenet_s" in (tiny / "results.md").read_text()
+
+
+def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
+    """``--config-dir`` reaches the runs of a study, and its report."""
+    project = tiny.parent
+    (project / "my_configs" / "model").mkdir(parents=True)
+    shutil.copyfile(cfg.config_folder() / "model/eldenet_s.yaml", project / "my_configs/model/mine.yaml")
+    plan = (tiny / "sweep.yaml").read_text()
+    (tiny / "sweep.yaml").write_text(
+        short(plan) + "  mine: {overrides: [model=mine], learning_rate: 1.0e-3}\n"
+    )
+    added = ("--config-dir", "my_configs", f"study={tiny}")
+    finished = run_command("study", *added, "rows=[mine]", cwd=project)
+    assert finished.returncode == 0, finished.stderr + finished.stdout
+    finished = run_command("report", *added, cwd=project)
+    assert finished.returncode == 0, finished.stderr
+    assert cells(tiny)["scratch/mine"]["seeds"] == "1"
+    with pytest.raises(ValueError, match="mine"):  # nothing is left behind where nobody asked for it
+        cfg.compose("train", ["model=mine"])
 
 
 @pytest.mark.slow

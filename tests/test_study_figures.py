@@ -4,24 +4,60 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eldenet.studies import statistics
+from eldenet.studies import convergence, statistics
 from eldenet.studies.plots import _label_places, pareto_front
+
+
+def scores(values: np.ndarray, **changes: tuple[str, ...]) -> statistics.Scores:
+    return statistics.Scores(changes.get("images", tuple(map(str, range(values.shape[1])))), values)
 
 
 def test_the_interval_is_that_of_scipys_bootstrap():
     generator = np.random.default_rng(3)
-    theirs = {str(i): value for i, value in enumerate(generator.uniform(0.3, 0.9, 130))}
-    ours = {name: value + 0.03 + 0.1 * generator.normal() for name, value in theirs.items()}
-    mean, low, high = statistics.paired_interval(ours, theirs)
-    difference = np.array([ours[name] - theirs[name] for name in ours])
+    theirs = generator.uniform(0.3, 0.9, (1, 130))
+    ours = theirs + 0.03 + 0.1 * generator.normal(size=(1, 130))
+    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
     expected = scipy.stats.bootstrap(
-        (difference,), np.mean, n_resamples=20_000, method="percentile", random_state=1
+        (ours[0] - theirs[0],), np.mean, n_resamples=20_000, method="percentile", random_state=1
     ).confidence_interval
-    assert mean == pytest.approx(difference.mean(), abs=1e-12)
+    assert mean == pytest.approx((ours - theirs).mean(), abs=1e-12)
     assert (low, high) == pytest.approx((expected.low, expected.high), abs=1.5e-3)
-    assert statistics.paired_interval(ours, theirs) == (mean, low, high)  # the same every time
+    again = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
+    assert again == (mean, low, high)  # the same every time
     with pytest.raises(ValueError, match="different images"):
-        statistics.paired_interval(ours, {"x": 1.0})
+        statistics.paired_interval(
+            scores(ours), scores(theirs, images=tuple(map(str, range(1, 131)))), draw_seeds=False
+        )
+
+
+def test_the_interval_over_seeds_and_images_is_that_of_plain_draws():
+    """Beside a loop that draws runs and images by their places, one after the other."""
+    generator = np.random.default_rng(5)
+    hard = generator.uniform(0.3, 0.9, 60)
+    theirs = hard + generator.normal(0, 0.02, (3, 1)) + generator.normal(0, 0.05, (3, 60))
+    ours = hard + 0.03 + generator.normal(0, 0.03, (4, 1)) + generator.normal(0, 0.05, (4, 60))
+    draws = []
+    for _ in range(20_000):
+        images = generator.choice(60, 60)
+        one, two = generator.choice(4, 4), generator.choice(3, 3)
+        draws.append(ours[one][:, images].mean() - theirs[two][:, images].mean())
+    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True)
+    assert mean == pytest.approx(ours.mean() - theirs.mean(), abs=1e-12)
+    assert (low, high) == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=1.5e-3)
+    assert statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True) == (mean, low, high)
+    _, low_of_images, high_of_images = statistics.paired_interval(
+        scores(ours), scores(theirs), draw_seeds=False
+    )
+    assert low < low_of_images < mean < high_of_images < high
+
+
+def test_an_image_without_a_score_is_left_out_of_both():
+    ours, theirs = np.full((3, 4), 0.6), np.full((3, 4), 0.5)
+    ours[1, 2] = np.nan
+    theirs[:, 2] = 9.0
+    for draw_seeds in (True, False):
+        found = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
+        assert found == pytest.approx((0.1, 0.1, 0.1))
 
 
 def test_the_front_holds_what_nothing_beats():
@@ -32,14 +68,19 @@ def test_the_front_holds_what_nothing_beats():
 def test_speed_and_fluctuation_of_known_curves():
     epochs = list(range(1, 11))
     falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
-    assert statistics.convergence_epoch(epochs, falling) == 10.0  # 0.9 is first reached at 0
-    assert statistics.convergence_epoch(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
-    assert statistics.fluctuation([1.0] * 10) == 0.0
-    assert statistics.fluctuation([9, 9, 1, 2, 1, 2]) == pytest.approx(1 / (5 / 3))
+    assert convergence.own_descent(epochs, falling) == 10.0  # 0.9 is first reached at 0
+    assert convergence.own_descent(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
+    assert convergence.first_epoch(epochs, falling, 4.5) == 6
+    assert convergence.first_epoch(epochs, falling, -1.0) is None
+    assert convergence.fluctuation([1.0] * 10) == 0.0
+    assert convergence.fluctuation(falling) == pytest.approx(0.0, abs=1e-12)  # a descent is none
+    # places 5 to 7 of ten have a whole window; a zigzag of 2 and 1 lies 0.4 off its means 1.6 and 1.4 there
+    assert convergence.fluctuation([9, 9, 9, 2, 1, 2, 1, 2, 1, 2]) == pytest.approx(0.4 / (5 / 3))
+    assert convergence.fluctuation([1.0, 2.0]) is None
     run = {"config": {"loss": {"terms": {"ssim": {"weight": 1.0}, "l1": {"weight": 0.5}}}}}
-    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
+    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
     run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
-    assert statistics.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
+    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
 
 
 def test_names_in_the_plot_keep_clear_of_each_other():

@@ -50,10 +50,12 @@ def trials(monkeypatch: pytest.MonkeyPatch):
     return install
 
 
-def choose(study: Study, runs: Path, name: str = "small", given: tuple[str, ...] = ()) -> float | None:
+def choose(
+    study: Study, runs: Path, name: str = "small", given: tuple[str, ...] = (), **options: bool
+) -> float | None:
     (row,) = study.chosen(name)
     shared = [*study.overrides, *row.overrides, *given]
-    return rates.learning_rate(study, row, shared, runs, lambda text: None)
+    return rates.learning_rate(study, row, shared, runs, lambda text: None, **options)
 
 
 @pytest.mark.parametrize(
@@ -100,11 +102,16 @@ def test_a_choice_by_another_rule_is_refused(study, trials, tmp_path, old, new, 
 
 
 def test_what_was_given_counts_by_its_content(study, trials, tmp_path) -> None:
-    trials({3e-4: 0.4, 1e-3: 0.5, 3e-3: 0.3})
+    noted = trials({3e-4: 0.4, 1e-3: 0.5, 3e-3: 0.3})
     for name, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
         (tmp_path / name).write_bytes(content)
     give = lambda name: (f"teacher='{tmp_path / name}'",)  # noqa: E731
     assert choose(study, tmp_path / "runs", "taught", give("a")) == 1e-3
     assert choose(study, tmp_path / "runs", "taught", give("b")) == 1e-3
-    with pytest.raises(ValueError, match=r"chosen by another rule .*teacher"):
+    with pytest.raises(ValueError, match=r"chosen by another rule .*teacher.*rerun=true"):
         choose(study, tmp_path / "runs", "taught", give("c"))
+    assert choose(study, tmp_path / "runs", "taught", give("b"), rerun=True) == 1e-3
+    assert len(noted) == 3  # a choice that stands is no trial again
+    trials({3e-4: 0.6, 1e-3: 0.5, 3e-3: 0.3, 1e-4: 0.2})
+    assert choose(study, tmp_path / "other", "taught", give("c"), rerun=True) == 3e-4
+    assert choose(study, tmp_path / "other", "taught", give("c")) == 3e-4  # stored in its place

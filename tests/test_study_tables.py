@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ import pytest
 
 from eldenet import config as cfg
 from eldenet.metrics import METRICS
+from eldenet.studies import statistics
 from eldenet.studies.blocks import build_blocks
 from eldenet.studies.composing import compose_run
+from eldenet.studies.convergence import convergence
 from eldenet.studies.plan import Study, read_study
 from eldenet.studies.report import write_study_report
 
@@ -74,8 +77,20 @@ def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(found.titles, row, strict=True)) for row in found.rows}
 
 
+def notes(study: Study) -> list[str]:
+    return build_blocks(study)[0].notes
+
+
 def figures(offset: float, seed: int) -> np.ndarray:
     return 0.5 + offset + 0.02 * np.random.default_rng(seed).standard_normal(len(IMAGES))
+
+
+def history(mse: Sequence[float]) -> list[dict[str, float]]:
+    """Of a training with this validation MSE after each epoch."""
+    return [
+        {"epoch": epoch, "train_total": value, "val_mse": value, "val_ssim": 0.9, "val_mae": value}
+        for epoch, value in enumerate(mse, 1)
+    ]
 
 
 @pytest.mark.parametrize(("offset", "verdict"), [(0.05, "better"), (-0.05, "worse"), (0.0, "")])
@@ -88,7 +103,7 @@ def test_verdicts_need_three_seeds_of_both(study: Study, offset: float, verdict:
     assert cell.endswith(f"] {verdict}" if verdict else "]")
     (study.stored(study.chosen("small")[0], 2) / "run.json").unlink()
     rows = table(study)
-    assert rows["large"][DIFFERENCE].endswith("]")
+    assert rows["large"][DIFFERENCE].endswith("] (images alone)")
     assert (rows["small"]["seeds"], rows["large"]["seeds"]) == ("2 of 3", "3")
 
 
@@ -97,12 +112,28 @@ def test_the_difference_averages_the_seeds(study: Study) -> None:
         store(study, "small", seed, np.full(40, 0.5))
         store(study, "large", seed, np.full(40, 0.5 + 0.1 * seed))
     rows = table(study)
-    assert rows["large"][DIFFERENCE] == "+0.100 [+0.100, +0.100] better"
+    # the images are alike: drawn seeds alone move it, from three times the worst to three times the best
+    assert rows["large"][DIFFERENCE] == "+0.100 [+0.000, +0.200]"
     assert rows["large"]["δ1 ↑"] == "0.600 ± 0.100"
     (block,) = [one for one in build_blocks(study) if one.name == "scratch"]
     assert {name: value for name, _, value in block.points} == pytest.approx({"small": 0.5, "large": 0.6})
     assert {cost for _, cost, _ in block.points} == {1.0}  # GMACs: a run's own latency is not shown
     assert "latency [ms] ↓" not in rows["large"]
+
+
+def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
+    """Every image is better on average, but one training of three alone brings that."""
+    for seed in range(3):
+        store(study, "small", seed, figures(0.0, seed))
+        store(study, "large", seed, figures(0.06 if seed == 0 else 0.0, 10 + seed))
+    cell = table(study)["large"][DIFFERENCE]
+    assert float(cell.split()[0]) == pytest.approx(0.02, abs=0.01)
+    assert cell.endswith("]")
+    ours, theirs = (
+        statistics.per_image([study.stored(row, seed) / "per_image.csv" for seed in range(3)], "delta1")
+        for row in study.chosen(["large", "small"])[::-1]
+    )
+    assert statistics.paired_interval(ours, theirs, draw_seeds=False)[1] > 0
 
 
 def test_what_does_not_compare_is_refused(study: Study) -> None:
@@ -151,16 +182,105 @@ def test_rows_of_an_older_plan_show_no_figures(study: Study, tmp_path: Path) -> 
     assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
 
 
+def test_curves_of_an_older_plan_are_left_out(study: Study, tmp_path: Path) -> None:
+    for name in ("small", "large"):
+        store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
+    assert set(convergence(study).curves) == {"small/seed0", "large/seed0"}
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
+    assert set(convergence(read_study(tmp_path)).curves) == {"small/seed0"}
+
+
+def test_rows_are_compared_at_a_level_that_every_run_reaches(study: Study) -> None:
+    """A bad start makes 90 % of a descent early; the worst last value is one level for all."""
+    falls = {
+        ("small", 0): [9.0, 2.0, 1.5, 1.2, 1.1],
+        ("large", 0): [2.0, 1.8, 1.2, 1.0, 0.9],
+        ("large", 1): [2.0, 1.2, 1.1, 1.0, 1.0],
+        ("other", 0): [5.0, 5.0, 5.0, 5.0, 5.0],  # another block has another level
+    }
+    for (name, seed), mse in falls.items():
+        store(study, name, seed, figures(0, seed), training={"history": history(mse)})
+    found = convergence(study)
+    titles, rows = found.by_row()
+    cells = {(row[0], row[1]): dict(zip(titles, row, strict=True)) for row in rows}
+    small, large = cells["small", "MSE"], cells["large", "MSE"]
+    assert (small["level"], large["level"], cells["other", "MSE"]["level"]) == ("1.100", "1.100", "5.000")
+    assert small["90% of its own descent [epoch]"] == "3"
+    assert (small["at level [epoch]"], small["at 1.15 x level [epoch]"]) == ("5", "4")
+    assert large["at level [epoch]"] == "3.5 ± 0.7"  # 4 and 3
+    assert large["at 1.15 x level [epoch]"] == "2.5 ± 0.7"
+    assert (large["seeds"], large["epochs"]) == ("2", "5")
+    assert large["fluctuation"] == "0.1477 ± 0.0032"  # one whole window: 0.18 / 1.2 and 0.16 / 1.1
+    titles, rows = found.by_run()
+    assert [row[0] for row in rows if row[1] == "MSE"] == [f"{n}/seed{s}" for n, s in falls]
+
+
+def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_path: Path) -> None:
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
+    study = read_study(tmp_path)
+    for name in ("small", "large"):
+        store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
+    titles, rows = convergence(study).by_row()
+    levels = {tuple(row[:2]): row[titles.index("level")] for row in rows}
+    assert levels["small", "training loss"] == levels["large", "training loss"] == "-"
+    assert levels["small", "MSE"] == levels["large", "MSE"] == "1.000"
+
+
+def test_a_rule_that_a_run_does_not_know_was_not_applied(study: Study) -> None:
+    """Runs of before and after a new key of the protocol stand in one block."""
+    store(study, "small", 0, figures(0, 0))
+    folder = store(study, "large", 0, figures(0, 1))
+    run = json.loads((folder / "run.json").read_text())
+    assert run["protocol"].pop("inverse_scale") is None
+    (folder / "run.json").write_text(json.dumps(run))
+    assert table(study)["large"]["seeds"] == "1 of 3"
+
+
 def test_runs_at_another_rate_than_the_chosen_one_are_outdated(study: Study, tmp_path: Path) -> None:
     store(study, "small", 0, figures(0, 0))
     (tmp_path / "sweep.yaml").write_text(PLAN.replace("learning_rate: 1.0e-3", "learning_rates: [1.0e-3]"))
     study = read_study(tmp_path)
     assert table(study)["small"]["seeds"] == "1 of 3"  # nothing has chosen yet
     choice = tmp_path / "stored" / "small" / "learning_rate.json"
-    choice.write_text('{"learning_rate": 0.001}')
+    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5, "0.003": null}}')
     assert table(study)["small"]["seeds"] == "1 of 3"
-    choice.write_text('{"learning_rate": 0.0003}')
+    assert not any("edge" in note for note in notes(study))
+    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5}}')
+    assert any(note.endswith("beyond: small (0.001; tried: 0.0003 to 0.001)") for note in notes(study))
+    choice.write_text('{"learning_rate": 0.0003, "delta1": {"0.0003": 0.5, "0.001": 0.4}}')
     assert table(study)["small"]["seeds"] == "outdated: optimizer.lr=0.0003 (there 0.001)"
+
+
+def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
+    """Where an epoch was chosen on the table's frames, the last one is shown, and no single images."""
+    (tmp_path / "sweep.yaml").write_text(PLAN + "epoch: last\n")
+    with pytest.raises(ValueError, match="epoch: last has no figures of images"):
+        read_study(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(PLAN.replace("reference: [small]", "epoch: last"))
+    study = read_study(tmp_path)
+    epochs = [{"epoch": epoch, "val_delta1": 0.3 * epoch, "val_rmse": 1.0 / epoch} for epoch in (1, 2, 3)]
+    for seed, kept in enumerate((2, 3)):
+        values = np.full(40, 0.3 * kept)
+        store(study, "small", seed, values, training={"history": epochs, "best_epoch": kept})
+    with pytest.raises(ValueError, match=r"small, seed 1 was validated on other frames .*\(rmse of the kept"):
+        build_blocks(study)
+    for seed, kept in enumerate((2, 3)):
+        store(
+            study,
+            "small",
+            seed,
+            np.full(40, 0.3 * kept),
+            metrics={"delta1": 0.3 * kept, "rmse": 1.0 / kept, "images": 40},
+            training={"history": epochs, "best_epoch": kept},
+        )
+    cells = table(study)["small"]
+    assert (cells["δ1 ↑"], cells["RMSE [m] ↓"]) == ("0.900 ± 0.000", "0.333 ± 0.000")
+    assert not any("95 %" in title for title in cells)
+    assert any(note.startswith("figures of the last epoch") for note in notes(study))
+    del epochs[2]["val_delta1"]
+    store(study, "small", 0, np.full(40, 0.6), training={"history": epochs, "best_epoch": 2})
+    with pytest.raises(ValueError, match="not validated after its last epoch"):
+        build_blocks(study)
 
 
 def test_half_a_copy_is_no_stored_run(study: Study) -> None:

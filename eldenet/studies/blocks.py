@@ -9,17 +9,18 @@ from typing import Any
 
 from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
-from eldenet.record import read_run
 from eldenet.studies import statistics
-from eldenet.studies.composing import outdated
+from eldenet.studies.composing import stored_choice
 from eldenet.studies.latencies import Latencies
-from eldenet.studies.plan import KEPT, Study, StudyRow
+from eldenet.studies.plan import Study, StudyRow
+from eldenet.studies.stored import stored_runs
 from eldenet.tables import heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
 SEEN = "weights have seen"  # title of a column
-SEEDS_OF_A_VERDICT = 3  # the chance in a training is outside the interval over images
+SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
+IMAGES_ALONE = " (images alone)"  # an interval without that chance
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
@@ -123,13 +124,6 @@ class Member:
         return (self.expected or {}).get(name) or "-"
 
 
-def stored_runs(study: Study, row: StudyRow) -> tuple[list[dict[str, Any]], list[Path]]:
-    """The finished runs of a row, and their ``per_image.csv``."""
-    folders = [study.stored(row, seed) for seed in row.seeds]
-    folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
-    return [read_run(folder) for folder in folders], [folder / "per_image.csv" for folder in folders]
-
-
 def build_blocks(study: Study) -> list[Block]:
     """All tables of a study, in the order of its plan.
 
@@ -169,9 +163,13 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         )
         notes.append(
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
-            f"the paired bootstrap ({statistics.DRAWS} draws of the images, seeds averaged before); "
-            f'"better" or "worse" where it leaves 0 out and both rows have {SEEDS_OF_A_VERDICT} seeds'
+            f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
+            f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
+            f"else of the {IMAGES_ALONE[2:-1]}, which says too little for a verdict"
         )
+    if study.epoch == "last" and every:
+        notes.append("figures of the last epoch: the kept one was chosen on these very frames")
+    notes += _edges(study, members)
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
@@ -188,18 +186,15 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
-    runs, files = stored_runs(study, row)
-    if not runs:
-        return Member(row, None, [], expected)
-    different = [text for run in runs for text in outdated(study, row, run)]
-    if different:
-        return Member(row, None, [], expected, outdated=different[0])
-    grouped = group_rows(runs)
+    stored = stored_runs(study, row)
+    if not stored.runs:
+        return Member(row, None, [], expected, outdated=stored.outdated)
+    grouped = group_rows(stored.runs)
     if len(grouped) > 1:
         raise ValueError(
             f"the stored runs of {row.name} have the names {', '.join(one.model for one in grouped)}"
         )
-    return Member(row, grouped[0], files, expected)
+    return Member(row, grouped[0], stored.files, expected)
 
 
 def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> list[str]:
@@ -213,6 +208,19 @@ def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> li
     return [*notes, latencies.line] if latencies else notes
 
 
+def _edges(study: Study, members: Sequence[Member]) -> list[str]:
+    """A note on rows whose search for a learning rate ended at its edge, if there are any."""
+    found = []
+    for member in members:
+        choice = stored_choice(study, member.row) if member.runs else None
+        if choice is not None and choice.at_the_edge:
+            tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
+            found.append(f"{member.row.name} ({choice.rate:g}; {tried})")
+    return [
+        f"learning rate at the edge of the search, a better one may lie beyond: {', '.join(found)}"
+    ] * bool(found)
+
+
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
     values = [number(metric, (run["constant_predictor"] or {}).get(metric)) for metric in study.columns]
     return ["constant predictor", "-", "depth of the training frames", *values] + ["-"] * (
@@ -221,14 +229,18 @@ def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
 
 
 def _difference(study: Study, reference: Member, member: Member) -> str:
-    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more."""
+    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more.
+
+    Only there the chance in a training is in it.
+    """
     if not member.runs or member is reference:
         return "-"
     ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
-    mean, low, high = statistics.paired_interval(ours, theirs)
+    seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
+    mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
     verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
-    told = not low <= 0 <= high and min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
-    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{verdict if told else ''}"
+    told = "" if low <= 0 <= high else verdict
+    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{told if seeds else IMAGES_ALONE}"
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,29 @@ def runs_needed(row: StudyRow, runs: Path) -> list[Path]:
     return [Path(runs / name).resolve() for name in names]
 
 
+@dataclass(frozen=True)
+class Choice:
+    """The learning rate that the trials of a row chose, and all that were tried."""
+
+    rate: float
+    tried: tuple[float, ...]
+
+    @property
+    def at_the_edge(self) -> bool:
+        """Whether a better one may lie beyond those that were tried."""
+        return self.rate in (min(self.tried), max(self.tried))
+
+
+def stored_choice(study: Study, row: StudyRow) -> Choice | None:
+    """What is stored of a row's trials; None: nothing, or its learning rate is given."""
+    plan = row.owner or study
+    file = plan.folder / STORED / row.name / RATE_FILE
+    if row.learning_rate is not None or not plan.learning_rates or not file.is_file():
+        return None
+    content = json.loads(file.read_text())
+    return Choice(float(content["learning_rate"]), tuple(sorted(float(rate) for rate in content["delta1"])))
+
+
 def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     """What the plan says today of a stored run's settings, where that is something else; no data is needed.
 
@@ -38,10 +62,8 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     """
     plan, nowhere = row.owner or study, Path("unused")
     overrides = [*plan.overrides, *row.overrides]
-    choice = plan.folder / STORED / row.name / RATE_FILE
-    rate = row.learning_rate
-    if rate is None and plan.learning_rates and choice.is_file():
-        rate = float(json.loads(choice.read_text())["learning_rate"])
+    choice = stored_choice(study, row)
+    rate = choice.rate if choice is not None else row.learning_rate
     if rate is not None:
         overrides.append(f"optimizer.lr={rate}")
     config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))

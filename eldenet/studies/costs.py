@@ -19,7 +19,7 @@ FACTS = ("processor", "versions", "date", "command")
 
 
 def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
-    """The different networks of a study, freshly initialised, and which of them each row has.
+    """The different networks of a study, initialised from seed 0, and which of them each row has.
 
     Rows that differ in weights, loss or data alone share one. Options that only some trained run can give
     (``pretrained`` weights) are left out: they change no latency.
@@ -27,6 +27,8 @@ def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
     Returns:
         Name of the first row with it -> network; row -> that name.
     """
+    import torch
+
     networks: dict[str, DepthNet] = {}
     first: dict[str, str] = {}
     network_of: dict[str, str] = {}
@@ -37,6 +39,7 @@ def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
         key = json.dumps(parts, sort_keys=True, default=str)
         name = first.setdefault(key, row.name)
         if name == row.name:
+            torch.manual_seed(0)  # a benchmark knows what it measured by the weights
             networks[name] = cfg.build_model(config.model).eval()
         network_of[row.name] = name
     return networks, network_of

@@ -66,6 +66,9 @@ class Study:
         reference: rows that the others of their block are compared with, image by image.
         compare: the metric of that comparison.
         columns: metrics of the tables.
+        epoch: "chosen": figures of the epoch whose weights a run kept; "last": of its last epoch, from the
+            training's history, where the table's frames are those that the epoch was chosen on. There are no
+            differences then: figures of single images are those of the kept weights.
         plots: "pareto" (accuracy against latency, else multiply-adds), "convergence" (curves of epochs).
         latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies, for
             those that runs measured beside other work mislead.
@@ -79,6 +82,7 @@ class Study:
     reference: tuple[str, ...] = ()
     compare: str = "delta1"
     columns: tuple[str, ...] = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
+    epoch: str = "chosen"
     plots: tuple[str, ...] = ("pareto",)
     latency: str | None = None
 
@@ -144,6 +148,10 @@ def read_study(folder: str | Path) -> Study:
     metrics = [name for name in (*study.columns, study.compare) if name not in METRICS]
     if metrics:
         raise ValueError(f"{path}: {metrics} are no metrics, choose among {', '.join(METRICS)}")
+    if study.epoch == "last" and study.reference:
+        raise ValueError(
+            f"{path}: reference compares image by image, and epoch: last has no figures of images: drop one"
+        )
     return study
 
 
@@ -192,6 +200,7 @@ KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
         "a number above 0, such as 1.0e-3",
     ),
     "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
+    "epoch": (lambda value: value in ("chosen", "last"), "chosen or last"),
     "plots": (
         lambda value: _texts(value) and set(value) <= {"pareto", "convergence"},
         "pareto or convergence",

@@ -16,15 +16,18 @@ FURTHER = 2  # candidates beyond the study's, at most, where the best one lies a
 Say = Callable[[str], None]
 
 
-def learning_rate(study: Study, row: StudyRow, shared: list[str], runs: Path, say: Say) -> float | None:
+def learning_rate(
+    study: Study, row: StudyRow, shared: list[str], runs: Path, say: Say, *, rerun: bool = False
+) -> float | None:
     """The row's learning rate: fixed, or the best of a few short trials; None: the optimiser's own.
 
     A trial is scored on a held-out part of the training split, so the split that is reported chooses nothing.
     While the best candidate is the lowest or highest, the next one beyond it is tried too. The choice is kept
-    beside the stored runs, with the score of every candidate.
+    beside the stored runs, with the score of every candidate. One that other candidates, settings or weights
+    led to is made anew with ``rerun``.
 
     Raises:
-        ValueError: a choice is stored that other candidates or settings led to, or every trial diverged.
+        ValueError: such a choice is stored, without ``rerun``; or every trial diverged.
     """
     if row.learning_rate is not None or not study.learning_rates:
         return row.learning_rate
@@ -33,7 +36,9 @@ def learning_rate(study: Study, row: StudyRow, shared: list[str], runs: Path, sa
     config = compose_run(trial, runs / row.name / "trial", runs, name=row.name, seed=0)
     rule = {"candidates": list(study.learning_rates), "further": FURTHER, "config": cfg.plain(config)}
     if file.is_file():
-        return kept_rate(file, rule)
+        kept = kept_rate(file, rule, rerun=rerun)
+        if kept is not None:
+            return kept
     scores: dict[float, float | None] = {}
     record: dict[str, Any] = {}
     waiting = list(study.learning_rates)
@@ -79,23 +84,23 @@ def next_candidates(scores: Mapping[float, float | None]) -> list[float]:
     return [float(f"1e{int(exponent) + 1}") if digit != "1" else float(f"3e{exponent}")]
 
 
-def kept_rate(file: Path, rule: dict[str, Any]) -> float:
-    """The choice that is stored.
+def kept_rate(file: Path, rule: dict[str, Any], *, rerun: bool) -> float | None:
+    """The choice that is stored; None: another rule led to it, and ``rerun`` makes it anew.
 
     Raises:
-        ValueError: other candidates or settings led to it.
+        ValueError: other candidates, settings or weights led to it, and nobody asked to make it anew.
     """
     kept = json.loads(file.read_text())
     theirs = kept["rule"]
     different = [] if rule["candidates"] == theirs["candidates"] else [f"candidates={rule['candidates']}"]
     chosen = {"config": theirs["config"], "sources": kept["sources"]}
     different += run_differences(rule["config"], chosen, ignored=frozenset(("lr",)))
-    if different:
+    if different and not rerun:
         raise ValueError(
-            f"{file} was chosen by another rule ({'; '.join(different[:5])}): remove it, and the trials "
-            "in the row's run folder (lr...), to choose again"
+            f"{file} was chosen by another rule ({'; '.join(different[:5])}). Take these back, or choose and "
+            "train anew, and replace what is stored: rerun=true"
         )
-    return float(kept["learning_rate"])
+    return None if different else float(kept["learning_rate"])
 
 
 def _try(row: StudyRow, overrides: Sequence[str], rate: float, runs: Path) -> dict[str, Any] | None:

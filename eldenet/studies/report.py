@@ -4,39 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eldenet.record import write_rows
-from eldenet.studies import statistics
-from eldenet.studies.blocks import Block, build_blocks, stored_runs
+from eldenet.studies.blocks import Block, build_blocks
+from eldenet.studies.convergence import NOTES, convergence
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, read_study
 from eldenet.studies.plots import curves_plot, pareto_plot
 from eldenet.tables import WORDS, to_latex, to_markdown
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
-
-
-def convergence_table(study: Study) -> tuple[list[str], list[list[str]], dict[str, dict[str, list[float]]]]:
-    """Titles, rows and curves: how fast and how steadily every run converged."""
-    curved = ("training loss", "validation loss", "MSE")
-    titles = ["run", "epochs", *(f"speed, {name} [epoch]" for name in curved)]
-    titles += [f"fluctuation, {name}" for name in curved]
-    rows, pictures = [], {}
-    for row in study.rows:
-        runs, _ = stored_runs(study, row)
-        for run in runs:
-            name = f"{row.name}/seed{run['seed']}"
-            curve = statistics.curves(run)
-            pictures[name] = curve
-            keys = ("train_loss", "val_loss", "val_mse")
-            speed = [
-                f"{statistics.convergence_epoch(curve['epoch'], curve[key]):g}" if curve.get(key) else "-"
-                for key in keys
-            ]
-            steps = [
-                f"{statistics.fluctuation(curve[key]):.4f}" if len(curve.get(key, ())) > 2 else "-"
-                for key in keys
-            ]
-            rows.append([name, str(len(curve["epoch"])), *speed, *steps])
-    return titles, rows, pictures
 
 
 def write_study_report(folder: str | Path) -> list[Block]:
@@ -77,17 +52,13 @@ def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
 
 
 def _add_convergence(study: Study, markdown: list[str], latex: list[str]) -> None:
-    titles, rows, pictures = convergence_table(study)
-    notes = [
-        "speed: the first epoch at which a curve has done 90 % of its way from first to best value",
-        "fluctuation: mean absolute step between epochs in the second half, relative to the mean there",
-        "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
-    ]
-    markdown += ["## convergence", "", to_markdown(titles, rows, notes)]
-    latex.append(to_latex(titles, rows, ["convergence", *notes]))
-    write_rows(study.folder / "convergence.csv", titles, rows)
-    if pictures:
-        curves_plot(study.folder / "convergence.png", pictures)
+    found = convergence(study)
+    cells = found.by_row()
+    markdown += ["## convergence", "", to_markdown(*cells, NOTES)]
+    latex.append(to_latex(*cells, ["convergence", *NOTES]))
+    write_rows(study.folder / "convergence.csv", *found.by_run())
+    if found.curves:
+        curves_plot(study.folder / "convergence.png", found.curves)
         markdown += ["![curves](convergence.png)", ""]
 
 

@@ -8,13 +8,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eldenet.record import RUN_FILE
 from eldenet.studies.composing import compose_run, runs_needed
 from eldenet.studies.plan import KEPT, Study, StudyRow
 from eldenet.studies.rates import learning_rate
 from eldenet.train import finished_run, train
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 Say = Callable[[str], None]
 
@@ -46,7 +49,8 @@ def run_row(
         runs: folder for the run folders, ``<runs>/<study>/<row>/...``.
         given: name -> value of what rows ask for.
         seeds: those of the row's seeds to run; None: all. A row without any of them has nothing to do.
-        rerun: train what is stored, but not below ``runs``, too: for its weights, which are not stored.
+        rerun: train what is stored, but not below ``runs``, too: for its weights, which are not stored, or
+            because it was made with other settings or weights; what is stored is replaced.
         say: prints a line.
     """
     study = row.owner or study
@@ -57,7 +61,8 @@ def run_row(
     for name, setting in (row.given or {}).items():
         value = (given or {}).get(name)
         if value is None:
-            say(f"{study.name}/{row.name}: {row.missing_word} (given.{name}=...)")
+            plus = "" if given is None or name in given else "+"  # Hydra's word for a new name
+            say(f"{study.name}/{row.name}: {row.missing_word} ({plus}given.{name}=...)")
             return [Outcome(f"{row.name}/seed{seed}", row.missing_word) for seed in chosen]
         settings[setting] = value
     folder = runs / study.name
@@ -67,13 +72,28 @@ def run_row(
             say(f"{study.name}/{row.name}: another process is at it")
             return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in chosen]
         try:
-            rate = learning_rate(study, row, shared, folder, say)
+            rate = learning_rate(study, row, shared, folder, say, rerun=rerun)
         except Exception as error:
             return [_failed(folder / row.name, f"{row.name}/learning rate", error, say)]
         (folder / row.name / "failed.txt").unlink(missing_ok=True)
         if rate is not None:
             shared.append(f"optimizer.lr={rate}")
         return [_run_seed(study, row, seed, shared, folder, rerun, say) for seed in chosen]
+
+
+def refuse_unknown_seeds(rows: Sequence[StudyRow], seeds: Sequence[int] | None) -> None:
+    """Refuse seeds that nothing would be run for.
+
+    Raises:
+        ValueError: none of ``rows`` has such a seed.
+    """
+    known = sorted({seed for row in rows for seed in row.seeds})
+    unknown = [seed for seed in seeds or () if seed not in known]
+    if unknown:
+        raise ValueError(
+            f"seeds={unknown}: the chosen rows have the seeds {', '.join(map(str, known))}; further ones are "
+            "added in sweep.yaml"
+        )
 
 
 @contextmanager
@@ -96,9 +116,7 @@ def _run_seed(
     folder = runs / row.name / f"seed{seed}"
     try:
         config = compose_run(shared, folder, runs, name=row.name, seed=seed)
-        whole = all((stored / file).is_file() for file in KEPT)
-        if whole and finished_run(config, stored) is not None and not rerun:
-            say(f"{study.name}/{name}: finished before")
+        if not rerun and _finished(config, stored, f"{study.name}/{name}", say):
             return Outcome(name, "finished before")
         _refuse_missing(row, runs)
         train(config, folder)
@@ -107,6 +125,25 @@ def _run_seed(
         return _failed(folder, name, error, say)
     (folder / "failed.txt").unlink(missing_ok=True)
     return Outcome(name, "done")
+
+
+def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
+    """Whether this very run is stored; that takes its settings alone where its frames are not here.
+
+    Raises:
+        ValueError: it was made with other settings, weights or frames.
+    """
+    if not all((stored / file).is_file() for file in KEPT):
+        return False
+    try:
+        finished_run(config, stored)
+    except FileNotFoundError as error:  # the settings were compared before
+        say(f"{name}: finished before; its frames are not here to be compared ({str(error).splitlines()[0]})")
+        return True
+    except ValueError as error:
+        raise ValueError(f"{error}. Or train it anew and replace what is stored: rerun=true") from error
+    say(f"{name}: finished before")
+    return True
 
 
 def store(folder: Path, stored: Path) -> None:

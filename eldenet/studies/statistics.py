@@ -1,19 +1,33 @@
-"""What the runs of a study say together: paired differences with their intervals, speed and steadiness."""
+"""What the runs of a study say together: paired differences with their intervals."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from eldenet.bootstrap import bootstrap_interval
 
 DRAWS, LEVEL = 10_000, 0.95
+AT_ONCE = 1000  # draws: bounds the memory
 
 
-def per_image(files: Sequence[Path], metric: str) -> dict[str, float]:
-    """``metric`` of every image, mean over the runs (seeds) whose ``per_image.csv`` these are.
+@dataclass(frozen=True)
+class Scores:
+    """A metric of every image in every run of a row.
+
+    Attributes:
+        images: their names.
+        values: ``(runs, images)``.
+    """
+
+    images: tuple[str, ...]
+    values: np.ndarray
+
+
+def per_image(files: Sequence[Path], metric: str) -> Scores:
+    """``metric`` of every image in the runs (seeds) whose ``per_image.csv`` these are.
 
     Raises:
         ValueError: the runs scored different images.
@@ -24,65 +38,71 @@ def per_image(files: Sequence[Path], metric: str) -> dict[str, float]:
             found.append({row["name"]: float(row[metric]) for row in csv.DictReader(lines)})
         if found[-1].keys() != found[0].keys():
             raise ValueError(f"{file} and {files[0]} scored different images: they can't be paired")
-    return {name: float(np.mean([values[name] for values in found])) for name in found[0]}
+    images = tuple(sorted(found[0]))
+    return Scores(images, np.array([[values[name] for name in images] for values in found]))
 
 
 def paired_interval(
-    ours: Mapping[str, float], theirs: Mapping[str, float], *, seed: int = 0
+    ours: Scores, theirs: Scores, *, draw_seeds: bool, seed: int = 0
 ) -> tuple[float, float, float]:
-    """Mean difference ``ours - theirs`` and its 95 % interval: paired percentile bootstrap over the images.
+    """Mean difference ``ours - theirs`` and its 95 % interval: paired percentile bootstrap.
 
-    It speaks of the choice of images, not of the chance in a training: that is what several seeds are for.
+    Images are drawn for both rows together, so that what both share (a hard image) cancels.
+
+    Args:
+        ours: of one row.
+        theirs: of the other.
+        draw_seeds: draw the runs of each row, too, apart from each other: the chance in a training counts. It
+            takes several runs of both; else the interval speaks of the choice of images alone.
+        seed: of the draws.
 
     Raises:
         ValueError: the two scored different images.
     """
-    if ours.keys() != theirs.keys():
+    if ours.images != theirs.images:
         raise ValueError("the two rows scored different images: they can't be paired")
-    difference = np.array([ours[name] - theirs[name] for name in ours])
-    difference = difference[np.isfinite(difference)]
-    low, high = bootstrap_interval(
-        lambda chosen: float(difference[chosen].mean()), len(difference), draws=DRAWS, share=LEVEL, seed=seed
-    )
+    known = np.isfinite(ours.values).all(axis=0) & np.isfinite(theirs.values).all(axis=0)
+    mine, other = ours.values[:, known], theirs.values[:, known]
+    difference = mine.mean(axis=0) - other.mean(axis=0)
+    if draw_seeds and len(difference):
+        low, high = two_level_interval(mine, other, seed=seed)
+    else:
+        low, high = bootstrap_interval(
+            lambda chosen: float(difference[chosen].mean()),
+            len(difference),
+            draws=DRAWS,
+            share=LEVEL,
+            seed=seed,
+        )
     return float(difference.mean()), low, high
 
 
-def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
-    """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
+def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) -> tuple[float, float]:
+    """Interval of the mean difference over drawn runs and drawn images.
 
-    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss with other terms.
+    A draw takes as many runs of each row as it has, and as many images as there are, with replacement; the
+    images are the same for all of its runs. All three are counted instead of looked up, so that a draw is a
+    few products: (runs drawn) x scores x (images drawn).
+
+    Args:
+        mine: ``(runs, images)`` of one row.
+        other: ``(runs, images)`` of the other.
+        seed: of the draws.
     """
-    terms = run["config"]["loss"]["terms"]
-    values = {"ssim": (1 - row.get("val_ssim", np.nan)) / 2, "l1": row.get("val_mae", np.nan)}
-    if not set(terms) <= set(values):
-        return None
-    loss = sum(term["weight"] * values[name] for name, term in terms.items())
-    return float(loss) if np.isfinite(loss) else None
+    rng = np.random.default_rng(seed)
+    drawn = [_drawn_means(rng, mine, other) for _ in range(DRAWS // AT_ONCE)]
+    low, high = np.quantile(np.concatenate(drawn), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    return float(low), float(high)
 
 
-def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Training and validation curves of one run by their names, one value per validated epoch."""
-    history = [row for row in run["training"]["history"] if "val_mse" in row]
-    found: dict[str, list[float]] = {
-        "epoch": [row["epoch"] for row in history],
-        "train_loss": [row["train_total"] for row in history],
-        "val_ssim": [row["val_ssim"] for row in history],
-        "val_mse": [row["val_mse"] for row in history],
-    }
-    losses = [validation_loss(run, row) for row in history]
-    if None not in losses:
-        found["val_loss"] = [loss for loss in losses if loss is not None]
+def _drawn_means(rng: np.random.Generator, mine: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Mean difference in each of ``AT_ONCE`` draws, ``(draws,)``."""
+    images = _shares(rng, mine.shape[1])
+    one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
+    found: np.ndarray = one.sum(axis=1) - two.sum(axis=1)
     return found
 
 
-def convergence_epoch(epochs: Sequence[float], values: Sequence[float], share: float = 0.9) -> float:
-    """First epoch at which a falling curve has done ``share`` of its way from its first to its best value."""
-    first, best = values[0], min(values)
-    goal = first - share * (first - best)
-    return float(next(epoch for epoch, value in zip(epochs, values, strict=True) if value <= goal))
-
-
-def fluctuation(values: Sequence[float]) -> float:
-    """Mean absolute step between epochs in the second half of a curve, relative to its mean there."""
-    half = np.asarray(values[len(values) // 2 :], dtype=float)
-    return float(np.abs(np.diff(half)).mean() / np.abs(half).mean()) if len(half) > 1 else float("nan")
+def _shares(rng: np.random.Generator, count: int) -> np.ndarray:
+    """What share of each draw every one of ``count`` things has, ``(draws, count)``."""
+    return rng.multinomial(count, np.full(count, 1 / count), size=AT_ONCE) / count
