@@ -11,6 +11,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
+import stable_baselines3
 import torch
 from stable_baselines3 import DQN as ReferenceDQN
 from stable_baselines3.common.env_util import make_vec_env
@@ -82,7 +83,12 @@ def main() -> None:
             shown.append(f"{s['success']:.1f} [{s['success_low']:.1f}, {s['success_high']:.1f}]")
         lines.append(f"| {name} | {shown[0]} | {shown[1]} |")
         print(lines[-1], flush=True)
-    lines += ["", f"{where['date']}; `python experiments/dqn_crosscheck/{where['command']}`."]
+    lines += [
+        "",
+        f"{where['hardware']['processor']}, stable-baselines3 {stable_baselines3.__version__}, "
+        f"torch {where['versions']['torch']}, mujoco {where['versions']['mujoco']}, {where['date']}; "
+        f"`python experiments/dqn_crosscheck/{where['command']}`.",
+    ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
 
 

@@ -19,8 +19,9 @@ SENSORS = ("ranges", "noisy", "camera", "objects")
 
 def arguments(
     methods: Sequence[str] = tuple(name for name in (*LEARNT, *PLANNERS) if name not in VARIANTS),
+    courses: Sequence[tuple[int, int]] = COURSES,
 ) -> Namespace:
-    """What both tables' commands take; ``methods`` are those of the default."""
+    """What both tables' commands take; ``methods`` and ``courses`` are those of the default."""
     parser = ArgumentParser()
     parser.add_argument("--worlds", type=int, default=500, help="test arenas per density")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of every learnt method")
@@ -31,7 +32,7 @@ def arguments(
         help="of ranges, noisy, camera, objects; camera@0.1: in a tenth of the light",
     )
     parser.add_argument("--physics", default="wheels")
-    parser.add_argument("--courses", default=",".join(course_name(*course) for course in COURSES))
+    parser.add_argument("--courses", default=",".join(course_name(*course) for course in courses))
     parser.add_argument("--goal", default="known", choices=GOALS, help="where the goal's place is taken from")
     parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
     parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")

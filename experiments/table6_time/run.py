@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
-from command import all_rows, arguments, refuse_to_drop, results_name, without_nan  # noqa: E402
+from command import COURSES, all_rows, arguments, refuse_to_drop, results_name, without_nan  # noqa: E402
 from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
@@ -32,11 +32,11 @@ Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]
 
 REFERENCE = "astar_dwa"
 # straight solves so few that it would leave nothing to compare; so would weak learnt methods, at 80
-METHODS = ("dqn", "astar_dwa", "astar_online_dwa", "dwa")
+METHODS = ("dqn_ensemble", "dqn", "dqn_as_trained", "astar_dwa", "astar_online_dwa", "dwa")
 
 
 def main() -> None:
-    given = arguments(METHODS)
+    given = arguments(METHODS, [course for course in COURSES if not course[1]])
     rows = list(all_rows(given))
     refuse_to_drop(
         HERE / f"{results_name(given)}.csv", [(r.physics, r.sensor, r.method, r.course) for r in rows]
