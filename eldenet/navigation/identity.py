@@ -33,5 +33,5 @@ def sensor_identity(options: Mapping[str, Any]) -> dict[str, dict[str, str | Non
         name: {"source": str(source), "sha256": sha256(source)} for name, source in found.items() if source
     }
     if "errors" in identity:
-        identity["errors"]["sha256"] = sha256(errors_file(found["errors"]))
+        identity["errors"]["sha256"] = sha256(errors_file(identity["errors"]["source"] or ""))
     return identity
