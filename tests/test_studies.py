@@ -136,6 +136,7 @@ def report_is_right(folder: Path) -> None:
     assert rows["scratch/unknown"]["seeds"] == "no code identified"
     assert rows["scratch/eldenet"]["published delta1"] == "0.9"
     assert rows["scratch/eldenet"]["published source"] == "a paper"
+    assert rows["scratch/unknown"]["published source"] == "no code identified"
     assert rows["scratch/eldenet"]["delta1 - eldenet_s's [95 %]"].count(",") == 1
     assert ours["delta1 - eldenet_s's [95 %]"] == "-"
     text = (folder / "results.md").read_text()

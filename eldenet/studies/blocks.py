@@ -120,8 +120,9 @@ class Member:
         return self.grouped.text(group, name) if self.grouped else "-"
 
     def published(self, name: str) -> str:
-        """A column of ``expected.csv``."""
-        return (self.expected or {}).get(name) or "-"
+        """A column of ``expected.csv``; its status where there is no source, such as "not published"."""
+        expected = self.expected or {}
+        return expected.get(name) or (expected.get("status") if name == "source" else None) or "-"
 
 
 def build_blocks(study: Study) -> list[Block]:
