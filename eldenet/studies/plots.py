@@ -77,7 +77,8 @@ def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[t
 def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     """Loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
 
-    A colour for each row: a thin line for every run, a thick one for their mean where there are several.
+    A colour for each row: a thin line for every run, a thick one for their mean where there are several. The
+    axes hold all epochs but the first.
     """
     import matplotlib
 
@@ -97,6 +98,12 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
             axis.plot(curves[0][0][:shortest], mean, color=f"C{number}", linewidth=1.6, label=label)
         axis.set_title(title, fontsize=9)
         axis.grid(alpha=0.3)
+        later = [
+            value for curves in _by_row(runs, key).values() for _, values in curves for value in values[1:]
+        ]
+        if later:  # a bad first epoch would squeeze all that follows: it may lie beyond the axis
+            room = 0.05 * (max(later) - min(later)) or 0.1
+            axis.set_ylim(min(later) - room, max(later) + room)
     axes[0, 0].legend(fontsize=7)
     for axis in axes[1]:
         axis.set_xlabel("epoch")
