@@ -20,7 +20,7 @@ PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
 SEEN = "weights have seen"  # title of a column
 SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
-IMAGES_ALONE = " (images alone)"  # an interval without that chance
+IMAGES_ALONE = "images alone"  # an interval without that chance
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
@@ -166,7 +166,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
             f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
             f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
-            f"else of the {IMAGES_ALONE[2:-1]}, which says too little for a verdict"
+            f"else of the {IMAGES_ALONE}, which says too little for a verdict"
         )
     if study.epoch == "last" and every:
         notes.append("figures of the last epoch: the kept one was chosen on these very frames")
@@ -217,9 +217,9 @@ def _edges(study: Study, members: Sequence[Member]) -> list[str]:
         if choice is not None and choice.at_the_edge:
             tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
             found.append(f"{member.row.name} ({choice.rate:g}; {tried})")
-    return [
-        f"learning rate at the edge of the search, a better one may lie beyond: {', '.join(found)}"
-    ] * bool(found)
+    if not found:
+        return []
+    return [f"learning rate at the edge of the search, a better one may lie beyond: {', '.join(found)}"]
 
 
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
@@ -241,7 +241,7 @@ def _difference(study: Study, reference: Member, member: Member) -> str:
     mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
     verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
     told = "" if low <= 0 <= high else verdict
-    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{told if seeds else IMAGES_ALONE}"
+    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{told if seeds else f' ({IMAGES_ALONE})'}"
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:

@@ -89,7 +89,8 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
     figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
     for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
-        for number, (row, curves) in enumerate(_by_row(runs, key).items()):
+        rows = _by_row(runs, key)
+        for number, (row, curves) in enumerate(rows.items()):
             for epochs, values in curves:
                 axis.plot(epochs, values, color=f"C{number}", linewidth=0.6, alpha=0.6)
             shortest = min(len(epochs) for epochs, _ in curves)
@@ -98,9 +99,7 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
             axis.plot(curves[0][0][:shortest], mean, color=f"C{number}", linewidth=1.6, label=label)
         axis.set_title(title, fontsize=9)
         axis.grid(alpha=0.3)
-        later = [
-            value for curves in _by_row(runs, key).values() for _, values in curves for value in values[1:]
-        ]
+        later = [value for curves in rows.values() for _, values in curves for value in values[1:]]
         if later:  # a bad first epoch would squeeze all that follows: it may lie beyond the axis
             room = 0.05 * (max(later) - min(later)) or 0.1
             axis.set_ylim(min(later) - room, max(later) + room)
