@@ -61,6 +61,14 @@ def run_command(tmp_path: Path, cache: str):
 
 
 @pytest.fixture
+def tiny(tmp_path: Path, cache: str) -> Path:
+    """The folder of a small study."""
+    from tiny_study import write_tiny_study
+
+    return write_tiny_study(tmp_path / "tiny", cache)
+
+
+@pytest.fixture
 def saved(tmp_path: Path) -> Path:
     """A saved model with every kind of part."""
     from networks import small_net

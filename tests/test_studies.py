@@ -2,85 +2,21 @@
 
 import csv
 import json
-import os
 import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tiny_study import cells, run_all, short
 
 from eldenet import config as cfg
 from eldenet.benchmark import benchmark
-from eldenet.studies.blocks import read_expected
 from eldenet.studies.composing import compose_run
 from eldenet.studies.plan import read_study
 from eldenet.studies.report import write_study_report
 from eldenet.studies.running import run_row, sole
 from eldenet.train import train
-from eldenet.zoo import list_models
-
-SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
-REPOSITORY = Path(__file__).resolve().parent.parent
-STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
-
-TINY = """
-overrides:
-  - data=rooms
-  - "data.root='{cache}'"
-  - "data.size=[32,40]"
-  - "data.input_size=[32,40]"
-  - "data.frames={{train: 16, val: 4, test: 6}}"
-  - trainer.epochs=1
-  - trainer.batch_size=4
-  - runtime.threads=1
-  - runtime.workers=0
-learning_rates: [1.0e-4, 1.0e-3]
-rate_overrides:
-  - data.test.split=train
-  - data.test.frames=16
-  - "+data.subset={{train: [0, 12], test: [12, 16]}}"
-  - +data.subset_seed=0
-reference: [eldenet_s]
-columns: [rmse, delta1]
-plots: [pareto, convergence]
-rows:
-  eldenet_s: {{overrides: [model=eldenet_s], seeds: [0, 1]}}
-  wrong: {{overrides: [model=eldenet_s, trainer.monitor=accuracy], learning_rate: 1.0e-3}}
-  eldenet: {{overrides: [model=eldenet], learning_rate: 1.0e-3}}
-  elsewhere: {{overrides: [data=kitti], given: {{kitti: data.root}}}}
-  pretrained: {{block: rooms, given: {{rooms: weights}}}}
-"""
-EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
-eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
-unknown,scratch,no code identified,,,,,
-"""
-
-
-@pytest.fixture
-def tiny(tmp_path: Path, cache: str) -> Path:
-    folder = tmp_path / "tiny"
-    folder.mkdir()
-    (folder / "sweep.yaml").write_text(TINY.format(cache=cache))
-    (folder / "expected.csv").write_text(EXPECTED)
-    return folder
-
-
-def short(plan: str) -> str:
-    """One seed, no trials."""
-    return plan.replace("[0, 1]", "[0]").replace("learning_rates: [1.0e-4, 1.0e-3]\n", "")
-
-
-def cells(folder: Path) -> dict[str, dict[str, str]]:
-    """Rows of results.csv by their names, as title -> cell."""
-    with (folder / "results.csv").open(newline="") as lines:
-        return {f"{line['block']}/{line['row']}": line for line in csv.DictReader(lines)}
-
-
-def run_all(folder: Path, runs: Path) -> tuple[dict[str, str], list[str]]:
-    study, said = read_study(folder), []
-    outcomes = [outcome for row in study.rows for outcome in run_row(study, row, runs, say=said.append)]
-    return {outcome.run: outcome.status for outcome in outcomes}, said
 
 
 def test_a_study_from_nothing_to_its_tables(tiny, tmp_path):
@@ -321,158 +257,3 @@ def test_without_its_frames_a_stored_run_is_finished(tmp_path, monkeypatch):
     assert outcome.status == "failed"
     assert "trainer.epochs=3" in outcome.reason
     assert "rerun=true" in outcome.reason
-
-
-def test_the_commands_run_and_report_a_study(tiny, run_command):
-    plan = tiny / "sweep.yaml"
-    text = (
-        plan.read_text()
-        .replace("seeds: [0, 1]", "seeds: [0]")
-        .replace("learning_rates: [1.0e-4, 1.0e-3]\n", "")
-    )
-    plan.write_text(text)
-    finished = run_command("study", "-m", f"study={tiny}", "rows=[wrong,eldenet_s]", cwd=tiny.parent)
-    assert finished.returncode == 1
-    assert "wrong/seed0" in finished.stderr
-    unknown = run_command("study", f"study={tiny}", "rows=[eldenet]", "seeds=[0,5]", cwd=tiny.parent)
-    assert unknown.returncode == 1
-    assert "seeds=[5]: the chosen rows have the seeds 0;" in unknown.stderr
-    assert (tiny / "stored" / "eldenet_s" / "seed0" / "run.json").is_file()  # the failed row lost nothing
-    finished = run_command("report", f"study={tiny}", cwd=tiny.parent)
-    assert finished.returncode == 0, finished.stderr
-    assert "eldenet_s" in (tiny / "results.md").read_text()
-
-
-def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
-    """``--config-dir`` reaches the runs of a study, and its report."""
-    project = tiny.parent
-    (project / "my_configs" / "model").mkdir(parents=True)
-    shutil.copyfile(cfg.config_folder() / "model/eldenet_s.yaml", project / "my_configs/model/mine.yaml")
-    plan = (tiny / "sweep.yaml").read_text()
-    (tiny / "sweep.yaml").write_text(
-        short(plan) + "  mine: {overrides: [model=mine], learning_rate: 1.0e-3}\n"
-    )
-    added = ("--config-dir", "my_configs", f"study={tiny}")
-    finished = run_command("study", *added, "rows=[mine]", cwd=project)
-    assert finished.returncode == 0, finished.stderr + finished.stdout
-    finished = run_command("report", *added, cwd=project)
-    assert finished.returncode == 0, finished.stderr
-    assert cells(tiny)["scratch/mine"]["seeds"] == "1"
-    with pytest.raises(ValueError, match="mine"):  # nothing is left behind where nobody asked for it
-        cfg.compose("train", ["model=mine"])
-
-
-@pytest.mark.slow
-def test_submitit_runs_a_row(tiny, run_command):
-    """On this machine: what Slurm itself does is not tried here."""
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="pip install 'eldenet[cluster]'")
-    (tiny / "sweep.yaml").write_text(short((tiny / "sweep.yaml").read_text()))
-    finished = run_command(
-        *("study", "-m", f"study={tiny}", "rows=[eldenet_s]", "hydra/launcher=submitit_local"),
-        "hydra.launcher.timeout_min=10",
-        cwd=tiny.parent,
-    )
-    assert finished.returncode == 0, finished.stderr[-3000:]
-    assert (tiny / "stored/eldenet_s/seed0/run.json").is_file()
-    assert list(tiny.parent.rglob("*_result.pkl"))  # submitit's own: its job ended
-
-
-@pytest.mark.slow
-def test_rays_workers_run_the_rows(tiny, run_command):
-    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="pip install 'eldenet[cluster]'")
-    plan = tiny / "sweep.yaml"
-    plan.write_text(
-        plan.read_text().replace("learning_rates: [1.0e-4, 1.0e-3]\n", "").replace("[0, 1]", "[0]")
-    )
-    finished = run_command(
-        *("study", "-m", f"study={tiny}", "rows=[eldenet_s,eldenet]", "hydra/launcher=ray"),
-        "+hydra.launcher.ray.init.num_cpus=2",
-        cwd=tiny.parent,
-    )
-    assert finished.returncode == 0, finished.stderr[-3000:]
-    for name in ("eldenet_s", "eldenet"):
-        assert (tiny / "stored" / name / "seed0" / "run.json").is_file()
-    workers = set(re.findall(r"_run_job pid=(\d+)", finished.stdout + finished.stderr))
-    assert len(workers) == 2, finished.stdout[-2000:]
-
-
-def test_plans_are_checked(tiny, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
-        read_study(tmp_path)
-    with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
-        read_study(tiny).chosen(["none"])
-    whole = (tiny / "sweep.yaml").read_text()
-    for old, new, word in (
-        ("seeds: [0, 1]}", "sead: 1}", "sead"),
-        ("columns: [rmse, delta1]", "columns: [rsme]", "rsme"),
-        ("reference: [eldenet_s]", "reference: [eldenet_m]", "eldenet_m"),
-        ("reference: [eldenet_s]", "reference: eldenet_s", "a list of rows"),
-        ("seeds: [0, 1]}", "seeds: 1}", "a list of seeds"),
-        ("overrides: [model=eldenet],", "overrides: model=eldenet,", "a list of overrides"),
-        ("plots: [pareto, convergence]", "plots: [parreto]", "pareto or convergence"),
-        ("learning_rate: 1.0e-3}", "learning_rate: fast}", "a number above 0"),
-        ("learning_rates: [1.0e-4, 1.0e-3]", "learning_rates: 1.0e-3", "a list of numbers"),
-        ("given: {kitti: data.root}", "given: data.root", "a mapping"),
-        (
-            "eldenet: {overrides: [model=eldenet], learning_rate: 1.0e-3}",
-            "eldenet: {from: tiny}",
-            "this very study",
-        ),
-    ):
-        (tiny / "sweep.yaml").write_text(whole.replace(old, new))
-        with pytest.raises(ValueError, match=word):
-            read_study(tiny)
-    (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
-    with pytest.raises(ValueError, match="without its protocol and source"):
-        read_expected(tiny)
-
-
-@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
-def test_every_row_of_every_study_composes(folder):
-    study = read_study(folder)
-    read_expected(folder)
-    assert (folder / "README.md").is_file()
-    known = list_models()
-    for row in study.rows:
-        plan = row.owner or study
-        overrides = [*plan.overrides, *row.overrides]
-        network = next((text[6:] for text in overrides[::-1] if text.startswith("model=")), "eldenet")
-        assert network in known, f"{row.name}: no network {network}"
-        tried = bool(plan.learning_rates) and row.learning_rate is None
-        trial = [*plan.rate_overrides, *row.rate_overrides] if tried else []
-        config = compose_run([*overrides, *trial], Path("f"), Path("r"), name=row.name, seed=0)
-        assert (config.model_name, config.ckpt_path, config.seed) == (row.name, "auto", 0)
-        assert cfg.plain(config.model)["_target_"].startswith("eldenet.")
-        if tried and config.data.name in SCORES_TRIALS:  # on a split of its own: other rooms, drives, cities
-            split = SCORES_TRIALS[config.data.name]
-            assert config.data.test.split == config.data.val.split == split != config.data.train.split
-            reported = compose_run(overrides, Path("f"), Path("r"), name=row.name, seed=0)
-            assert reported.data.test.split not in (split, reported.data.train.split)
-        elif tried:  # scored on training frames that it does not train on, nor does the table
-            assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
-            assert config.data.subset.train[1] <= config.data.subset.test[0]
-
-
-@pytest.mark.slow
-def test_a_kitti_row_gets_from_given_folders_to_its_table(tmp_path):
-    """Two real frames: the way is shown, on another split and protocol than the row's own."""
-    root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti" / "depth"
-    if not os.environ.get("ELDENET_DATA") or not root.is_dir():
-        pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
-    folder = tmp_path / "table2"
-    folder.mkdir()
-    plan = cfg.read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
-    row = plan["rows"]["kitti_eldenet"]
-    row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth"]
-    plan["overrides"] += ["trainer.epochs=2", "trainer.evaluate_every=2"]
-    row["overrides"] += [f"data.{split}.split=all" for split in ("train", "val", "test")]
-    row["overrides"] += [f"data.subset.{split}=null" for split in ("train", "val", "test")]
-    row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
-    plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
-    (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
-    study = read_study(folder)
-    places = {"kitti": root, "kitti_raw": root.parent / "raw"}
-    outcomes = run_row(study, study.rows[0], tmp_path / "runs", given=places)
-    assert [outcome.status for outcome in outcomes] == ["done"]
-    write_study_report(folder)
-    assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"
