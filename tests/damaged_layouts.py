@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import layouts
 import numpy as np
+from damaged_containers import H5, MAT, SPLITS_MAT, TAR, cut_split, in_frame, member, zeros_in_tables
 from damages import (
     ANY,
     CAM_TO_CAM,
@@ -14,34 +15,26 @@ from damages import (
     COLOUR_PNG,
     DEPTH_NPY,
     DEPTH_PNG,
-    H5,
     INTRINSICS,
     LIST,
-    MAT,
     MTAN_DEPTH,
     MTAN_IMAGE,
     PFM,
     SCAN,
-    SPLITS_MAT,
-    TAR,
     TEXT,
     VELO_TO_CAM,
     Damage,
     cut,
-    cut_split,
     empty,
     exr,
     grey,
     halved,
-    in_frame,
-    member,
     pfm,
     text,
     turned,
     web_page,
     without_gone,
     wrong_start,
-    zeros_in_tables,
 )
 
 

@@ -13,17 +13,16 @@ from typing import Any
 import layouts
 import numpy as np
 import pytest
+from damaged_containers import cut_split, tar_cut
 from damaged_layouts import LAYOUTS, NYU_FRAME, Target, folder_of
 from damages import (
     Damage,
     cut,
     cut_in_line,
-    cut_split,
     exr,
     flipped_bit,
     pfm,
     scan_cut,
-    tar_cut,
     wrong_start,
     zeros,
     zeros_in_pixels,
