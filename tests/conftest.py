@@ -1,7 +1,6 @@
 """Shared by all tests: quiet threads, real data if the user has it, small data sets made on the spot."""
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -41,21 +40,22 @@ def model(model_folder: Path):
     return eldenet.load(model_folder)
 
 
+@pytest.fixture(scope="session")
+def command_server(cache: str):
+    """Started by the first test that runs a command."""
+    from commands import CommandServer
+
+    server = CommandServer({**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"})
+    yield server
+    server.close()
+
+
 @pytest.fixture
-def run_command(tmp_path: Path, cache: str):
+def run_command(tmp_path: Path, command_server):
     """Run ``python -m eldenet.<command>`` from another folder; returns the finished process."""
-    import subprocess
 
     def run(command: str, *arguments: str, cwd: Path | None = None, **environment: str):
-        return subprocess.run(
-            [sys.executable, "-m", f"eldenet.{command}", *arguments],
-            cwd=cwd or tmp_path,
-            env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1", **environment},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=240,
-        )
+        return command_server.run(command, arguments, cwd or tmp_path, environment, timeout=240)
 
     return run
 
