@@ -231,7 +231,7 @@ def build_split(
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
     """
-    from eldenet.data.base import SPARSE, Chain
+    from eldenet.data.base import Chain
     from eldenet.data.resize_crop import ResizeCrop
 
     if not OmegaConf.is_dict(config.data.get(split)):
@@ -246,17 +246,7 @@ def build_split(
     if score and config.data[split].get("load_size") is not None:
         changes = {"load_size": None, "cache": "none"}
     if protocol.changes_frames:
-        steps.append(
-            ResizeCrop(
-                box=protocol.frame_box,
-                resize=protocol.resize,
-                crop=protocol.frame_crop,
-                anchor=protocol.frame_anchor,
-                size=protocol.frame_size,
-                sparse=protocol.ground_truth in SPARSE,
-                keep_depth=protocol.paste and split != "train",
-            )
-        )
+        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=protocol.paste and split != "train"))
         if config.data[split].get("load_size") is not None:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(

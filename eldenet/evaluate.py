@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.model import DepthNet
+    from eldenet.protocol import EvalProtocol
     from eldenet.resources import Resources
     from eldenet.runlog import RunLog
     from eldenet.runtimes.scored import RuntimeNetwork
@@ -32,7 +33,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     model = _open(config, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
-    _choose_input_size(config, model.info.get("input_size"), log)
+    _choose_input_size(config, model, protocol, log)
     record = score_and_record(
         config,
         model,
@@ -61,11 +62,13 @@ def _open(config: "DictConfig", resources: "Resources") -> "DepthNet | RuntimeNe
     return eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
 
 
-def _choose_input_size(config: "DictConfig", trained_at: Sequence[int] | None, log: "RunLog") -> None:
+def _choose_input_size(
+    config: "DictConfig", model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol", log: "RunLog"
+) -> None:
     """Set ``data.input_size`` to what ``input_size`` asks for, and say so where that changes it."""
     wanted = cfg.plain(config.input_size)
     if wanted == "model":
-        wanted = trained_at
+        wanted = trained_size(model, protocol)
     if wanted is None or wanted == "data":
         return
     if isinstance(wanted, str) or len(wanted) != 2:
@@ -74,6 +77,27 @@ def _choose_input_size(config: "DictConfig", trained_at: Sequence[int] | None, l
         own = config.data.input_size
         log.say(f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={own} is not used")
         config.data.input_size = list(wanted)
+
+
+def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -> Sequence[int] | None:
+    """``(height, width)`` [px] at which ``model`` sees what ``protocol`` shows it: a frame, or a part of it.
+
+    Raises:
+        ValueError: a file sees whole frames, and the protocol shows a part.
+    """
+    from eldenet.model import size_of_frames
+    from eldenet.runtimes.scored import RuntimeNetwork
+
+    if not protocol.changes_frames:
+        return size_of_frames(model.info)
+    seen = model.info.get("input_size")
+    if isinstance(model, RuntimeNetwork) and seen is not None and model.network.whole_frame_size == seen:
+        raise ValueError(
+            f"this file sees the camera's whole frames, {seen[0]} x {seen[1]} pixels, and protocol "
+            f"{protocol.name} shows a part of them: to score the network, export it with size= of that part "
+            "(the training's data.input_size)"
+        )
+    return seen
 
 
 if __name__ == "__main__":

@@ -90,6 +90,7 @@ def read_job(config: "DictConfig", model: "DepthNet") -> Job:
         ValueError: an unknown choice, or a file that is there already.
     """
     from eldenet.data.roots import one_of
+    from eldenet.model import size_of_frames
 
     one_of("format", str(config.format), tuple(ENDINGS))
     kind, precision = str(config.format), str(config.precision)
@@ -98,7 +99,7 @@ def read_job(config: "DictConfig", model: "DepthNet") -> Job:
             f"precision={precision}: format={kind} has {', '.join(PRECISIONS[kind])}"
             + ("; bf16 is format=openvino's" if precision == "bf16" else "")
         )
-    size = _size(config, "size") or model.info.get("input_size") or UNTRAINED_SIZE
+    size = _size(config, "size") or size_of_frames(model.info) or UNTRAINED_SIZE
     name = str(model.info.get("model_name", Path(str(config.checkpoint)).name))
     ending = ENDINGS[kind]
     output = Path(config.output or f"exports/{name}-{size[0]}x{size[1]}-{precision}{ending}").expanduser()

@@ -1,7 +1,7 @@
 """DepthNet: normalise -> network -> head. Written to and read from ``config.json`` + safetensors."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -56,7 +56,8 @@ class DepthNet(Configurable, nn.Module):
         std: per-channel standard deviation.
 
     Attributes:
-        info: what ``save_pretrained`` was told about these weights (training data, protocol, ...).
+        info: what ``save_pretrained`` was told about these weights (training data, protocol, ...). Of these,
+            :func:`size_of_frames` reads ``input_size`` and ``whole_frame_size``, ``(height, width)`` [px].
     """
 
     mean: Tensor
@@ -106,8 +107,8 @@ class DepthNet(Configurable, nn.Module):
 
         Args:
             folder: made if need be.
-            info: facts worth keeping beside the weights (training data, protocol, metrics): JSON values;
-                None: those the model came with.
+            info: facts worth keeping beside the weights (training data, protocol, metrics): JSON values. They
+                go beside those the model came with, in place of those of the same name.
 
         Raises:
             ValueError: a part of the network is not :class:`Configurable`, so nobody could rebuild it.
@@ -121,7 +122,7 @@ class DepthNet(Configurable, nn.Module):
                 {
                     "eldenet_version": __version__,
                     "model": self.config,
-                    "info": self.info if info is None else info,
+                    "info": merged(self.info, info or {}),
                 },
                 indent=2,
             )
@@ -196,6 +197,21 @@ class DepthNet(Configurable, nn.Module):
         with tempfile.TemporaryDirectory() as folder:
             self.save_pretrained(folder, **save_options)
             return str(api.upload_folder(repo_id=repo_id, folder_path=folder))
+
+
+def size_of_frames(info: Mapping[str, Any]) -> tuple[int, int] | None:
+    """``(height, width)`` [px] at which weights want to see a camera's whole frame; None: not stated.
+
+    That is the size they were trained at (``input_size``). Those that a protocol showed a part of the frame
+    at that size state what the frame measures at the same scale (``whole_frame_size``), and that counts.
+    """
+    return info.get("whole_frame_size") or info.get("input_size")
+
+
+def merged(own: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """``own`` facts about weights and ``given`` ones; an ``input_size`` that is given has no older frame."""
+    lost = {"whole_frame_size"} if "input_size" in given else set()
+    return {name: value for name, value in own.items() if name not in lost} | dict(given)
 
 
 def _local_folder(source: str | Path, revision: str | None) -> Path:

@@ -33,18 +33,18 @@ def main(config: "DictConfig", folder: Path) -> None:
 def predict(config: "DictConfig") -> "Results":
     """Check everything that can be checked, load the network, predict, write, say what was done."""
     import eldenet
-    from eldenet.predict_boxes import Timed, box_results, frames_per_second
+    from eldenet.predict_boxes import Timed, box_results
     from eldenet.predictions import name_results
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
-    from eldenet.runtimes.stream import is_live
+    from eldenet.runtimes.stream import is_live, without_password
 
     live = is_live(str(config.source))
     source = Path(str(config.source)).expanduser()
     is_video = live or (source.is_file() and source.suffix.lower() in VIDEO_ENDINGS)
     results = read_settings(config, is_video=is_video)
     if live:
-        names = {source: re.sub(r"\W+", "_", str(config.source)).strip("_")}
+        names = {source: re.sub(r"\W+", "_", without_password(str(config.source))).strip("_")}
     else:
         names = {source: source.stem} if is_video else name_results(source, results.folder)
     files = [file for name in names.values() for file in results.files(name, is_video=is_video)]
@@ -59,11 +59,9 @@ def predict(config: "DictConfig") -> "Results":
             f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
             f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
         )
-    rate = None  # [frames/s]; a camera says its own only while it is open
-    if is_video:
-        rate = 30.0 if live else frames_per_second(source)
     timed = Timed(predictor)
-    with box_results(config, results, list(names.values()), rate, log, timed.seconds) as results.also:
+    named = list(names.values())
+    with box_results(config, results, named, log, timed.seconds, is_video=is_video) as results.also:
         if is_video:
             stream = str(config.source) if live else source
             predict_video(stream, names[source], timed, results, log, frames=config.frames)
@@ -86,17 +84,19 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
     one_of("engine", str(config.engine), ("auto", *runtimes.RUNTIMES))
     engine = str(config.engine)
     size = cfg.plain(config.input_size)
-    if Path(str(config.checkpoint)).suffix in runtimes.READS:
-        # "auto" is the CPU here: an accelerator needs another build of these runtimes
-        device = "cpu" if config.runtime.device == "auto" else resources.device
+    is_file = Path(str(config.checkpoint)).suffix in runtimes.READS
+    by_torch = not is_file and engine in ("auto", *runtimes.TORCH)
+    # of the others "auto" is the CPU: an accelerator needs another build of them
+    device = resources.device if by_torch or config.runtime.device != "auto" else "cpu"
+    if is_file:
         network = runtimes.load(str(config.checkpoint), engine, threads=resources.threads, device=device)
         log.say(f"{config.checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
         return DepthPredictor(network, size, max_side=config.max_side)
     model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
     if engine in ("auto", "torch"):
-        return DepthPredictor(model, size, max_side=config.max_side, device=resources.device)
+        return DepthPredictor(model, size, max_side=config.max_side, device=device)
     return DepthPredictor(
-        runtimes.load(model, engine, threads=resources.threads, device=resources.device, size=size),
+        runtimes.load(model, engine, threads=resources.threads, device=device, size=size),
         size,
         max_side=config.max_side,
     )
@@ -109,6 +109,8 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
     from eldenet.predictions import ENDING, Results
 
     one_of("on_error", str(config.on_error), ("stop", "skip"))
+    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
+        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
     camera, span = _numbers(config, "intrinsics", 4), _numbers(config, "depth_range", 2)
     if camera is not None and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={camera}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
@@ -172,24 +174,28 @@ def predict_video(
 ) -> None:
     """Predict the frames of a video, or those of a camera that there is time for.
 
-    Colour becomes one .mp4, the others one file a frame. A camera runs until ``frames`` or Ctrl-C.
+    Colour becomes one .mp4, which shows each frame as long as it lasted; the others one file a frame. A
+    camera runs until ``frames`` or Ctrl-C.
     """
     from eldenet.legend import photo_beside_depth, visible_range
-    from eldenet.predictions import open_video
-    from eldenet.runtimes.stream import DepthStream
+    from eldenet.predictions import in_time, open_video
+    from eldenet.runtimes.stream import DepthStream, without_password
 
+    shown = without_password(str(source))
     file = results.folder / f"{name}_depth.mp4"
     per_frame = [kind for kind in results.formats if kind != "colour"]
     span = results.depth_range
     with DepthStream(source, predictor) as stream:
         total = frames or stream.announced
-        with log.bar("predicting", total) as bar, open_video(file, stream.frames_per_second) as add:
+        rate = results.frames_per_second = stream.frames_per_second
+        with log.bar("predicting", total) as bar, open_video(file, rate) as film:
+            add = in_time(film, rate)
             try:
                 for _, photo, depth, taken in stream:
                     results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
                     if "colour" in results.formats:
                         span = results.depth_range or _follow(span, visible_range(depth))
-                        add(photo_beside_depth(photo, depth, *span))
+                        add(photo_beside_depth(photo, depth, *span), taken)
                     results.images += 1
                     lost = f", {stream.dropped} dropped" if stream.drop else ""
                     bar.advance(1, f"now {stream.fps:.0f} frames/s{lost}")
@@ -199,12 +205,12 @@ def predict_video(
                 if not stream.drop:
                     raise
             if not results.images:
-                raise ValueError(f"{source} holds no frame that can be read: it is cut, damaged or no video")
-            rate = bar.rate
-    ended = f" of {Path(source).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
-    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{ended}", rate)
+                raise ValueError(f"{shown} holds no frame that can be read: it is cut, damaged or no video")
+            speed = bar.rate
+    ended = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
+    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{ended}", speed)
     if results.images < (stream.announced if frames is None else min(frames, stream.announced)):
-        log.say(f"{source} announces {stream.announced} frames, {results.images} could be read: may be cut")
+        log.say(f"{shown} announces {stream.announced} frames, {results.images} could be read: may be cut")
 
 
 def say_what_was_done(log: "RunLog", results: "Results", what: str, rate: float) -> None:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,50 +27,53 @@ def box_results(
     config: "DictConfig",
     results: "Results",
     names: Sequence[str],
-    rate: float | None,
     log: "RunLog",
     depth_seconds: Sequence[float] = (),
+    *,
+    is_video: bool = False,
 ) -> Iterator[Add | None]:
     """Give a function that takes ``(name, photo, depth, time)`` of each picture; None without ``boxes=true``.
 
     Pictures become ``<name>_boxes.png`` and ``<name>_boxes.txt``, a video ``<name>_boxes.mp4`` and one text
-    file per frame. At the end the time that each stage took is said. ``rate`` is a video's [frames/s], None
-    for pictures. ``depth_seconds`` are those that depth took, once it is over.
-    Speeds follow from the frames' times [s], whatever was dropped between them.
+    file per frame. At the end the time that each stage took is said; ``depth_seconds`` are those that depth
+    took, once it is over. Speeds, and how long a video shows a frame, follow from the frames' times [s],
+    whatever was dropped between them.
 
     Raises:
         ValueError: no intrinsics or no detector were given, or a result is there already.
     """
     from eldenet.perception.drawing import bev_reach
     from eldenet.pictures import write_picture
-    from eldenet.predictions import open_video
+    from eldenet.predictions import in_time, open_video
 
     if not config.boxes:
         yield None
         return
-    perception = build_perception(config, results.intrinsics, tracked=rate is not None)
-    endings = ("_boxes.mp4",) if rate is not None else ("_boxes.png", "_boxes.txt")
+    perception = build_perception(config, results.intrinsics, tracked=is_video)
+    endings = ("_boxes.mp4",) if is_video else ("_boxes.png", "_boxes.txt")
     results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])
     spent: dict[str, list[float]] = {}
     with ExitStack() as stack:
-        show: Callable[[np.ndarray], None] | None = None
+        show: Callable[[np.ndarray, float], None] | None = None
         last: float | None = None
         reach: float | None = None
-        if rate is not None:
-            show = stack.enter_context(open_video(results.folder / f"{names[0]}_boxes.mp4", rate))
 
         def add(name: str, photo: np.ndarray, depth: np.ndarray, taken: float | None) -> None:
-            nonlocal last, reach
-            step = 1 / (rate or 1.0) if taken is None or last is None else max(taken - last, SHORTEST)
+            nonlocal show, last, reach
+            rate = results.frames_per_second
+            step = 1 / rate if taken is None or last is None else max(taken - last, SHORTEST)
             last = taken
             scene = perception(photo, depth=depth, seconds=step)
             for stage, seconds in scene.seconds.items():
                 spent.setdefault(stage, []).append(seconds)
-            if show is not None:
+            if taken is not None:
+                if show is None:  # a camera's rate is known by now
+                    film = open_video(results.folder / f"{names[0]}_boxes.mp4", rate)
+                    show = in_time(stack.enter_context(film), rate)
                 wanted = bev_reach(scene.boxes, scene.bev_size)
                 # a video's view from above follows slowly: a grid that jumps can't be read
                 reach = wanted if reach is None else max(reach + (wanted - reach) / FOLLOWED, wanted / 2)
-                show(scene.picture(reach))
+                show(scene.picture(reach), taken)
             else:
                 write_picture(results.folder / f"{name}_boxes.png", scene.picture())
             scene.write_kitti(results.folder / f"{name}_boxes.txt")
@@ -81,7 +83,7 @@ def box_results(
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
-        if times and (stage != "track" or rate is not None)
+        if times and (stage != "track" or is_video)
     ]
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
@@ -129,13 +131,3 @@ def build_perception(config: "DictConfig", intrinsics: np.ndarray | None, *, tra
         raise AssertionError("depth comes with each picture")
 
     return Perception(no_model, detector, lifter, PinholeCamera(intrinsics), tracker=tracker)
-
-
-def frames_per_second(video: Path) -> float:
-    """Of a video; 30 where it does not say."""
-    import cv2
-
-    capture = cv2.VideoCapture(str(video))
-    rate = float(capture.get(cv2.CAP_PROP_FPS))
-    capture.release()
-    return rate if 0 < rate <= 1000 else 30.0

@@ -25,13 +25,14 @@ class Results:
     Attributes:
         folder: of all results.
         formats: some of "depth", "colour", "ply".
-        intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds.
+        intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds and 3D boxes.
         depth_range: (near, far) of the colours [m]; None: each picture's own.
         overwrite: replace files that are there.
         images: pictures or frames written so far.
         skipped: what could not be read.
         too_far: pixels beyond what 16 bits of millimetres hold.
-        size: ``(height, width)`` of the first picture [px]; the intrinsics hold for this size alone.
+        size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
+        frames_per_second: of a video, once it is open.
         also: is given the name, photo, depth and time of each picture too.
     """
 
@@ -44,6 +45,7 @@ class Results:
     skipped: list[str] = field(default_factory=list)
     too_far: int = 0
     size: tuple[int, int] | None = None
+    frames_per_second: float = 30.0
     also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
@@ -78,15 +80,18 @@ class Results:
         """Write one picture's results: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
         ``time`` is when a frame of a video was taken [s], from any zero.
+
+        Raises:
+            ValueError: intrinsics were given, and the picture is of another size than those before it.
         """
         height, width = depth.shape
+        self.size = self.size or (height, width)
+        if self.intrinsics is not None and self.size != (height, width):
+            raise ValueError(
+                f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
+                "one set of intrinsics fits one size, so predict them in separate folders"
+            )
         if "ply" in formats and self.intrinsics is not None:
-            self.size = self.size or (height, width)
-            if self.size != (height, width):
-                raise ValueError(
-                    f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
-                    "one set of intrinsics fits one size, so predict them in separate folders"
-                )
             write_ply(self.folder / f"{name}.ply", back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
             steps = to_millimetres(depth)
@@ -130,6 +135,31 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     if writer is not None:
         writer.release()
         unfinished.replace(path)
+
+
+def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[np.ndarray, float], None]:
+    """Give a function that adds a frame at the time when it was taken [s], from any zero.
+
+    A frame stays until the next one's time, so that a film of a camera whose frames were dropped runs as fast
+    as what it shows did. Of two frames within one of the film's the first is shown.
+
+    Args:
+        add: from :func:`open_video`.
+        per_second: frames of the film.
+    """
+    latest: np.ndarray | None = None
+    start, written = 0.0, 0
+
+    def show(picture: np.ndarray, taken: float) -> None:
+        nonlocal latest, start, written
+        if latest is None:
+            latest, start = picture, taken
+        place = round((taken - start) * per_second)
+        for number in range(written, place + 1):
+            add(picture if number == place else latest)
+        latest, written = picture, max(written, place + 1)
+
+    return show
 
 
 def name_results(source: Path, output: Path) -> dict[Path, str]:

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from eldenet.data.base import resize_frame
-from eldenet.model import DepthNet
+from eldenet.model import DepthNet, size_of_frames
 from eldenet.runtimes.base import Runtime
 from eldenet.types import Frame
 
@@ -17,15 +17,17 @@ class DepthPredictor:
 
     ``predictor = DepthPredictor(eldenet.load("runs/my-run")); depth = predictor(frame)``
 
-    The frame is resized to what the network was trained at, as in training and evaluation, and the depth is
-    brought back to the frame's own size (bilinear), so that the frame's own intrinsics hold for it. A resize
-    does not change depth. Metres are metres for cameras with about the training camera's field of view.
+    The frame is resized to the scale that the network was trained at, and the depth is brought back to the
+    frame's own size (bilinear), so that the frame's own intrinsics hold for it. A resize does not change
+    depth. A network whose training cropped frames sees the whole frame here, at the scale of those crops.
+    Metres are metres for cameras with about the field of view of the training camera's whole frames.
 
     Args:
         model: put into eval mode, and moved to ``device``; or a network under another runtime
             (:func:`eldenet.runtimes.load`).
-        input_size: ``(height, width)`` that the network sees [px]; None: the size the model was trained at
-            (``model.info["input_size"]``), or else the frame's own, its longer side at most ``max_side``.
+        input_size: ``(height, width)`` that the network sees [px]; None: what the model wants for whole
+            frames (:func:`eldenet.model.size_of_frames`), or else the frame's own, its longer side at most
+            ``max_side``.
         max_side: see ``input_size`` [px].
         device: where to compute.
 
@@ -41,9 +43,8 @@ class DepthPredictor:
         max_side: int = MAX_SIDE,
         device: str | torch.device = "cpu",
     ) -> None:
-        own_size = model.info.get("input_size")
         if input_size is None:
-            input_size = own_size
+            input_size = size_of_frames(model.info)
         if input_size is not None and (len(input_size) != 2 or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
         if max_side < 1:

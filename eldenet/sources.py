@@ -1,6 +1,7 @@
 """What a training takes over from elsewhere (weights, a teacher): told apart by content, wherever it lies."""
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,23 @@ _FILES = ("model.safetensors", "model/model.safetensors")
 
 
 def located(source: str | Path) -> Path:
-    """Folder or file of a source: that of the package's own weights for their name, else the path itself."""
-    own = PACKAGED / source
-    return own if own.parent == PACKAGED and (own / _FILES[0]).is_file() else Path(source)
+    """Folder or file of a source: that of the package's own weights for their name, else the path itself.
+
+    ``~`` is the home folder. ``./name`` is a path, whatever the package holds of that name.
+
+    Warns:
+        UserWarning: a saved model of the same name as the package's weights lies here, and is not taken.
+    """
+    own, here = PACKAGED / source, Path(source).expanduser()
+    if "/" in str(source) or not (own / _FILES[0]).is_file():
+        return here
+    if any((here / name).is_file() for name in _FILES) and here.resolve() != own:
+        warnings.warn(
+            f"{source} is taken from the package, not from the folder of that name here: for that one give "
+            f"./{source}",
+            stacklevel=2,
+        )
+    return own
 
 
 def sources_of(config: Any, name: str = "") -> dict[str, str]:

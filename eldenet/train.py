@@ -8,7 +8,9 @@ from eldenet import config as cfg
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.data.base import DepthDataset
     from eldenet.model import DepthNet
+    from eldenet.protocol import EvalProtocol
     from eldenet.runlog import RunLog
 
 
@@ -82,8 +84,8 @@ def train(config: "DictConfig", folder: Path) -> float:
             "model_name": config.model_name,
             "seed": config.seed,
             "data": config.data.name,
-            "input_size": cfg.plain(config.data.input_size),
             "started_from": config.weights,
+            **seen_sizes(cfg.plain(config.data.input_size), protocol, train_set),
         },
     )
     trainer.accelerator.wait_for_everyone()
@@ -105,6 +107,24 @@ def train(config: "DictConfig", folder: Path) -> float:
     )
     closing_table(log, record)
     return progress.best_value
+
+
+def seen_sizes(
+    input_size: list[int] | None, protocol: "EvalProtocol", train_set: "DepthDataset"
+) -> dict[str, list[int] | None]:
+    """What a model says of its pictures: ``(height, width)`` [px] of what it sees, and of the whole frame.
+
+    The latter only where the protocol shows the network a part of the camera's frame, and by the first frame.
+    """
+    from eldenet.data.resize_crop import whole_frame_size
+
+    sizes: dict[str, list[int] | None] = {"input_size": input_size}
+    if protocol.changes_frames:
+        height, width = train_set.load_frame(0).depth.shape
+        whole = list(whole_frame_size(protocol, (height, width), input_size))
+        if whole != input_size:
+            sizes["whole_frame_size"] = whole
+    return sizes
 
 
 def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) -> "DepthNet":

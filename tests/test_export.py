@@ -11,7 +11,7 @@ import eldenet
 from eldenet import runtimes
 from eldenet.config import compose
 from eldenet.export import export, read_pictures
-from eldenet.exporting import differences, read_metadata
+from eldenet.exporting import describe, differences, read_metadata
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
@@ -64,6 +64,13 @@ def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -
     for runtime in ("onnxruntime", "openvino"):
         depth = runtimes.load(path, runtime, threads=1)(image)
         assert differences(depth, reference)["max_relative"] < 1e-4
+
+
+def test_what_a_file_says_of_its_training() -> None:
+    model = eldenet.load("eldenet_s")
+    assert describe(model, "mine", SIZE)["data"] == "none: freshly initialised"
+    model.info = {"trained_on": "streets"}
+    assert describe(model, "mine", SIZE)["data"] == "not stated"
 
 
 def test_command_from_another_folder(run_command, model_folder: Path, photos: Path, tmp_path: Path) -> None:

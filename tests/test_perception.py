@@ -323,6 +323,15 @@ def test_predict_takes_a_folder_with_pictures_of_nothing(model_folder, detector,
         assert (tmp_path / f"out/{name}_boxes.png").is_file()
 
 
+def test_one_camera_is_of_one_size_for_boxes_too(model_folder, detector, tmp_path):
+    for name, height in (("a", 128), ("b", 120)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((height, 256, 3), 90, np.uint8))
+    option = f"perception.detector.path='{detector}'"
+    with pytest.raises(ValueError, match=r"b is 120 x 256, the pictures before it 128 x 256"):
+        run(model_folder, tmp_path, tmp_path / "out", CAMERA_OPTION, option, "formats=[depth]")
+    assert not (tmp_path / "out/b_boxes.txt").exists()
+
+
 def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path):
     source = tmp_path / "walk.mp4"
     writer = cv2.VideoWriter(str(source), cv2.VideoWriter.fourcc(*"mp4v"), 10, (256, 128))
@@ -353,10 +362,14 @@ def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, m
     monkeypatch.setattr(predict_boxes, "build_perception", lambda *args, **more: perceive)
     results = Results(tmp_path, ())
     config = SimpleNamespace(boxes=True)
-    with predict_boxes.box_results(config, results, ["cam"], 30.0, None) as results.also:
+    with predict_boxes.box_results(config, results, ["cam"], None, is_video=True) as results.also:
+        results.frames_per_second = 15.0  # that the camera says once it is open
         for number, time in enumerate(frames):
             results.write(f"cam/{number}", BLANK, np.ones((120, 320)), (), time=time)
     assert seen[-1].velocity[0, 2] == pytest.approx(1.0, abs=0.05)
+    film = cv2.VideoCapture(str(tmp_path / "cam_boxes.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == 15.0
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 14 * 3 + 1  # as long as it was filmed
 
 
 def test_predict_says_what_boxes_need(model_folder, detector, tmp_path):

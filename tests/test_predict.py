@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from predicting import photo, read_ply, run, save
 
+import eldenet
 from eldenet.config import compose
 from eldenet.data.io import read_depth
 from eldenet.model import DepthNet
-from eldenet.predict import predict
+from eldenet.predict import open_predictor, predict
 from eldenet.predictions import Results, name_results
 from eldenet.predictor import DepthPredictor
+from eldenet.resources import Resources
+from eldenet.runlog import RunLog
 
 RNG = np.random.default_rng(0)
 CAMERA = [50.0, 52.0, 31.0, 22.5]
@@ -46,11 +49,9 @@ def test_one_picture(model_folder: Path, model: DepthNet, tmp_path: Path) -> Non
     np.testing.assert_array_equal(rgb.reshape(48, 64, 3), photo())
 
 
-def test_what_makes_depth_doubtful_is_said(
-    model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_what_makes_depth_doubtful_is_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     source = save(tmp_path / "a.png", photo())
-    model.save_pretrained(tmp_path / "model", info={})
+    eldenet.load("eldenet_s").save_pretrained(tmp_path / "model")
     run(tmp_path / "model", source, tmp_path / "unknown", "formats=depth")
     assert "does not say at which size it was trained" in capsys.readouterr().out
     run(tmp_path / "model", source, tmp_path / "given", "formats=depth", "input_size=[32,64]")
@@ -142,6 +143,8 @@ def test_a_cut_picture_is_named(model_folder: Path, tmp_path: Path, ending: str,
         (["formats=[jpeg]"], "depth, colour, ply"),
         (["formats=[]"], "formats is empty"),
         (["on_error=ignore"], "stop, skip"),
+        (["frames=0"], "frames=0: give a whole number above 0"),
+        (["frames=-3"], "frames=-3: give a whole number above 0"),
         (["depth_range=[5,1]"], "near < far"),
         (["input_size=[32]"], "input_size"),
         (["checkpoint=nothing/of/this/name"], "neither a folder here"),
@@ -175,6 +178,17 @@ def test_one_camera_is_of_one_size(model_folder: Path, tmp_path: Path) -> None:
     assert run(model_folder, tmp_path / "in", tmp_path / "other").images == 2
     with pytest.raises(ValueError, match=r"b is 40 x 30, the pictures before it 48 x 64"):
         run(model_folder, tmp_path / "in", tmp_path / "out", "intrinsics=[50,50,32,24]")
+
+
+@pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
+def test_the_other_runtimes_stay_on_the_cpu(model_folder: Path, tmp_path: Path, engine: str) -> None:
+    """Where torch sees a GPU, "auto" is that of torch alone: those of ONNX need builds of their own."""
+    pytest.importorskip(engine)
+    resources = Resources("cuda", "fp32", threads=1, workers=0, cores=1)
+    given = [f"checkpoint='{model_folder}'", "source=x", f"engine={engine}"]
+    predictor = open_predictor(compose("predict", given), resources, RunLog(tmp_path, quiet=True))
+    assert predictor.model.device == "cpu"
+    assert predictor(photo()).shape == (48, 64)
 
 
 def test_depth_beyond_16_bits_is_unknown_and_said(model: DepthNet, tmp_path: Path) -> None:

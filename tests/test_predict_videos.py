@@ -1,5 +1,6 @@
 """From a video or a camera to a video, or to a depth file a frame."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,9 @@ from eldenet.config import compose
 from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.model import DepthNet
 from eldenet.predict import predict
+from eldenet.predictions import in_time
 from eldenet.predictor import DepthPredictor, to_millimetres
+from eldenet.runtimes.stream import DepthStream, StreamFrame, without_password
 
 
 def video(path: Path, frames: int = 5) -> Path:
@@ -101,6 +104,61 @@ def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, caps
     assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
     (file,) = (tmp_path / "out").iterdir()
     assert file.name.endswith("walk_mp4_depth.mp4")
-    assert len(read_video(file)[0]) == results.images
+    assert read_video(file)[1] == 12.0
     with pytest.raises(ValueError, match=r"source=camera:99 cannot be opened"):
         run(model_folder, "camera:99", tmp_path / "none")  # type: ignore[arg-type]
+
+
+class SlowCamera(DepthStream):
+    """A camera of 10 frames a second, of which three frames had time: at 0, 0.5 and 0.7 s."""
+
+    def __init__(self, source, predictor) -> None:
+        self.predictor, self.drop = predictor, True
+        self.dropped, self.announced, self.frames_per_second = 5, 0, 10.0
+        self._times = [0.0]
+
+    def __iter__(self):
+        for number in (0, 5, 7):
+            frame = np.roll(photo(), 3 * number, axis=1)
+            yield StreamFrame(number, frame, self.predictor(frame), 77.0 + number / 10)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_film_of_a_camera_keeps_time(
+    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("eldenet.runtimes.stream.DepthStream", SlowCamera)
+    run(model_folder, "rtsp://me:se@cret@host/street", tmp_path / "out", "depth_range=[0.1,10]")  # type: ignore[arg-type]
+    (file,) = (tmp_path / "out").iterdir()
+    assert file.name == "rtsp_host_street_depth.mp4"
+    frames, rate = read_video(file)
+    assert (len(frames), rate) == (8, 10.0)  # 0.7 s, and the last frame
+    steps = [np.abs(b.astype(float) - a).mean() for a, b in pairwise(frames)]
+    assert sorted(np.argsort(steps)[-2:] + 1) == [5, 7]  # where the picture changes
+    said = capsys.readouterr().out
+    assert "3 frames of street (5 dropped)" in said
+    assert "cret" not in said
+
+
+def test_a_film_is_as_long_as_what_it_shows() -> None:
+    def film(*taken: float, rate: float = 10.0) -> list[float]:
+        shown: list[np.ndarray] = []
+        show = in_time(shown.append, rate)
+        for time in taken:
+            show(np.array(time), time)
+        return [float(picture) for picture in shown]
+
+    assert film(*(number / 12 for number in range(9)), rate=12.0) == [number / 12 for number in range(9)]
+    assert film(5.0, 5.3, 5.4) == [5.0, 5.0, 5.0, 5.3, 5.4]
+    assert film(5.0, 5.01, 5.02, 5.2) == [5.0, 5.02, 5.2]  # faster than the film
+
+
+def test_an_address_is_shown_without_its_password(tmp_path: Path) -> None:
+    assert without_password("rtsp://admin:p@ss:w?rd@10.0.0.1:554/a/b@c") == "rtsp://10.0.0.1:554/a/b@c"
+    for plain in ("camera:0", "rtsp://10.0.0.1/x", "a@b.mp4", "http://host/me@home.mp4"):
+        assert without_password(plain) == plain
+    with pytest.raises(ValueError, match=r"source=file:///nowhere cannot be opened") as error:
+        DepthStream("file://me:secret@/nowhere", lambda frame: frame)
+    assert "secret" not in str(error.value)

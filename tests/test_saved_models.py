@@ -22,6 +22,7 @@ from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.decoders.upconv import UpConvDecoder
 from eldenet.heads import InverseHead, LinearHead, LogHead
 from eldenet.model import DepthNet, EncoderDecoder
+from eldenet.predictor import DepthPredictor
 from eldenet.refinement import JointBilateral
 from eldenet.runlog import RunLog
 from eldenet.train import build_seeded_model
@@ -94,6 +95,17 @@ def test_run_folders_and_info(tmp_path: Path) -> None:
     loaded.save_pretrained(tmp_path / "copy")
     assert eldenet.load(tmp_path / "copy").info == info
     assert sorted(path.name for path in (tmp_path / "copy").iterdir()) == ["config.json", "model.safetensors"]
+
+
+def test_info_that_is_given_goes_beside_what_is_known(tmp_path: Path) -> None:
+    model = small_net()
+    model.info = {"input_size": [48, 64], "whole_frame_size": [60, 76], "data": "kitti"}
+    model.save_pretrained(tmp_path / "model", info={"trained_on": "streets", "data": "mine"})
+    shared = eldenet.load(tmp_path / "model")
+    assert shared.info == {**model.info, "trained_on": "streets", "data": "mine"}
+    assert DepthPredictor(shared).size_for(120, 152) == DepthPredictor(model).size_for(120, 152) == (60, 76)
+    model.save_pretrained(tmp_path / "tuned", info={"input_size": [96, 128]})  # at another size, whole frames
+    assert DepthPredictor(eldenet.load(tmp_path / "tuned")).size_for(120, 152) == (96, 128)
 
 
 def test_pretrained_is_not_saved(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import warnings
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,13 @@ from networks import picture, small_net
 
 import eldenet
 from eldenet import config as cfg
+from eldenet import runtimes
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.heads import LogHead
 from eldenet.model import DepthNet
 from eldenet.profiling import count_params
 from eldenet.refinement import JointBilateral
-from eldenet.sources import PACKAGED
+from eldenet.sources import PACKAGED, sha256
 
 NAMES = [
     "eldenet",
@@ -147,6 +149,35 @@ def test_shipped_weights_know_depth(name, cache):
         )
     assert trained < 0.25
     assert fresh > 2 * trained
+
+
+def test_home_is_where_a_tilde_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    small_net().save_pretrained(tmp_path / "runs/mine/model")
+    for read in (eldenet.load, lambda source: runtimes.load(source, threads=1)):
+        read("~/runs/mine")
+        read("~/runs/mine/model")
+        with pytest.raises(FileNotFoundError, match=f"{tmp_path}/nothing is neither a folder"):
+            read("~/nothing")
+    with pytest.raises(FileNotFoundError, match=f"{tmp_path}/nothing.onnx does not exist"):
+        runtimes.load("~/nothing.onnx")
+    assert sha256("~/runs/mine") == sha256(tmp_path / "runs/mine") is not None
+
+
+def test_a_run_named_as_the_packages_weights_is_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small_net().save_pretrained("eldenet_rooms/model")
+    with pytest.warns(UserWarning, match=r"taken from the package.* for that one give \./eldenet_rooms"):
+        packaged = eldenet.load("eldenet_rooms")
+    assert "rendered rooms" in packaged.info["weights have seen"]
+    assert eldenet.load("./eldenet_rooms").info == {}
+    assert runtimes.load("./eldenet_rooms", threads=1).info == {"model_name": "unnamed"}
+    (tmp_path / "eldenet_rooms").rename("other")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        eldenet.load("eldenet_rooms")
 
 
 def test_weights_that_do_not_exist():

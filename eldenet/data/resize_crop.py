@@ -1,10 +1,13 @@
 """Protocol geometry of a camera frame: windows, sizes and crops, on image, depth and intrinsics alike."""
 
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
-from eldenet.geometry import crop_corner, crop_intrinsics, resize_intrinsics, resize_sparse
+from eldenet.data.base import SPARSE
+from eldenet.geometry import crop_corner, crop_intrinsics, pinhole, resize_intrinsics, resize_sparse
+from eldenet.protocol import EvalProtocol
 from eldenet.types import Frame
 
 
@@ -61,6 +64,19 @@ class ResizeCrop:
             interpolation,
             sparse,
             keep_depth,
+        )
+
+    @classmethod
+    def of_protocol(cls, protocol: EvalProtocol, *, keep_depth: bool = False) -> Self:
+        """What ``protocol`` does to a camera's frame before anything else."""
+        return cls(
+            box=protocol.frame_box,
+            resize=protocol.resize,
+            crop=protocol.frame_crop,
+            anchor=protocol.frame_anchor,
+            size=protocol.frame_size,
+            sparse=protocol.ground_truth in SPARSE,
+            keep_depth=keep_depth,
         )
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
@@ -135,6 +151,27 @@ def _pair(size: Sequence[int]) -> tuple[int, int]:
     if len(size) != 2 or min(size) < 1:
         raise ValueError(f"a size is [height, width] in pixels, got {list(size)}")
     return int(size[0]), int(size[1])
+
+
+def whole_frame_size(
+    protocol: EvalProtocol, frame_size: tuple[int, int], input_size: Sequence[int] | None
+) -> tuple[int, int]:
+    """``(height, width)`` [px] that a camera's whole frame has at the scale at which a network sees its part.
+
+    Args:
+        protocol: cuts the part out of the frame.
+        frame_size: ``(height, width)`` of the whole frame [px].
+        input_size: ``(height, width)`` to which the part is resized for the network [px]; None: it is not.
+
+    Example: KITTI's 375 x 1242 of which the lowest 352 x 1216 are seen at 176 x 608: 188 x 621.
+    """
+    blank = np.zeros((*frame_size, 3), np.uint8), np.zeros(frame_size, np.float32)
+    part = ResizeCrop.of_protocol(protocol)(Frame(*blank, pinhole(1, 1, 0, 0), "a training frame"))
+    scale = part.intrinsics  # of focal lengths that were 1
+    assert scale is not None
+    if input_size is not None:
+        scale = resize_intrinsics(scale, part.depth.shape, _pair(input_size))
+    return round(frame_size[0] * scale[1, 1]), round(frame_size[1] * scale[0, 0])
 
 
 def check_same_size(frame: Frame) -> None:

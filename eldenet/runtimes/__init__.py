@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.exporting import describe, write_onnx
-from eldenet.model import CONFIG_NAME, DepthNet
+from eldenet.model import CONFIG_NAME, DepthNet, size_of_frames
 from eldenet.profiling import median_ms, time_interleaved
 from eldenet.resources import available_cores
 from eldenet.runtimes.base import PRECISIONS, Runtime
@@ -47,7 +47,7 @@ def load(
         device: "cpu", "cuda", "tensorrt" (ONNX Runtime), "gpu", "npu" (OpenVINO), or an ONNX Runtime
             provider's name.
         size: ``(height, width)`` [px] for a model under ONNX Runtime or OpenVINO, which is exported on the
-            way; None: the size it was trained at.
+            way; None: that of whole frames in its training (:func:`eldenet.model.size_of_frames`).
         trusted_modules: packages whose classes a folder's config may name.
 
     Raises:
@@ -59,7 +59,7 @@ def load(
     if runtime not in ("auto", *RUNTIMES):
         raise ValueError(f"runtime={runtime!r}: choose auto, {', '.join(RUNTIMES)}")
     if not isinstance(source, DepthNet) and Path(source).suffix in READS:
-        path = Path(source)
+        path = Path(source).expanduser()
         if not path.is_file():
             raise FileNotFoundError(f"{path} does not exist: python -m eldenet.export writes such files")
         if runtime == "auto":
@@ -70,9 +70,9 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    model = source if isinstance(source, DepthNet) else _from_folder(Path(source), trusted_modules)
+    model = source if isinstance(source, DepthNet) else _from_folder(source, trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
-    size = size or model.info.get("input_size")
+    size = size or size_of_frames(model.info)
     if runtime in TORCH:
         from eldenet.runtimes.pytorch import TorchRuntime
 
@@ -143,7 +143,7 @@ def _open(path: Path, runtime: str, precision: str | None, threads: int, device:
     return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
 
 
-def _from_folder(source: Path, trusted_modules: Sequence[str]) -> DepthNet:
+def _from_folder(source: str | Path, trusted_modules: Sequence[str]) -> DepthNet:
     folder = located(source)
     inner = folder / "model"
     return DepthNet.from_pretrained(

@@ -48,6 +48,11 @@ class Runtime:
         return self._sizes("camera_size")
 
     @property
+    def whole_frame_size(self) -> tuple[int, int] | None:
+        """``(height, width)`` [px] of a whole frame at the scale of a training that cropped, else None."""
+        return self._sizes("whole_frame_size")
+
+    @property
     def fixed_size(self) -> tuple[int, int] | None:
         """``(height, width)`` that the network sees [px] where it can see no other, else None."""
         return self._sizes("input_size")

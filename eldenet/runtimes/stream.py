@@ -1,5 +1,6 @@
 """Depth of a camera or a video while it runs: a bounded queue between the one and the other."""
 
+import re
 import threading
 import time
 from collections import deque
@@ -157,6 +158,7 @@ class DepthStream:
         if not capture.isOpened():
             capture.release()
             if is_live(name):
+                name = without_password(name)
                 raise ValueError(f"source={name} cannot be opened: no such camera, out of reach, or no right")
             raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
@@ -181,3 +183,8 @@ def _frames_of(capture: object) -> Iterator[np.ndarray]:
 def is_live(source: str | Path) -> bool:
     """Whether frames come whether or not anybody reads them: a camera, or an address."""
     return str(source).startswith("camera:") or "://" in str(source)
+
+
+def without_password(source: str) -> str:
+    """A source as it may be printed and written: an address without its ``user:password@``."""
+    return re.sub(r"(?<=://)[^/]*@", "", source)
