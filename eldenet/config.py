@@ -254,7 +254,7 @@ def build_split(
                 anchor=protocol.frame_anchor,
                 size=protocol.frame_size,
                 sparse=protocol.ground_truth in SPARSE,
-                keep_depth=protocol.paste and split != "train",
+                keep_depth=protocol.paste and (score or split != "train"),
             )
         )
         if config.data[split].get("load_size") is not None:

@@ -80,6 +80,18 @@ def test_kb_crop_by_pixel(tmp_path: Path) -> None:
     assert second[2]["image"].shape[-2:] == second[2]["depth"].shape[-2:] == (352, 1216)
 
 
+def test_every_split_is_scored_in_the_whole_frame(tmp_path: Path) -> None:
+    root = kitti_depth(tmp_path)
+    words = ["data=kitti", f"data.root={root}", "protocol=kitti_eigen_garg_improved"]
+    words += [f"data.{split}.split=all" for split in ("train", "val")]
+    config = compose("train", [*words, "data.input_size=null"])
+    rules = build_protocol(config)
+    train, val = (build_split(config, split, rules, score=True) for split in ("train", "val"))
+    assert train[0]["depth"].shape == val[0]["depth"].shape == (1, 375, 1242)
+    one, other = (evaluate(Ramp(), data, rules, batch_size=4) for data in (train, val))
+    assert one.metrics == pytest.approx(other.metrics, nan_ok=True)
+
+
 def test_912x228_by_pixel(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path, kind="velodyne_raw")
     sparse = "data.depth=velodyne_raw"
