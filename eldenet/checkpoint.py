@@ -43,7 +43,7 @@ class TrainingState:
         loss: its own parameters, if it has any (a distillation's projections; never a teacher).
         scaler: of fp16 gradients, or None.
         progress: how far it is.
-        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser ...).
+        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser, monitor ...).
     """
 
     model: nn.Module

@@ -38,7 +38,7 @@ def train(config: "DictConfig", folder: Path) -> float:
         return float(record["training"]["best_value"])
     checkpoint = _checkpoint(config, folder)
     refuse_to_mix(folder, checkpoint)
-    if config.ckpt_path == "auto" and checkpoint is not None:
+    if checkpoint is not None and _lies_in(folder, checkpoint):
         refuse_other_settings(config, folder)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
@@ -175,15 +175,18 @@ def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:
         ValueError: ``folder`` holds a run, and ``checkpoint`` is not that run's.
     """
     held = [name for name in ("run.json", "checkpoints/last.pt") if (folder / name).exists()]
-    if checkpoint is not None:
-        resolved = checkpoint.resolve()
-        if folder.resolve() in (resolved, *resolved.parents):
-            return
+    if checkpoint is not None and _lies_in(folder, checkpoint):
+        return
     if held:
         raise ValueError(
             f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
             "another run_dir, or remove that folder"
         )
+
+
+def _lies_in(folder: Path, checkpoint: Path) -> bool:
+    resolved = checkpoint.resolve()
+    return folder.resolve() in (resolved, *resolved.parents)
 
 
 def refuse_other_settings(config: "DictConfig", folder: Path) -> None:

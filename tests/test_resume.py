@@ -11,11 +11,15 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from training import digest, fit, make_trainer
 
 from eldenet.checkpoint import load_checkpoint, save_checkpoint
+from eldenet.config import compose
 from eldenet.losses.pointwise import L1Loss
+from eldenet.metrics import EvalProtocol
 from eldenet.schedules import cosine
+from eldenet.train import train
 from eldenet.trainer import Trainer
 
 
@@ -120,6 +124,26 @@ def test_resuming_another_training_is_refused(tmp_path):
         fit(tmp_path, epochs=1, scheduler=partial(cosine, final=0.5), ckpt_path=tmp_path)
     with pytest.raises(ValueError, match="ema_decay differ"):
         fit(tmp_path, epochs=1, ema_decay=0.9, ckpt_path=tmp_path)
+    # values of another metric, or of other frames, would be compared with the best so far
+    for options, name in (
+        ({"monitor": "abs_rel"}, "monitor"),
+        ({"val_frames": 5}, "validation split"),
+        ({"protocol": EvalProtocol("other", min_depth=0.1, ground_truth="dense")}, "protocol"),
+    ):
+        with pytest.raises(ValueError, match=f"{name} differ"):
+            fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)
+
+
+def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
+    begun = compose("train", ["model_name=small", f"run_dir={tmp_path}", "trainer.checkpoint_every=7"])
+    OmegaConf.save(begun, tmp_path / "config.yaml", resolve=True)
+    (tmp_path / "checkpoints").mkdir()
+    last = tmp_path / "checkpoints" / "last.pt"
+    save_checkpoint(last, {"progress": {}})
+    for given in ("auto", tmp_path, last):
+        other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
+        with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
+            train(other, tmp_path)
 
 
 def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
