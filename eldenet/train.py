@@ -112,6 +112,7 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
 
     ``arguments`` go to its constructor beside those of ``config.model``.
     """
+    from eldenet.normalisation import keep_normalisation
     from eldenet.resources import seed_everything
 
     seed_everything(config.seed)
@@ -121,10 +122,12 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
 
         named = str(config.weights) in eldenet.list_models()
         trusted = [] if named else _own_modules(cfg.plain(config.model))
-        start = eldenet.load(config.weights, trusted_modules=trusted).state_dict()
+        start = eldenet.load(config.weights, trusted_modules=trusted)
         own = model.state_dict()
         fitting = {
-            name: value for name, value in start.items() if name in own and own[name].shape == value.shape
+            name: value
+            for name, value in start.state_dict().items()
+            if name in own and own[name].shape == value.shape
         }
         share = sum(value.numel() for value in fitting.values()) / sum(
             value.numel() for value in own.values()
@@ -138,7 +141,19 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
         if len(fitting) < len(own):
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
             log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
+        chosen = bool(arguments) or bool({"mean", "std"} & config.model.keys())
+        for line in (keep_normalisation(model, start, chosen=chosen), _other_head(model, start)):
+            if line:
+                log.say(line)
     return model
+
+
+def _other_head(model: "DepthNet", start: "DepthNet") -> str:
+    """What to say where the weights' raw maps come to other metres here."""
+    ours, theirs = model.head.config, start.head.config
+    return (
+        "" if ours == theirs else f"weights: trained behind another head, {theirs}; this network has {ours}"
+    )
 
 
 def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
