@@ -1,5 +1,6 @@
 """``python -m eldenet.train``: config -> plain objects -> training -> evaluation -> ``run.json`` -> table."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     """The whole run of ``config`` in ``folder``; with ``ckpt_path=auto`` a finished one is left as it is.
 
     Returns:
-        The best value of ``trainer.monitor``.
+        The best value of ``trainer.monitor``; NaN where no validation had one.
     """
     from omegaconf import OmegaConf
 
@@ -35,7 +36,8 @@ def train(config: "DictConfig", folder: Path) -> float:
     record = finished_run(config, folder)
     if record is not None:
         RunLog(folder, quiet=not cfg.is_main_process()).say(f"{folder}: finished already")
-        return float(record["training"]["best_value"])
+        best_value = record["training"]["best_value"]
+        return math.nan if best_value is None else float(best_value)
     checkpoint = _checkpoint(config, folder)
     refuse_to_mix(folder, checkpoint)
     if checkpoint is not None and _lies_in(folder, checkpoint):
@@ -160,7 +162,7 @@ def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
     """The ``run.json`` of this very run if it is there already, and ``ckpt_path=auto`` asks for it.
 
     Raises:
-        ValueError: the finished run in ``folder`` had other settings or other data.
+        ValueError: the finished run in ``folder`` had other settings or other data, or is an evaluation.
     """
     from eldenet.record import RUN_FILE, read_run
     from eldenet.sources import run_differences
@@ -168,6 +170,8 @@ def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
     if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
+    if record.get("training", {}) is None:
+        raise ValueError(f"{folder} holds an evaluation, no training to go on with: give another folder")
     different = run_differences(cfg.plain(config), record)
     if not different:
         protocol = cfg.build_protocol(config)

@@ -1,5 +1,6 @@
 """A stopped or killed training goes on to the very same weights, or is refused in a clear line."""
 
+import math
 import os
 import random
 import signal
@@ -12,12 +13,14 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import OmegaConf
+from synthetic import SyntheticDepth
 from training import digest, fit, make_trainer
 
 from eldenet.checkpoint import load_checkpoint, save_checkpoint
-from eldenet.config import compose
+from eldenet.config import compose, plain
 from eldenet.losses.pointwise import L1Loss
 from eldenet.metrics import EvalProtocol
+from eldenet.record import write_json
 from eldenet.schedules import cosine
 from eldenet.train import train
 from eldenet.trainer import Trainer
@@ -144,6 +147,17 @@ def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
         other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
         with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
             train(other, tmp_path)
+
+
+def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
+    config = compose("train", ["model_name=small", f"run_dir={tmp_path}", "ckpt_path=auto"])
+    record = {"metrics": {}, "config": plain(config), "training": None}
+    write_json(tmp_path / "run.json", record)
+    with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
+        train(config, tmp_path)
+    write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
+    monkeypatch.setattr("eldenet.config.build_split", lambda *_: SyntheticDepth(2))
+    assert math.isnan(train(config, tmp_path))
 
 
 def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
