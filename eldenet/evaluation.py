@@ -58,6 +58,8 @@ def evaluate(
 ) -> Evaluation:
     """Score ``model`` on every frame of ``dataset`` exactly once, in fp32.
 
+    On CUDA call :func:`eldenet.resources.full_fp32` before, as the commands do: torch takes TF32 for fp32.
+
     Args:
         model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept.
         dataset: built for evaluation (depth in its own resolution).

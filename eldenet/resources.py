@@ -69,7 +69,7 @@ def choose_resources(
     threads: int | str = "auto",
     workers: int | str = "auto",
 ) -> Resources:
-    """Resolve "auto" into what this machine does best, and apply the thread count.
+    """Resolve "auto" into what this machine does best, and apply the thread count and :func:`full_fp32`.
 
     Args:
         device: "auto", "cpu" or "cuda".
@@ -106,7 +106,18 @@ def choose_resources(
             stacklevel=2,
         )
     torch.set_num_threads(threads)
+    full_fp32()
     return Resources(device, resolve_precision(precision, device), threads, workers, cores)
+
+
+def full_fp32() -> None:
+    """Let fp32 be fp32 in this process: on CUDA torch's convolutions round to TF32's ten bits by default."""
+    import torch
+
+    with warnings.catch_warnings():
+        # from 2.9 on torch wants its newer switches, which leave this one, and what reads it, in disagreement
+        warnings.filterwarnings("ignore", message=".*TF32")
+        torch.backends.cudnn.allow_tf32 = False
 
 
 def resolve_precision(precision: str, device: str) -> str:

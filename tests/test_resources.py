@@ -1,12 +1,14 @@
 """What a machine, or a container on it, gives: cores, memory; and what a run makes of it."""
 
 import os
+import warnings
 from pathlib import Path
 
 import pytest
+import torch
 
 from eldenet import resources
-from eldenet.resources import available_cores, available_memory
+from eldenet.resources import available_cores, available_memory, choose_resources
 
 
 @pytest.fixture
@@ -46,3 +48,18 @@ def test_a_container_gives_its_share_of_the_cores(
     assert available_cores() == 8
     (cgroup / "cpu.max").write_text(f"{quota}\n")
     assert available_cores() == cores
+
+
+def test_fp32_is_no_tf32() -> None:
+    before = torch.backends.cudnn.allow_tf32
+    try:
+        torch.backends.cudnn.allow_tf32 = True
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            choose_resources(device="cpu", threads=1, workers=0)
+        assert not torch.backends.cudnn.allow_tf32
+        if hasattr(torch.backends.cudnn, "conv"):  # torch 2.9
+            assert torch.backends.cudnn.conv.fp32_precision != "tf32"
+        assert not torch.backends.cuda.matmul.allow_tf32
+    finally:
+        torch.backends.cudnn.allow_tf32 = before
