@@ -77,6 +77,8 @@ class TrainingState:
             "progress": asdict(self.progress),
             "identity": json.dumps(self.identity, sort_keys=True, default=str),
             "torch_rng": torch.get_rng_state(),
+            # of this process's device: as on the CPU, all processes go on with the first one's
+            "cuda_rng": torch.cuda.get_rng_state() if torch.cuda.is_initialized() else None,
         }
         save_checkpoint(path, state)
 
@@ -106,6 +108,8 @@ class TrainingState:
         if self.scaler is not None and state["scaler"] is not None:
             self.scaler.load_state_dict(state["scaler"])
         torch.set_rng_state(state["torch_rng"])
+        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # those of before have none
+            torch.cuda.set_rng_state(state["cuda_rng"])
         for name, value in state["progress"].items():
             setattr(self.progress, name, value)
 

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from synthetic import SyntheticDepth
 from training import digest, fit, make_trainer
 
-from eldenet.checkpoint import load_checkpoint, save_checkpoint
+from eldenet.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.config import compose, plain
 from eldenet.losses.pointwise import L1Loss
 from eldenet.metrics import EvalProtocol
@@ -166,6 +166,30 @@ def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
     (tmp_path / "run" / "checkpoints" / "last.pt").rename(tmp_path / "alone" / "last.pt")
     with pytest.raises(FileNotFoundError, match="best epoch so far is 1"):
         fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path / "alone" / "last.pt")
+
+
+def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
+    fit(tmp_path / "cpu", epochs=1)
+    set_to = []
+    monkeypatch.setattr(torch.cuda, "set_rng_state", set_to.append)
+    assert load_checkpoint(tmp_path / "cpu")["cuda_rng"] is None
+
+    def state(drawn: int) -> TrainingState:
+        monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+        monkeypatch.setattr(torch.cuda, "get_rng_state", lambda: torch.tensor([drawn], dtype=torch.uint8))
+        model = torch.nn.Linear(2, 2)
+        optimizer = torch.optim.SGD(model.parameters(), lr=0.1)
+        scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer)
+        return TrainingState(model, None, optimizer, scheduler, L1Loss(), None, Progress(), {})
+
+    state(7).save(tmp_path / "last.pt")
+    state(3).restore(tmp_path / "last.pt")
+    assert [value.item() for value in set_to] == [7]
+    without = load_checkpoint(tmp_path / "last.pt")
+    del without["cuda_rng"]
+    save_checkpoint(tmp_path / "old.pt", without)
+    state(3).restore(tmp_path / "old.pt")
+    assert len(set_to) == 1
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):

@@ -245,15 +245,6 @@ def test_damaged_shards_are_rendered_again(dataset, cache, damage):
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
 
 
-def test_the_second_writer_drops_its_copy(tmp_path):
-    arrays = {"image": np.zeros((1, 2, 2, 3), np.uint8), "depth": np.zeros((1, 2, 2), np.uint16)}
-    arrays["intrinsics"] = np.eye(3)[None]
-    write_shard(tmp_path / "s", arrays)
-    write_shard(tmp_path / "s", {**arrays, "image": arrays["image"] + 1})
-    assert open_shard(tmp_path / "s")[0].max() == 0
-    assert [p.name for p in tmp_path.iterdir()] == ["s"]
-
-
 def test_a_render_process_continues_where_another_stopped(tmp_path, dataset):
     """The worker process renders what is missing and leaves whole shards alone."""
     done = shard_folder(tmp_path, "train", 0)
