@@ -43,7 +43,7 @@ class TrainingState:
         loss: its own parameters, if it has any (a distillation's projections; never a teacher).
         scaler: of fp16 gradients, or None.
         progress: how far it is.
-        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser ...).
+        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser, monitor ...).
     """
 
     model: nn.Module
@@ -77,6 +77,8 @@ class TrainingState:
             "progress": asdict(self.progress),
             "identity": json.dumps(self.identity, sort_keys=True, default=str),
             "torch_rng": torch.get_rng_state(),
+            # of this process's device: as on the CPU, all processes go on with the first one's
+            "cuda_rng": torch.cuda.get_rng_state() if torch.cuda.is_initialized() else None,
         }
         save_checkpoint(path, state)
 
@@ -106,6 +108,8 @@ class TrainingState:
         if self.scaler is not None and state["scaler"] is not None:
             self.scaler.load_state_dict(state["scaler"])
         torch.set_rng_state(state["torch_rng"])
+        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # those of before have none
+            torch.cuda.set_rng_state(state["cuda_rng"])
         for name, value in state["progress"].items():
             setattr(self.progress, name, value)
 
@@ -151,6 +155,21 @@ def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
     unfinished.replace(path)
 
 
+def checkpoint_file(path: str | Path) -> Path:
+    """The checkpoint that is meant: ``path`` itself, or the last one of the run folder ``path``.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    path = Path(path)
+    path = path / "checkpoints" / LAST if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
+        )
+    return path
+
+
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read a checkpoint that :func:`save_checkpoint` wrote; nothing in it is executed.
 
@@ -161,12 +180,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
         FileNotFoundError: no such file.
         ValueError: the file is no checkpoint of ours, or is damaged.
     """
-    path = Path(path)
-    path = path / "checkpoints" / LAST if path.is_dir() else path
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
-        )
+    path = checkpoint_file(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged or foreign file

@@ -246,7 +246,8 @@ def build_split(
     if score and config.data[split].get("load_size") is not None:
         changes = {"load_size": None, "cache": "none"}
     if protocol.changes_frames:
-        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=protocol.paste and split != "train"))
+        whole = protocol.paste and (score or split != "train")
+        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
         if config.data[split].get("load_size") is not None:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -57,12 +58,14 @@ def evaluate(
 ) -> Evaluation:
     """Score ``model`` on every frame of ``dataset`` exactly once, in fp32.
 
+    On CUDA call :func:`eldenet.resources.full_fp32` before, as the commands do: torch takes TF32 for fp32.
+
     Args:
         model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept.
         dataset: built for evaluation (depth in its own resolution).
         protocol: the rules.
         device: where the model is.
-        batch_size: images at a time; has no influence on the result.
+        batch_size: images at a time, fewer where their size changes; has no influence on the result.
         workers: processes that load data.
         rank: of this process, if several share the work.
         processes: that share the work; sums are added up over them.
@@ -78,7 +81,7 @@ def evaluate(
     metrics = DepthMetrics(protocol, sync=processes > 1, classes=dataset.class_names).to(device)
     rows: list[tuple[Any, ...]] = []
     with eval_mode(model):
-        for batch in loader:
+        for batch in chain.from_iterable(loader):
             image = batch["image"].to(device, memory_format=torch.channels_last)
             prediction = predict_depth(model, image, flip=protocol.flip)
             labels = batch["labels"].to(device) if "labels" in batch else None
@@ -139,13 +142,24 @@ class ConstantPredictor(nn.Module):
 def fit_constant_predictor(dataset: DepthDataset, *, frames: int = 512) -> ConstantPredictor:
     """Mean over known depth, pixel by pixel, of up to ``frames`` training frames spread over the set.
 
-    ``dataset`` must not augment, and must bring depth to one size.
+    Args:
+        dataset: must not augment.
+        frames: at most.
+
+    Raises:
+        ValueError: the depth maps are of several sizes.
     """
     step = -(-len(dataset) // frames)
     total = count = None
     for index in range(0, len(dataset), step):
         sample = dataset[index]
         depth, known = sample["depth"].double(), sample["mask"]
+        if total is not None and total.shape != depth.shape:
+            raise ValueError(
+                f"the depth of {sample['name']} is {tuple(depth.shape[-2:])}, that of {dataset.names[0]} "
+                f"{tuple(total.shape[-2:])} (height, width): a mean depth map needs one size, set "
+                "data.input_size"
+            )
         total = depth * known if total is None else total + depth * known
         count = known.long() if count is None else count + known
     assert total is not None

@@ -10,6 +10,7 @@ from eldenet.record import write_json
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
+    from eldenet.model import DepthNet
 
 FILE = "normalisation.json"
 FRAMES = 512
@@ -47,6 +48,32 @@ def normalisation(
     return {
         name: [round(v, 5) for v in values] for name, values in (("mean", found.mean), ("std", found.std))
     }
+
+
+def keep_normalisation(model: "DepthNet", start: "DepthNet", *, chosen: bool) -> str:
+    """Weights mean something only behind the normalisation that they were trained with: give it to ``model``.
+
+    Args:
+        model: that starts from the weights of ``start``; changed in place, its ``config`` too.
+        start: whose mean and standard deviation are taken over.
+        chosen: the user asked for those of ``model``: they stay.
+
+    Returns:
+        What to say of it; nothing where the two are alike.
+    """
+    if all(getattr(model, name).equal(getattr(start, name)) for name in ("mean", "std")):
+        return ""
+    theirs, ours = (
+        f"mean {network.config['mean']}, std {network.config['std']}" for network in (start, model)
+    )
+    if chosen:
+        return f"weights: trained with images normalised by {theirs}; the chosen {ours} stays"
+    for name in ("mean", "std"):
+        getattr(model, name).copy_(getattr(start, name))
+        model.config[name] = list(start.config[name])
+    return (
+        f"weights: their normalisation is taken over, {theirs} (normalisation={{mean, std}} chooses another)"
+    )
 
 
 def write_normalisation(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """Threads, workers, device and precision: chosen once, before the work starts, and recorded."""
 
+import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -7,6 +8,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+CGROUP = Path("/sys/fs/cgroup")
 
 
 def prepare_environment() -> None:
@@ -20,8 +23,10 @@ def prepare_environment() -> None:
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use: those it is bound to, and no more than its container's share."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quota, _, period = _cgroup("cpu.max").partition(" ")
+    return min(cores, max(1, math.ceil(int(quota) / int(period)))) if quota.isdigit() else cores
 
 
 def available_memory() -> int:
@@ -31,9 +36,19 @@ def available_memory() -> int:
         free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
     except (OSError, StopIteration):  # no Linux
         free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    limit = Path("/sys/fs/cgroup/memory.max")
-    most = limit.read_text().strip() if limit.is_file() else "max"
-    return free if most == "max" else min(free, int(most))
+    most = _cgroup("memory.max")
+    if not most.isdigit():
+        return free
+    stat = dict(line.split() for line in _cgroup("memory.stat").splitlines())
+    # what is kept of files that nobody reads any more is given up when memory is wanted
+    used = int(_cgroup("memory.current") or 0) - int(stat.get("inactive_file", 0))
+    return min(free, max(0, int(most) - used))
+
+
+def _cgroup(name: str) -> str:
+    """A file of this container's control group (version 2), "" where there is none."""
+    file = CGROUP / name
+    return file.read_text().strip() if file.is_file() else ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +69,7 @@ def choose_resources(
     threads: int | str = "auto",
     workers: int | str = "auto",
 ) -> Resources:
-    """Resolve "auto" into what this machine does best, and apply the thread count.
+    """Resolve "auto" into what this machine does best, and apply the thread count and :func:`full_fp32`.
 
     Args:
         device: "auto", "cpu" or "cuda".
@@ -91,7 +106,18 @@ def choose_resources(
             stacklevel=2,
         )
     torch.set_num_threads(threads)
+    full_fp32()
     return Resources(device, resolve_precision(precision, device), threads, workers, cores)
+
+
+def full_fp32() -> None:
+    """Let fp32 be fp32 in this process: on CUDA torch's convolutions round to TF32's ten bits by default."""
+    import torch
+
+    with warnings.catch_warnings():
+        # from 2.9 on torch wants its newer switches, which leave this one, and what reads it, in disagreement
+        warnings.filterwarnings("ignore", message=".*TF32")
+        torch.backends.cudnn.allow_tf32 = False
 
 
 def resolve_precision(precision: str, device: str) -> str:

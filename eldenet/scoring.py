@@ -1,13 +1,19 @@
 """From a trained network to ``run.json``: what ``train`` and ``evaluate`` both end with."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.checkpoint import Progress
-from eldenet.evaluation import PER_IMAGE_HEADER, evaluate, fit_constant_predictor, sample_rows
+from eldenet.evaluation import (
+    PER_IMAGE_HEADER,
+    ConstantPredictor,
+    evaluate,
+    fit_constant_predictor,
+    sample_rows,
+)
 from eldenet.metrics import EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.profiling import CostReport, measure_cost
@@ -62,9 +68,9 @@ def score_and_record(
     """
     dataset = cfg.build_split(config, split, protocol, score=True)
     train_set = _training_frames(config, protocol, log)
-    model = model.to(resources.device)
 
     def score(predictor: Any, title: str) -> Any:
+        predictor.to(resources.device)
         with log.bar(title, len(dataset)) as bar:
             return evaluate(
                 predictor,
@@ -84,16 +90,13 @@ def score_and_record(
     log.close()
     baseline = None
     if train_set is not None:
-        frames = (
-            train_set.split_hash,
-            dataset.split_hash,
-            str(protocol.as_dict()),
-            str(cfg.plain(config.data)),
+        rules = (str(protocol.as_dict()), str(cfg.plain(config.data)))
+        baseline = _constant_score(
+            train_set,
+            (train_set.split_hash, dataset.split_hash, *rules),
+            lambda constant: score(constant, "evaluating the constant predictor").metrics,
+            log,
         )
-        if frames not in _CONSTANT_SCORES:
-            constant = fit_constant_predictor(train_set).to(resources.device)
-            _CONSTANT_SCORES[frames] = score(constant, "evaluating the constant predictor").metrics
-        baseline = _CONSTANT_SCORES[frames]
     sample = dataset[0]["image"]
     record = {
         "model": name,
@@ -139,6 +142,23 @@ def _training_frames(config: "DictConfig", protocol: EvalProtocol, log: RunLog) 
     if train_set.cache == "ram":
         train_set.cache = "none"  # each frame is read once: nothing to keep
     return train_set
+
+
+def _constant_score(
+    train_set: "DepthDataset",
+    key: tuple[str, ...],
+    score: Callable[[ConstantPredictor], dict[str, float]],
+    log: RunLog,
+) -> dict[str, float] | None:
+    """Metrics of the constant predictor, once per ``key``; None where the frames have no mean depth map."""
+    if key not in _CONSTANT_SCORES:
+        try:
+            constant = fit_constant_predictor(train_set)
+        except ValueError as error:
+            log.say(f"no constant predictor beside the result: {error}")
+            return None
+        _CONSTANT_SCORES[key] = score(constant)
+    return _CONSTANT_SCORES[key]
 
 
 def _cost(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> CostReport:

@@ -1,5 +1,6 @@
 """``python -m eldenet.train``: config -> plain objects -> training -> evaluation -> ``run.json`` -> table."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     """The whole run of ``config`` in ``folder``; with ``ckpt_path=auto`` a finished one is left as it is.
 
     Returns:
-        The best value of ``trainer.monitor``.
+        The best value of ``trainer.monitor``; NaN where no validation had one.
     """
     from omegaconf import OmegaConf
 
@@ -37,18 +38,15 @@ def train(config: "DictConfig", folder: Path) -> float:
     record = finished_run(config, folder)
     if record is not None:
         RunLog(folder, quiet=not cfg.is_main_process()).say(f"{folder}: finished already")
-        return float(record["training"]["best_value"])
+        best_value = record["training"]["best_value"]
+        return math.nan if best_value is None else float(best_value)
     checkpoint = _checkpoint(config, folder)
     refuse_to_mix(folder, checkpoint)
-    if config.ckpt_path == "auto" and checkpoint is not None:
+    if checkpoint is not None and _lies_in(folder, checkpoint):
         refuse_other_settings(config, folder)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
-    with main_process_first(resources):  # it renders or prepares what the others then find
-        train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
-        val_set = cfg.build_split(config, "val", protocol)
-        # what the test split lacks shows now, not after the training
-        cfg.build_split(config, "test", protocol, score=True)
+    # before the data, which may take minutes to render: a wrong setting shows at once
     trainer = cfg.instantiate(
         config.trainer,
         optimizer=cfg.instantiate(config.optimizer),
@@ -56,6 +54,11 @@ def train(config: "DictConfig", folder: Path) -> float:
         seed=config.seed,
     )
     loss = cfg.instantiate(config.loss)
+    with main_process_first(resources):  # it renders or prepares what the others then find
+        train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
+        val_set = cfg.build_split(config, "val", protocol)
+        # what the test split lacks shows now, not after the training
+        cfg.build_split(config, "test", protocol, score=True)
     log = RunLog(folder, quiet=not cfg.is_main_process())
     resumed = None if checkpoint is None else run_folder(checkpoint)
     chosen = normalisation(cfg.plain(config.normalisation), train_set, resumed=resumed)
@@ -132,6 +135,7 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
 
     ``arguments`` go to its constructor beside those of ``config.model``.
     """
+    from eldenet.normalisation import keep_normalisation
     from eldenet.resources import seed_everything
 
     seed_everything(config.seed)
@@ -141,10 +145,12 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
 
         named = str(config.weights) in eldenet.list_models()
         trusted = [] if named else _own_modules(cfg.plain(config.model))
-        start = eldenet.load(config.weights, trusted_modules=trusted).state_dict()
+        start = eldenet.load(config.weights, trusted_modules=trusted)
         own = model.state_dict()
         fitting = {
-            name: value for name, value in start.items() if name in own and own[name].shape == value.shape
+            name: value
+            for name, value in start.state_dict().items()
+            if name in own and own[name].shape == value.shape
         }
         share = sum(value.numel() for value in fitting.values()) / sum(
             value.numel() for value in own.values()
@@ -158,14 +164,26 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
         if len(fitting) < len(own):
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
             log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
+        chosen = bool(arguments) or bool({"mean", "std"} & config.model.keys())
+        for line in (keep_normalisation(model, start, chosen=chosen), _other_head(model, start)):
+            if line:
+                log.say(line)
     return model
+
+
+def _other_head(model: "DepthNet", start: "DepthNet") -> str:
+    """What to say where the weights' raw maps come to other metres here."""
+    ours, theirs = model.head.config, start.head.config
+    return (
+        "" if ours == theirs else f"weights: trained behind another head, {theirs}; this network has {ours}"
+    )
 
 
 def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
     """The ``run.json`` of this very run if it is there already, and ``ckpt_path=auto`` asks for it.
 
     Raises:
-        ValueError: the finished run in ``folder`` had other settings or other data.
+        ValueError: the finished run in ``folder`` had other settings or other data, or is an evaluation.
     """
     from eldenet.record import RUN_FILE, read_run
     from eldenet.sources import run_differences
@@ -173,6 +191,8 @@ def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
     if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
+    if record.get("training", {}) is None:
+        raise ValueError(f"{folder} holds an evaluation, no training to go on with: give another folder")
     different = run_differences(cfg.plain(config), record)
     if not different:
         protocol = cfg.build_protocol(config)
@@ -195,15 +215,18 @@ def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:
         ValueError: ``folder`` holds a run, and ``checkpoint`` is not that run's.
     """
     held = [name for name in ("run.json", "checkpoints/last.pt") if (folder / name).exists()]
-    if checkpoint is not None:
-        resolved = checkpoint.resolve()
-        if folder.resolve() in (resolved, *resolved.parents):
-            return
+    if checkpoint is not None and _lies_in(folder, checkpoint):
+        return
     if held:
         raise ValueError(
             f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
             "another run_dir, or remove that folder"
         )
+
+
+def _lies_in(folder: Path, checkpoint: Path) -> bool:
+    resolved = checkpoint.resolve()
+    return folder.resolve() in (resolved, *resolved.parents)
 
 
 def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
@@ -224,8 +247,13 @@ def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
 
 
 def _checkpoint(config: "DictConfig", folder: Path) -> Path | None:
+    from eldenet.checkpoint import checkpoint_file
+
+    if config.ckpt_path is None:
+        return None
     if config.ckpt_path != "auto":
-        return None if config.ckpt_path is None else Path(config.ckpt_path)
+        checkpoint_file(config.ckpt_path)
+        return Path(config.ckpt_path)
     own = folder / "checkpoints" / "last.pt"
     return own if own.is_file() else None
 

@@ -207,6 +207,10 @@ class Trainer:
             identity={
                 "model": model.config,
                 "training split": train_set.split_hash,
+                # what the best epoch so far was chosen by
+                "validation split": val_set.split_hash,
+                "protocol": protocol.as_dict(),
+                "monitor": self.monitor,
                 "seed": self.seed,
                 "batch_size": self.batch_size * self.processes,
                 "accumulate": self.accumulate,

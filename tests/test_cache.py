@@ -86,12 +86,13 @@ def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
         assert cached[0]["depth"].shape == (1, 48, 64)
 
 
-def test_a_frame_that_is_too_large_is_read_each_time(tmp_path: Path, caplog) -> None:
+@pytest.mark.parametrize("kind", ["ram", "disk"])
+def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, caplog) -> None:
     layouts.folder(tmp_path, count=3)
     large = layouts.content((60, 80))
     layouts.picture(tmp_path / "images/f002.png", large.rgb)
     layouts.picture(tmp_path / "depths/f002.png", large.millimetres)
-    plain, cached = (FolderDataset(tmp_path, max_depth=10, cache=kind) for kind in ("none", "disk"))
+    plain, cached = (FolderDataset(tmp_path, max_depth=10, cache=cache) for cache in ("none", kind))
     for _ in range(2):
         assert all(same(cached[index], plain[index]) for index in range(3))
     assert caplog.text.count("larger than the first frame") == 1

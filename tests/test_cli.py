@@ -112,6 +112,15 @@ def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
     assert "Traceback" not in finished.stderr + finished.stdout
 
 
+@pytest.mark.parametrize("wrong", ["trainer.monitor=accuracy", "ckpt_path=none.pt", "teacher=nowhere"])
+def test_a_wrong_setting_shows_before_minutes_of_rendering(run_command, tmp_path, wrong):
+    cache = tmp_path / "empty"
+    finished = run_command("train", wrong, "loss=ssim_l1_distill", ELDENET_CACHE=str(cache))
+    assert finished.returncode == 1
+    assert wrong.partition("=")[2] in finished.stderr
+    assert not cache.exists()
+
+
 def test_a_run_folder_holds_one_run(trained, run_command):
     for command, message in (
         (("train", *TINY), "holds another run already (run.json)"),

@@ -55,6 +55,11 @@ def test_every_data_set_is_tested() -> None:
     assert names - set(TREES) <= elsewhere
 
 
+def test_every_data_set_can_be_drawn_from() -> None:
+    for path in (config_folder() / "data").glob("*.yaml"):
+        compose("train", [f"data={path.stem}", "data.subset.train=5", "data.subset_seed=1"])
+
+
 @pytest.mark.parametrize("name", sorted(TREES))
 def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
     config = compose("train", [f"data={name}", *TREES[name](tmp_path)])

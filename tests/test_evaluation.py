@@ -35,8 +35,8 @@ def test_evaluation_shards_count_every_image_once():
     from eldenet.data.loading import evaluation_loader
 
     shares = [
-        [name for batch in evaluation_loader(data, 2, rank=rank, processes=3) for name in batch["name"]]
-        for rank in range(3)
+        [name for batch in loader for name in batch[0]["name"]]
+        for loader in (evaluation_loader(data, 2, rank=rank, processes=3) for rank in range(3))
     ]
     assert sorted(name for share in shares for name in share) == sorted(data.names)
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.kitti import KITTIDepth
-from eldenet.data.loading import collate
+from eldenet.data.loading import collate_runs
 from eldenet.evaluation import evaluate, sample_rows
 
 
@@ -80,6 +80,18 @@ def test_kb_crop_by_pixel(tmp_path: Path) -> None:
     assert second[2]["image"].shape[-2:] == second[2]["depth"].shape[-2:] == (352, 1216)
 
 
+def test_every_split_is_scored_in_the_whole_frame(tmp_path: Path) -> None:
+    root = kitti_depth(tmp_path)
+    words = ["data=kitti", f"data.root={root}", "protocol=kitti_eigen_garg_improved"]
+    words += [f"data.{split}.split=all" for split in ("train", "val")]
+    config = compose("train", [*words, "data.input_size=null"])
+    rules = build_protocol(config)
+    train, val = (build_split(config, split, rules, score=True) for split in ("train", "val"))
+    assert train[0]["depth"].shape == val[0]["depth"].shape == (1, 375, 1242)
+    one, other = (evaluate(Ramp(), data, rules, batch_size=4) for data in (train, val))
+    assert one.metrics == pytest.approx(other.metrics, nan_ok=True)
+
+
 def test_912x228_by_pixel(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path, kind="velodyne_raw")
     sparse = "data.depth=velodyne_raw"
@@ -121,12 +133,11 @@ class Ramp(nn.Module):
 
 
 def test_frames_of_two_sizes_in_one_evaluation(tmp_path: Path) -> None:
-    """A batch ends where the date changes; batch size 1 says the same, and both what is written out here."""
+    """Batches of two dates; batch size 1 says the same, and both what is written out here."""
     root = kitti_depth(tmp_path, numbers=(5, 6))
     rules, data = split_under(root, "kitti_eigen_garg_improved", "val")
     assert [data.size_group(i) for i in (0, 3, 4)] == ["2011_09_26", "2011_09_26", "2011_09_28"]
-    with pytest.raises(ValueError, match=r"frames of different sizes.*\n?.*batch_size=1"):
-        collate([data[3], data[4]])
+    assert [len(batch["name"]) for batch in collate_runs([data[i] for i in (2, 3, 4)])] == [2, 1]
     one, four = (evaluate(Ramp(), data, rules, batch_size=size) for size in (1, 4))
     assert [row[0] for row in four.rows] == data.names
     assert one.metrics == pytest.approx(four.metrics, nan_ok=True)

@@ -8,12 +8,15 @@ import layouts
 import numpy as np
 import pytest
 import torch
+from networks import same_model
 
 from eldenet.config import build_model, compose, plain
 from eldenet.data.folder import FolderDataset
 from eldenet.data.statistics import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.normalisation import normalisation, write_normalisation
+from eldenet.runlog import RunLog
+from eldenet.train import build_seeded_model
 
 
 @pytest.fixture
@@ -92,6 +95,43 @@ def test_pictures_of_one_colour_are_refused(tmp_path: Path) -> None:
     layouts.folder(tmp_path, layouts.SMALL._replace(rgb=np.full((48, 64, 3), 90, np.uint8)), count=2)
     with pytest.raises(ValueError, match="never changes in 2 frames"):
         normalisation("dataset", FolderDataset(tmp_path, max_depth=10.0))
+
+
+def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
+    source = tmp_path / "start"
+    config = compose("train", ["model=eldenet_s", f"weights={source}", "model.head.max_depth=10", *words])
+    return build_seeded_model(config, RunLog(tmp_path), **arguments)
+
+
+def test_weights_bring_their_normalisation(tmp_path: Path, capsys) -> None:
+    theirs = {"mean": [0.3, 0.31, 0.32], "std": [0.2, 0.21, 0.22]}
+    config = compose("train", ["model=eldenet_s", "model.head.max_depth=10"])
+    start = build_model(config.model, **theirs)
+    start.save_pretrained(tmp_path / "start")
+    model, image = seeded(tmp_path), torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(0))
+    assert same_model(model, start)
+    assert "their normalisation is taken over, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
+    model.save_pretrained(tmp_path / "saved")
+    assert same_model(DepthNet.from_pretrained(tmp_path / "saved"), start)
+    mine = {"mean": [0.5] * 3, "std": [0.25] * 3}
+    words = [f"+model.{name}={values}" for name, values in mine.items()]
+    for overrides, arguments in (([], mine), (words, {})):
+        model = seeded(tmp_path, *overrides, **arguments)
+        assert model.config["mean"] == mine["mean"]
+        assert model.std.flatten().tolist() == mine["std"]
+        assert "the chosen mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25] stays" in capsys.readouterr().out
+        with torch.inference_mode():
+            assert not torch.equal(model.eval()(image), start.eval()(image))
+
+
+def test_weights_of_equal_settings_are_taken_without_a_word(tmp_path: Path, capsys) -> None:
+    start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
+    start.save_pretrained(tmp_path / "start")
+    assert same_model(seeded(tmp_path), start)
+    assert capsys.readouterr().out == ""
+    model = seeded(tmp_path, "model.head.max_depth=80")
+    assert model.head.max_depth == 80
+    assert "trained behind another head" in capsys.readouterr().out
 
 
 def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:

@@ -1,5 +1,6 @@
 """A stopped or killed training goes on to the very same weights, or is refused in a clear line."""
 
+import math
 import os
 import random
 import signal
@@ -11,11 +12,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
+from synthetic import SyntheticDepth
 from training import digest, fit, make_trainer
 
-from eldenet.checkpoint import load_checkpoint, save_checkpoint
+from eldenet.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
+from eldenet.config import compose, plain
 from eldenet.losses.pointwise import L1Loss
+from eldenet.metrics import EvalProtocol
+from eldenet.record import write_json
 from eldenet.schedules import cosine
+from eldenet.train import train
 from eldenet.trainer import Trainer
 
 
@@ -120,6 +127,37 @@ def test_resuming_another_training_is_refused(tmp_path):
         fit(tmp_path, epochs=1, scheduler=partial(cosine, final=0.5), ckpt_path=tmp_path)
     with pytest.raises(ValueError, match="ema_decay differ"):
         fit(tmp_path, epochs=1, ema_decay=0.9, ckpt_path=tmp_path)
+    # values of another metric, or of other frames, would be compared with the best so far
+    for options, name in (
+        ({"monitor": "abs_rel"}, "monitor"),
+        ({"val_frames": 5}, "validation split"),
+        ({"protocol": EvalProtocol("other", min_depth=0.1, ground_truth="dense")}, "protocol"),
+    ):
+        with pytest.raises(ValueError, match=f"{name} differ"):
+            fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)
+
+
+def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
+    begun = compose("train", ["model_name=small", f"run_dir={tmp_path}", "trainer.checkpoint_every=7"])
+    OmegaConf.save(begun, tmp_path / "config.yaml", resolve=True)
+    (tmp_path / "checkpoints").mkdir()
+    last = tmp_path / "checkpoints" / "last.pt"
+    save_checkpoint(last, {"progress": {}})
+    for given in ("auto", tmp_path, last):
+        other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
+        with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
+            train(other, tmp_path)
+
+
+def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
+    config = compose("train", ["model_name=small", f"run_dir={tmp_path}", "ckpt_path=auto"])
+    record = {"metrics": {}, "config": plain(config), "training": None}
+    write_json(tmp_path / "run.json", record)
+    with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
+        train(config, tmp_path)
+    write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
+    monkeypatch.setattr("eldenet.config.build_split", lambda *_: SyntheticDepth(2))
+    assert math.isnan(train(config, tmp_path))
 
 
 def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
@@ -128,6 +166,30 @@ def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
     (tmp_path / "run" / "checkpoints" / "last.pt").rename(tmp_path / "alone" / "last.pt")
     with pytest.raises(FileNotFoundError, match="best epoch so far is 1"):
         fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path / "alone" / "last.pt")
+
+
+def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
+    fit(tmp_path / "cpu", epochs=1)
+    set_to = []
+    monkeypatch.setattr(torch.cuda, "set_rng_state", set_to.append)
+    assert load_checkpoint(tmp_path / "cpu")["cuda_rng"] is None
+
+    def state(drawn: int) -> TrainingState:
+        monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+        monkeypatch.setattr(torch.cuda, "get_rng_state", lambda: torch.tensor([drawn], dtype=torch.uint8))
+        model = torch.nn.Linear(2, 2)
+        optimizer = torch.optim.SGD(model.parameters(), lr=0.1)
+        scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer)
+        return TrainingState(model, None, optimizer, scheduler, L1Loss(), None, Progress(), {})
+
+    state(7).save(tmp_path / "last.pt")
+    state(3).restore(tmp_path / "last.pt")
+    assert [value.item() for value in set_to] == [7]
+    without = load_checkpoint(tmp_path / "last.pt")
+    del without["cuda_rng"]
+    save_checkpoint(tmp_path / "old.pt", without)
+    state(3).restore(tmp_path / "old.pt")
+    assert len(set_to) == 1
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):

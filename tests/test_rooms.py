@@ -207,6 +207,21 @@ def test_fewer_and_more_frames_reuse_shards(dataset, cache, monkeypatch):
     assert asked[-1] == [0]
 
 
+def test_a_drawn_frame_is_the_one_of_its_name(dataset, cache):
+    draws = {}
+    for span in ([0, 5], [5, 10]):
+        drawn = Rooms("train", 70, size=SIZE, root=cache)
+        drawn.draw_subset(span, seed=3)
+        draws |= {drawn.names[i]: (drawn.load_frame(i).image, drawn[i]) for i in range(5)}
+    assert len(draws) == 10
+    for name, (image, sample) in draws.items():
+        np.testing.assert_array_equal(image, dataset.load_frame(dataset.names.index(name)).image)
+        assert sample["name"] == name
+    rest = Rooms("train", 70, size=SIZE, root=cache)
+    rest.leave_out({0: "dark"})
+    np.testing.assert_array_equal(rest.load_frame(0).depth, dataset.load_frame(1).depth)
+
+
 @pytest.mark.parametrize("damage", ["cut", "byte", "missing", "half"])
 def test_damaged_shards_are_rendered_again(dataset, cache, damage):
     folder = shard_folder(dataset.folder, "train", 1)
@@ -228,15 +243,6 @@ def test_damaged_shards_are_rendered_again(dataset, cache, damage):
     np.testing.assert_array_equal(open_shard(folder)[0], whole)
     assert again.load_frame(69).image.shape == (*SIZE, 3)
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
-
-
-def test_the_second_writer_drops_its_copy(tmp_path):
-    arrays = {"image": np.zeros((1, 2, 2, 3), np.uint8), "depth": np.zeros((1, 2, 2), np.uint16)}
-    arrays["intrinsics"] = np.eye(3)[None]
-    write_shard(tmp_path / "s", arrays)
-    write_shard(tmp_path / "s", {**arrays, "image": arrays["image"] + 1})
-    assert open_shard(tmp_path / "s")[0].max() == 0
-    assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
 def test_a_render_process_continues_where_another_stopped(tmp_path, dataset):

@@ -21,8 +21,8 @@ learning_rates: [1.0e-4, 1.0e-3]
 rate_overrides:
   - data.test.split=train
   - data.test.frames=16
-  - "+data.subset={{train: [0, 12], test: [12, 16]}}"
-  - +data.subset_seed=0
+  - "data.subset={{train: [0, 12], test: [12, 16]}}"
+  - data.subset_seed=0
 reference: [eldenet_s]
 columns: [rmse, delta1]
 plots: [pareto, convergence]

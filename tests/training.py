@@ -30,7 +30,16 @@ def make_trainer(**options) -> Trainer:
     return Trainer(**(defaults | options))
 
 
-def fit(folder: Path, *, trainer: Trainer | None = None, frames: int = 16, ckpt_path=None, **options):
+def fit(
+    folder: Path,
+    *,
+    trainer: Trainer | None = None,
+    frames: int = 16,
+    val_frames: int = 6,
+    protocol: EvalProtocol = PROTOCOL,
+    ckpt_path=None,
+    **options,
+):
     """Train a tiny network; returns (trainer, model, progress)."""
     seed_everything(0)
     model = eldenet.load("eldenet_s").train()
@@ -38,7 +47,7 @@ def fit(folder: Path, *, trainer: Trainer | None = None, frames: int = 16, ckpt_
     train = SyntheticDepth(frames, transform=options.pop("transform", Augmentation(affine=0.0)))
     trainer = trainer or make_trainer(**options)
     progress = trainer.fit(
-        model, train, SyntheticDepth(6), loss, PROTOCOL, folder, ONE_THREAD, ckpt_path=ckpt_path
+        model, train, SyntheticDepth(val_frames), loss, protocol, folder, ONE_THREAD, ckpt_path=ckpt_path
     )
     return trainer, model, progress
 

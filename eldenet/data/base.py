@@ -187,7 +187,7 @@ class DepthDataset(Dataset[DepthSample]):
         return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
 
     def size_group(self, index: int) -> Hashable:
-        """Frames of one group have one size and can share a batch in evaluation; by default all."""
+        """Frames of one group have one size, which a cache makes room for; by default all are of one."""
         return None
 
     def __len__(self) -> int:

@@ -35,7 +35,8 @@ class FolderDataset(DepthDataset):
             ``images`` and ``depths``.
         encoding: of the depth files: a name of :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: metres per step, offset: steps, dtype: uint8 | uint16 | float}``.
-        intrinsics: ``[fx, fy, cx, cy]`` of the pictures as they lie on disk [px], None where unknown.
+        intrinsics: ``[fx, fy, cx, cy]`` of the pictures as they lie on disk [px], all of one size then; None
+            where unknown.
         split: "train", "val" or "all".
         val_fraction: share of the blocks that is for validation.
         blocks: how many blocks the frames are cut into.
@@ -96,6 +97,9 @@ class FolderDataset(DepthDataset):
         super().__init__(names, **options)
         self.pairs = [pairs[name] for name in names]
         self.check_frames(self.root, self.pairs)
+        self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # a picture that intrinsics are of
+        if self.intrinsics is not None:  # the folder's first one: the same for all splits
+            self.calibrated = _first_size([self.root / pairs[name][0] for name in sorted(pairs)])
 
     def frame_files(self, index: int) -> Sequence[Path]:
         """Picture and depth."""
@@ -104,7 +108,8 @@ class FolderDataset(DepthDataset):
     def frame_settings(self) -> dict[str, object]:
         """Encoding and camera."""
         camera = None if self.intrinsics is None else self.intrinsics.tolist()
-        return {"encoding": self.encoding.description, "intrinsics": camera}
+        size = None if self.calibrated is None else self.calibrated[1]
+        return {"encoding": self.encoding.description, "intrinsics": camera, "size": size}
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
@@ -116,7 +121,24 @@ class FolderDataset(DepthDataset):
                 f"{self.root / image_file} is {image.shape[:2]}, {self.root / depth_file} is {depth.shape} "
                 "(height, width): write both in one size"
             )
+        if self.calibrated is not None and image.shape[:2] != self.calibrated[1]:
+            first, size = self.calibrated
+            raise ValueError(
+                f"{self.root / image_file} is {image.shape[:2]}, {first} is {size} (height, width), and "
+                "intrinsics are of one camera: bring the pictures to one size, keep each size in a folder of "
+                "its own, or leave intrinsics out (null)"
+            )
         return Frame(image, depth, self.intrinsics, self.names[index])
+
+
+def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, ...]] | None:
+    """The first picture that can be read, and its ``(height, width)`` [px]; the others are not looked at."""
+    for picture in pictures:
+        try:
+            return picture, read_image(picture).shape[:2]
+        except (ValueError, OSError):  # left out or reported where its frame is read
+            continue
+    return None
 
 
 def _csv_frames(root: Path, table: str) -> dict[str, tuple[str, str]]:

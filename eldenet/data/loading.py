@@ -50,14 +50,23 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
 
 def collate(samples: list[DepthSample]) -> dict[str, object]:
     """Stack samples; names the frames if their sizes differ."""
-    sizes = {(tuple(sample["image"].shape[-2:]), tuple(sample["depth"].shape[-2:])) for sample in samples}
+    sizes = {_sizes(sample) for sample in samples}
     if len(sizes) > 1:
         names = ", ".join(sample["name"] for sample in samples[:4])
         raise ValueError(
-            f"frames of different sizes in one batch ({names}, ...: {sorted(sizes)}): set data.input_size, "
-            "or evaluate with batch_size=1"
+            f"frames of different sizes in one batch of a training ({names}, ...: {sorted(sizes)}): set "
+            "data.input_size"
         )
     return default_collate(samples)
+
+
+def collate_runs(samples: list[DepthSample]) -> list[dict[str, object]]:
+    """Stack samples, in their order, into as many batches as sizes follow each other: for evaluation."""
+    return [default_collate(list(run)) for _, run in groupby(samples, key=_sizes)]
+
+
+def _sizes(sample: DepthSample) -> tuple[tuple[int, ...], ...]:
+    return tuple(sample["image"].shape[-2:]), tuple(sample["depth"].shape[-2:])
 
 
 def training_loader(
@@ -83,20 +92,18 @@ def evaluation_loader(
 ) -> DataLoader:
     """Loader that gives this process its share of the frames: every frame once, in order, none padded.
 
-    A batch ends where the frames' size changes, as far as the data set knows it (``size_group``). There are
-    at most as many workers as batches; they end with the pass over the frames.
+    What it yields is a list of batches, each of one size (:func:`collate_runs`). There are at most as many
+    workers as there is to yield; they end with the pass over the frames.
     """
     dataset.open_cache()
-    mine = range(rank, len(dataset), processes)
-    groups = groupby(mine, key=dataset.size_group)
-    batches = [run for _, group in groups for run in batched(group, batch_size)]
+    batches = list(batched(range(rank, len(dataset), processes), batch_size))
     workers = min(workers, len(batches))
     return DataLoader(
         dataset,
         batch_sampler=batches,
         generator=torch.Generator(),
         num_workers=workers,
-        collate_fn=collate,
+        collate_fn=collate_runs,
         worker_init_fn=_quiet_worker if workers else None,
         multiprocessing_context=_worker_context() if workers else None,
     )

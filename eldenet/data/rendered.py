@@ -63,6 +63,7 @@ class RenderedScenes(DepthDataset):
     """
 
     ground_truth = "dense"
+    frame_lists = ("names", "places")
     generator: Generator
 
     def __init__(
@@ -91,6 +92,7 @@ class RenderedScenes(DepthDataset):
             resize_depth=resize_depth,
             seed=seed,
         )
+        self.places = list(range(frames))  # a draw leaves gaps: where in the shards each frame lies
         self.split, self.size = split, (int(size[0]), int(size[1]))
         digest = generator_hash(self.generator, self.size)
         folder = f"{name}-v{self.generator.version}-{self.size[0]}x{self.size[1]}-{digest}"
@@ -112,7 +114,7 @@ class RenderedScenes(DepthDataset):
 
     def load_frame(self, index: int) -> Frame:
         """Read frame ``index`` from its shard."""
-        shard, row = divmod(index, SHARD_FRAMES)
+        shard, row = divmod(self.places[index], SHARD_FRAMES)
         if shard not in self._open:
             self._open[shard] = open_shard(shard_folder(self.folder, self.split, shard))
         image, depth, intrinsics = self._open[shard]

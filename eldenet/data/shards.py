@@ -17,6 +17,7 @@ import sys
 import uuid
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -91,7 +92,8 @@ def write_shard(folder: Path, arrays: dict[str, np.ndarray]) -> None:
         (scratch / "shard.json").write_text(json.dumps(sums))
         if folder.exists() and not is_whole(folder):
             trash = scratch.with_name(scratch.name + "-broken")
-            os.replace(folder, trash)
+            with suppress(FileNotFoundError):  # another process has put it away
+                os.replace(folder, trash)
             shutil.rmtree(trash, ignore_errors=True)
         try:
             os.rename(scratch, folder)

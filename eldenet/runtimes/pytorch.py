@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from eldenet.folding import fold
 from eldenet.model import DepthNet
+from eldenet.resources import full_fp32
 from eldenet.runtimes.base import Runtime, refuse
 
 DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
@@ -17,7 +18,7 @@ DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
 class TorchRuntime(Runtime):
     """A folded copy of a :class:`~eldenet.model.DepthNet`.
 
-    Lower precisions hold for the network; normalisation and the head stay in fp32.
+    Lower precisions hold for the network; normalisation and the head stay in fp32, which is not TF32.
 
     Args:
         model: stays as it is.
@@ -47,6 +48,8 @@ class TorchRuntime(Runtime):
             raise ValueError("device=cuda, but torch sees no CUDA device: use device=cpu")
         allowed = ("fp32", "bf16", "fp16") if device == "cuda" else ("fp32", "bf16")
         refuse(precision, allowed, layout, "for int8 export a file (python -m eldenet.export precision=int8)")
+        if device == "cuda":
+            full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
         super().__init__(precision, threads, name, metadata or {})
         self.runtime = layout
