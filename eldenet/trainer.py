@@ -22,6 +22,8 @@ from eldenet.resources import Resources, make_accelerator, seed_everything
 from eldenet.runlog import RunLog
 from eldenet.schedules import build_optimizer
 
+IDENTITY = ("monitor", "seed", "accumulate", "epochs", "backbone_lr", "ema_decay")  # as a checkpoint's
+
 
 class Trainer:
     """Trains a :class:`DepthNet`; on one device or several (``accelerate launch``, ``torchrun``).
@@ -205,20 +207,14 @@ class Trainer:
             scaler=self.accelerator.scaler,
             progress=self.progress,
             identity={
+                **{name: getattr(self, name) for name in IDENTITY},
                 "model": model.config,
                 "training split": train_set.split_hash,
-                # what the best epoch so far was chosen by
                 "validation split": val_set.split_hash,
                 "protocol": protocol.as_dict(),
-                "monitor": self.monitor,
-                "seed": self.seed,
                 "batch_size": self.batch_size * self.processes,
-                "accumulate": self.accumulate,
-                "epochs": self.epochs,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
-                "backbone_lr": self.backbone_lr,
                 "scheduler": described(self.make_scheduler),
-                "ema_decay": self.ema_decay,
                 "teacher": loss.identity,
             },
         )

@@ -85,7 +85,7 @@ def test_a_row_that_fails_stays_with_its_reason(output: Path) -> None:
 
 def test_it_goes_on_where_it_stopped(output: Path, capsys: pytest.CaptureFixture) -> None:
     before = (output / "rows.jsonl").read_text()
-    first = {row["runtime"]: row["date"] for row in rows_of(output)}
+    first = [row["date"] for row in rows_of(output) if row["runtime"] == "torch"]
     run(output)
     assert (output / "rows.jsonl").read_text() == before
     assert capsys.readouterr().out.count("measured before") == 2
@@ -95,10 +95,10 @@ def test_it_goes_on_where_it_stopped(output: Path, capsys: pytest.CaptureFixture
     rows = run(output)
     assert len(rows) == 4
     assert capsys.readouterr().out.count("measured before") == 1
-    assert {row["date"] for row in rows if row["runtime"] == "torch"} == {first["torch"]}
+    assert [row["date"] for row in rows if row["runtime"] == "torch"] == first
     again = run(output, "overwrite=true", "runtimes=[torch]", "precisions=[fp32]")
     assert len(again) == 1
-    assert again[0]["date"] >= first["torch"]
+    assert again[0]["date"] >= max(first)
 
 
 def named(folder: Path, scale: float) -> Path:
