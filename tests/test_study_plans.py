@@ -33,7 +33,7 @@ def test_plans_are_checked(tiny, tmp_path):
         ("reference: [eldenet_s]", "reference: eldenet_s", "a list of rows"),
         ("seeds: [0, 1]}", "seeds: 1}", "a list of seeds"),
         ("overrides: [model=eldenet],", "overrides: model=eldenet,", "a list of overrides"),
-        ("plots: [pareto, convergence]", "plots: [parreto]", "pareto or convergence"),
+        ("plots: [pareto, convergence]", "plots: [parreto]", "pareto, differences or convergence"),
         ("learning_rate: 1.0e-3}", "learning_rate: fast}", "a number above 0"),
         ("learning_rates: [1.0e-4, 1.0e-3]", "learning_rates: 1.0e-3", "a list of numbers"),
         ("given: {kitti: data.root}", "given: data.root", "a mapping"),

@@ -121,6 +121,23 @@ def test_the_difference_averages_the_seeds(study: Study) -> None:
     assert "latency [ms] ↓" not in rows["large"]
 
 
+def test_differences_are_drawn_as_the_table_says_them(study: Study) -> None:
+    for seed in range(3):
+        store(study, "small", seed, np.linspace(0.4, 0.6, 40))
+        store(study, "large", seed, np.linspace(0.6, 0.8, 40))
+    (block,) = [one for one in build_blocks(study) if one.name == "scratch"]
+    found = block.differences["large"]
+    assert (block.reference, found.verdict, found.seeds) == ("small", "better", True)
+    assert found.mean == pytest.approx(0.2)
+    assert found.text == table(study)["large"][DIFFERENCE]
+    plan = study.folder / "sweep.yaml"
+    plan.write_text(plan.read_text() + "plots: [differences]\n")
+    write_study_report(study.folder)
+    assert (study.folder / "differences.png").stat().st_size > 1000
+    assert "(differences.png)" in (study.folder / "results.md").read_text()
+    assert not (study.folder / "pareto.png").exists()
+
+
 def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
     """Every image is better on average, but one training of three alone brings that."""
     for seed in range(3):

@@ -13,6 +13,7 @@ from eldenet.studies import statistics
 from eldenet.studies.composing import stored_choice
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, StudyRow
+from eldenet.studies.statistics import Difference
 from eldenet.studies.stored import stored_runs
 from eldenet.tables import heading, number, protocol_line, training_line
 
@@ -20,7 +21,6 @@ PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
 SEEN = "weights have seen"  # title of a column
 SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
-IMAGES_ALONE = "images alone"  # an interval without that chance
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
@@ -36,6 +36,8 @@ class Block:
     rows: list[list[str]]
     notes: list[str]
     points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric
+    differences: dict[str, Difference]  # by row
+    reference: str  # the row that they are to; "" without one
     published: int
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
@@ -158,15 +160,19 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         title = heading(metric, every[0]) if every else metric
         columns.append((title, partial(Member.text, group="metrics", name=metric)))
     reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
+    differences = _differences(study, reference, members)
     if reference is not None:
         columns.append(
-            (f"{study.compare} - {reference.row.name}'s [95 %]", partial(_difference, study, reference))
+            (
+                f"{study.compare} - {reference.row.name}'s [95 %]",
+                lambda member: differences[member.row.name].text if member.row.name in differences else "-",
+            )
         )
         notes.append(
             f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
             f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
             f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
-            f"else of the {IMAGES_ALONE}, which says too little for a verdict"
+            f"else of the {statistics.IMAGES_ALONE}, which says too little for a verdict"
         )
     if study.epoch == "last" and every:
         notes.append("figures of the last epoch: the kept one was chosen on these very frames")
@@ -183,7 +189,8 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     if every:
         rows.append(_constant(study, every[0], len(columns)))
     points = [point for member in members if (point := _point(study, member, latencies))]
-    return Block(name, [title for title, _ in columns], rows, notes, points, published)
+    compared = "" if reference is None else reference.row.name
+    return Block(name, [title for title, _ in columns], rows, notes, points, differences, compared, published)
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
@@ -229,19 +236,17 @@ def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
     )
 
 
-def _difference(study: Study, reference: Member, member: Member) -> str:
-    """Mean and interval; "better" or "worse" where it leaves 0 out and both rows have three seeds or more.
-
-    Only there the chance in a training is in it.
-    """
-    if not member.runs or member is reference:
-        return "-"
-    ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
-    seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
-    mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
-    verdict = " better" if (mean < 0) == (study.compare in LOWER_IS_BETTER) else " worse"
-    told = "" if low <= 0 <= high else verdict
-    return f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]{told if seeds else f' ({IMAGES_ALONE})'}"
+def _differences(study: Study, reference: Member | None, members: Sequence[Member]) -> dict[str, Difference]:
+    """Of every row with runs but the reference itself."""
+    found = {}
+    for member in members:
+        if reference is None or member is reference or not member.runs:
+            continue
+        ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
+        seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
+        mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
+        found[member.row.name] = Difference(mean, low, high, seeds, study.compare in LOWER_IS_BETTER)
+    return found
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:

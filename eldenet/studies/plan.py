@@ -69,7 +69,8 @@ class Study:
         epoch: "chosen": figures of the epoch whose weights a run kept; "last": of its last epoch, from the
             training's history, where the table's frames are those that the epoch was chosen on. There are no
             differences then: figures of single images are those of the kept weights.
-        plots: "pareto" (accuracy against latency, else multiply-adds), "convergence" (curves of epochs).
+        plots: "pareto" (accuracy against latency, else multiply-adds), "differences" (to the reference rows,
+            with intervals), "convergence" (curves of epochs).
         latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies, for
             those that runs measured beside other work mislead.
     """
@@ -202,8 +203,8 @@ KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
     "epoch": (lambda value: value in ("chosen", "last"), "chosen or last"),
     "plots": (
-        lambda value: _texts(value) and set(value) <= {"pareto", "convergence"},
-        "pareto or convergence",
+        lambda value: _texts(value) and set(value) <= {"pareto", "differences", "convergence"},
+        "pareto, differences or convergence",
     ),
 }
 

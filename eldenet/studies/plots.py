@@ -1,10 +1,12 @@
-"""Pictures of a study: accuracy against latency or multiply-adds, and curves over the epochs."""
+"""Pictures of a study: accuracy against cost, differences to a reference row, curves over the epochs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from eldenet.studies.statistics import Difference
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -63,6 +65,53 @@ def _label_places(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, f
         on_point = any(x < there < 2 * x and abs(y + line - height) < line for _, there, height in rows)
         placed.append((name, x, y, on_name or on_point))
     return placed
+
+
+def differences_plot(
+    path: Path,
+    blocks: Mapping[str, Mapping[str, Difference]],
+    *,
+    metric: str,
+    references: Mapping[str, str],
+) -> None:
+    """A line for every row: its difference to the reference row with the interval, the best on top.
+
+    Args:
+        path: of the picture.
+        blocks: block -> row -> difference; a panel for each block.
+        metric: what differs, in words.
+        references: block -> the row that its others are compared with.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    heights = [len(rows) for rows in blocks.values()]
+    figure, panels = pyplot.subplots(
+        len(blocks),
+        1,
+        figsize=(7, 1.0 * len(blocks) + 0.22 * sum(heights)),
+        squeeze=False,
+        height_ratios=heights,
+    )
+    for axis, (block, rows) in zip(panels[:, 0], blocks.items(), strict=True):
+        best_last = sorted(
+            rows.items(), key=lambda row: row[1].mean, reverse=next(iter(rows.values())).lower_is_better
+        )
+        for place, (_, found) in enumerate(best_last):
+            color = {"better": "C2", "worse": "C3"}.get(found.verdict, "C0")
+            axis.plot((found.low, found.high), (place, place), "-" if found.seeds else ":", color=color)
+            axis.plot(found.mean, place, "o", color=color, markersize=4)
+        axis.axvline(0, color="black", linewidth=0.8)
+        axis.set_yticks(range(len(best_last)), [name for name, _ in best_last], fontsize=7)
+        axis.set_ylim(-0.7, len(best_last) - 0.3)
+        axis.grid(alpha=0.3, axis="x")
+        axis.set_title(block, fontsize=9)
+        axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: images alone", fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    pyplot.close(figure)
 
 
 def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:

@@ -8,7 +8,7 @@ from eldenet.studies.blocks import Block, build_blocks
 from eldenet.studies.convergence import NOTES, convergence
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, read_study
-from eldenet.studies.plots import curves_plot, pareto_plot
+from eldenet.studies.plots import curves_plot, differences_plot, pareto_plot
 from eldenet.tables import WORDS, to_latex, to_markdown
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
@@ -34,6 +34,15 @@ def write_study_report(folder: str | Path) -> list[Block]:
             cost=latencies.title if latencies else "GMACs",
         )
         markdown += ["![accuracy against cost](pareto.png)", ""]
+    differences = {block.name: block.differences for block in blocks if block.differences}
+    if "differences" in study.plots and differences:
+        differences_plot(
+            study.folder / "differences.png",
+            differences,
+            metric=WORDS.get(study.compare, study.compare),
+            references={block.name: block.reference for block in blocks},
+        )
+        markdown += ["![differences to the reference row, with 95 % intervals](differences.png)", ""]
     markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
     (study.folder / "results.md").write_text("\n".join(markdown))
     (study.folder / "results.tex").write_text("\n".join(latex))

@@ -11,6 +11,7 @@ from eldenet.bootstrap import bootstrap_interval
 
 DRAWS, LEVEL = 10_000, 0.95
 AT_ONCE = 1000  # draws: bounds the memory
+IMAGES_ALONE = "images alone"  # an interval without the chance in a training
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,38 @@ class Scores:
 
     images: tuple[str, ...]
     values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a row's metric to the reference row's: mean over the images, 95 % interval.
+
+    Attributes:
+        mean: ours less theirs.
+        low: end of the interval.
+        high: its other end.
+        seeds: whether the chance in a training is in it: it is where both rows have three seeds or more.
+        lower_is_better: of the metric.
+    """
+
+    mean: float
+    low: float
+    high: float
+    seeds: bool
+    lower_is_better: bool
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is "better" or "worse": empty where the interval holds 0, or is of the images alone."""
+        if self.low <= 0 <= self.high or not self.seeds:
+            return ""
+        return "better" if (self.mean < 0) == self.lower_is_better else "worse"
+
+    @property
+    def text(self) -> str:
+        """``+0.014 [-0.017, +0.046]`` and what is to be said of it."""
+        told = self.verdict if self.seeds else f"({IMAGES_ALONE})"
+        return f"{self.mean:+.3f} [{self.low:+.3f}, {self.high:+.3f}] {told}".rstrip()
 
 
 def per_image(files: Sequence[Path], metric: str) -> Scores:
