@@ -1,5 +1,7 @@
 """Plans of studies: what a wrong one says, and that every one there is can be run."""
 
+import importlib
+import itertools
 import json
 import os
 from pathlib import Path
@@ -75,6 +77,18 @@ def test_every_row_of_every_study_composes(folder):
         elif tried:  # scored on training frames that it does not train on, nor does the table
             assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
             assert config.data.subset.train[1] <= config.data.subset.test[0]
+
+
+def test_the_screening_is_balanced(monkeypatch):
+    """Any two changes are on together, apart and off together in three runs each: their effects part."""
+    monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
+    effects = importlib.import_module("effects")
+    rows = effects.designed(read_study(effects.HERE))
+    columns = [{row.name for row in rows if word in row.overrides} for word in effects.CHANGES.values()]
+    columns.append(set(effects.NOTHING))
+    assert len(rows) == 12
+    for one, two in itertools.combinations(columns, 2):
+        assert (len(one), len(two), len(one & two)) == (6, 6, 3)
 
 
 @pytest.mark.slow
