@@ -94,8 +94,8 @@ class DepthwiseSeparable(nn.Sequential):
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
-    There is no residual connection, and both convolutions end in normalisation and activation (MobileNetV1,
-    PP-LCNet).
+    Both convolutions end in normalisation and activation (MobileNetV1, PP-LCNet), and those networks have no
+    shortcut.
 
     Args:
         in_channels: channels in.
@@ -103,6 +103,7 @@ class DepthwiseSeparable(nn.Sequential):
         kernel_size: of the depthwise convolution, odd.
         stride: of the depthwise convolution.
         squeeze_excite: weigh the depthwise convolution's output by :class:`SqueezeExcite`.
+        shortcut: add the input to the output where both have one shape.
         activation: makes the activation of both convolutions.
     """
 
@@ -114,15 +115,22 @@ class DepthwiseSeparable(nn.Sequential):
         *,
         stride: int = 1,
         squeeze_excite: bool = False,
+        shortcut: bool = False,
         activation: Callable[[], nn.Module] = nn.ReLU,
     ) -> None:
         super().__init__()
+        self.shortcut = shortcut and stride == 1 and in_channels == out_channels
         self.depthwise = ConvNormAct(
             in_channels, in_channels, kernel_size, stride=stride, groups=in_channels, activation=activation
         )
         if squeeze_excite:
             self.squeeze_excite = SqueezeExcite(in_channels)
         self.pointwise = ConvNormAct(in_channels, out_channels, 1, activation=activation)
+
+    def forward(self, input: Tensor) -> Tensor:
+        """The shapes are above."""
+        output = super().forward(input)
+        return input + output if self.shortcut else output
 
 
 def init_kaiming(module: nn.Module) -> None:

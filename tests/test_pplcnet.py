@@ -14,6 +14,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from eldenet.backbones.pplcnet import SCALES, PPLCNet, PPLCNetClassifier, scale_channels
 from eldenet.backbones.pplcnet_weights import PUBLISHED, from_onnx, from_timm
+from eldenet.layers import DepthwiseSeparable
 from eldenet.types import FeatureInfo
 
 # scale: parameters and MACs at 224 x 224 of the 1000-class network, then of the encoder alone. The paper
@@ -160,6 +161,29 @@ def test_file_of_timm_goes_into_both_backbones(timm_network: Callable[..., Any],
     with torch.inference_mode():
         for feature, expected in zip(ours(image), theirs(image), strict=True):
             torch.testing.assert_close(feature, expected)
+
+
+# --- shortcuts ---
+
+
+def test_shortcuts_add_the_input_where_the_shape_stays() -> None:
+    """A block whose last normalisation is 0 gives nothing of its own: what comes out is the shortcut."""
+    plain, network = PPLCNet(0.5).eval(), PPLCNet(0.5, shortcuts=True).eval()
+    network.load_state_dict(plain.state_dict())
+    blocks = [part for part in network.modules() if isinstance(part, DepthwiseSeparable)]
+    shape_stays = [False, False, True, False, True, False, *[True] * 5, False, True]
+    assert [block.shortcut for block in blocks] == shape_stays
+    with torch.inference_mode():
+        for block in blocks:
+            nn.init.zeros_(block.pointwise.norm.weight)
+            x = torch.rand(1, block.depthwise.conv.in_channels, 6, 8)
+            out = block(x)
+            assert torch.equal(out, x if block.shortcut else torch.zeros_like(out))
+
+
+def test_published_weights_have_no_shortcuts() -> None:
+    with pytest.raises(ValueError, match=r"without shortcuts; give model\.backbone\.shortcuts=false"):
+        PPLCNet(0.5, shortcuts=True, pretrained=True)
 
 
 # --- weights ---

@@ -56,12 +56,14 @@ class PPLCNet(Backbone):
         stem_feature: give the stem's output as the stride 2 feature in place of that of blocks2, which has
             the same stride and more channels. Nothing else changes: blocks2 still feeds blocks3.
         squeeze_excite: False leaves squeeze-excitation out of the last two blocks, for ablations.
+        shortcuts: add a block's input to its output wherever both have one shape. The paper's network has
+            none, and neither have its published weights.
         pretrained: ``True`` for timm's ImageNet weights of this scale (0.5, 0.75 and 1.0 have them), their
             name (``"lcnet_050.ra2_in1k"``), or a local file: see
             :func:`~eldenet.backbones.pplcnet_weights.load_pplcnet_weights`.
 
     Raises:
-        ValueError: for a scale or weights that do not exist.
+        ValueError: for a scale or weights that do not exist, or ``shortcuts`` beside published weights.
         RuntimeError: where weights cannot be downloaded.
     """
 
@@ -71,23 +73,29 @@ class PPLCNet(Backbone):
         *,
         stem_feature: bool = False,
         squeeze_excite: bool = True,
+        shortcuts: bool = False,
         pretrained: bool | str = False,
     ) -> None:
         super().__init__()
         if scale not in SCALES:
             raise ValueError(f"PP-LCNet has no scale {scale}; choose one of {', '.join(map(str, SCALES))}")
+        if shortcuts and pretrained:
+            raise ValueError(
+                f"pretrained={pretrained}: PP-LCNet's published weights were trained without shortcuts; "
+                "give model.backbone.shortcuts=false too"
+            )
         self.scale = scale
         self.stem_feature = stem_feature
 
         self.stem = ConvNormAct(3, scale_channels(STEM_CHANNELS, scale), 3, stride=2, activation=nn.Hardswish)
-        self.blocks2 = _stage(STAGES["blocks2"], scale)
-        self.blocks3 = _stage(STAGES["blocks3"], scale)
-        self.blocks4 = _stage(STAGES["blocks4"], scale)
-        self.blocks5 = _stage(STAGES["blocks5"], scale)
+        self.blocks2 = _stage(STAGES["blocks2"], scale, shortcuts)
+        self.blocks3 = _stage(STAGES["blocks3"], scale, shortcuts)
+        self.blocks4 = _stage(STAGES["blocks4"], scale, shortcuts)
+        self.blocks5 = _stage(STAGES["blocks5"], scale, shortcuts)
         last = STAGES["blocks6"]
         if not squeeze_excite:
             last = tuple(block._replace(squeeze_excite=False) for block in last)
-        self.blocks6 = _stage(last, scale)
+        self.blocks6 = _stage(last, scale, shortcuts)
 
         channels = [scale_channels(stage[-1].out_channels, scale) for stage in STAGES.values()]
         if stem_feature:
@@ -143,7 +151,7 @@ class PPLCNetClassifier(nn.Module):
         return self.fc(self.dropout(hidden.flatten(1)))
 
 
-def _stage(blocks: tuple[Block, ...], scale: float) -> nn.Sequential:
+def _stage(blocks: tuple[Block, ...], scale: float, shortcuts: bool) -> nn.Sequential:
     return nn.Sequential(
         *(
             DepthwiseSeparable(
@@ -152,6 +160,7 @@ def _stage(blocks: tuple[Block, ...], scale: float) -> nn.Sequential:
                 block.kernel,
                 stride=block.stride,
                 squeeze_excite=block.squeeze_excite,
+                shortcut=shortcuts,
                 activation=nn.Hardswish,
             )
             for block in blocks
