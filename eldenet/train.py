@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.record import differences
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -165,18 +166,16 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
             log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
         chosen = bool(arguments) or bool({"mean", "std"} & config.model.keys())
-        for line in (keep_normalisation(model, start, chosen=chosen), _other_head(model, start)):
+        for line in (keep_normalisation(model, start, chosen=chosen), _other_settings(model, start)):
             if line:
                 log.say(line)
     return model
 
 
-def _other_head(model: "DepthNet", start: "DepthNet") -> str:
-    """What to say where the weights' raw maps come to other metres here."""
-    ours, theirs = model.head.config, start.head.config
-    return (
-        "" if ours == theirs else f"weights: trained behind another head, {theirs}; this network has {ours}"
-    )
+def _other_settings(model: "DepthNet", start: "DepthNet") -> str:
+    """What to say where the weights are of a network that computes something else from equal tensors."""
+    found = differences(model.config, start.config, ignored=frozenset({"mean", "std"}))
+    return f"weights: of a network with other settings; here {', '.join(found)}" if found else ""
 
 
 def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
@@ -235,7 +234,6 @@ def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
     Raises:
         ValueError: ``folder/config.yaml`` differs.
     """
-    from eldenet.record import differences
 
     begun = folder / "config.yaml"
     different = differences(cfg.plain(config), cfg.read_yaml(begun)) if begun.is_file() else []
