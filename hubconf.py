@@ -1,8 +1,8 @@
 """Models for ``torch.hub``: ``torch.hub.load(<this repository>, "eldenet")``.
 
 Every function takes the options of :func:`eldenet.zoo.load`, such as
-``overrides=["model.head.max_depth=80"]``, and returns a freshly initialised network in eval mode: image
-``(B, 3, H, W)``, RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m].
+``overrides=["model.head.max_depth=80"]``, and returns a network in eval mode: image ``(B, 3, H, W)``, RGB in
+[0, 1] -> depth ``(B, 1, H, W)`` [m]. It is freshly initialised but for ``eldenet(weights="rooms")``.
 """
 
 from typing import Any as _Any  # torch.hub lists every callable without an underscore

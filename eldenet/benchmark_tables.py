@@ -82,6 +82,7 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
     from matplotlib import pyplot
 
     from eldenet.comparison import find_runs
+    from eldenet.studies.plots import name_points
 
     runs = find_runs(cfg.plain(config.accuracies)) if config.accuracies else []
     accuracy = {str(run["model"]): run["metrics"][config.accuracy] for run in runs}
@@ -95,15 +96,13 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
             f"{row['runtime']}, {row['precision']}, {row['height']}x{row['width']}, batch {row['batch']}, "
         )
         series.setdefault(f"{label}{row['threads']} threads", []).append(row)
-    slowest: dict[str, tuple[float, float]] = {}  # one name for each model, right of its last point
+    points: dict[str, list[tuple[float, float]]] = {}  # of each model
     for label, members in series.items():
         latency = [row["latency_ms_p50"] for row in members]
         heights = [accuracy[row["model"]] if runs else row["params"] / 1e6 for row in members]
         axes.scatter(latency, heights, label=label, s=24)
         for row, x, y in zip(members, latency, heights, strict=True):
-            slowest[row["model"]] = max((x, y), slowest.get(row["model"], (0.0, y)))
-    for model, place in slowest.items():
-        axes.annotate(model, place, fontsize=7, xytext=(5, -2), textcoords="offset points")
+            points.setdefault(row["model"], []).append((x, y))
     axes.margins(x=0.18)
     axes.set(
         xscale="log",
@@ -112,7 +111,8 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
         yscale="linear" if runs else "log",
     )
     axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper left")
+    name_points(axes, points)
     figure.savefig(path, dpi=150)
     pyplot.close(figure)
     return True

@@ -91,7 +91,11 @@ class DepthNet(Configurable, nn.Module):
         return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **normalisation)
 
     def forward(self, image: Tensor) -> Tensor:
-        """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W."""
+        """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
+
+        Raises:
+            ValueError: the image has another shape, or holds no floats.
+        """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}, (B, 3, H, W) is needed")
         if not image.is_floating_point():
@@ -187,7 +191,14 @@ class DepthNet(Configurable, nn.Module):
     def push_to_hub(
         self, repo_id: str, *, private: bool = False, token: str | None = None, **save_options: Any
     ) -> str:
-        """Upload ``config.json`` and the weights to the Hugging Face Hub; returns the commit's address."""
+        """Upload ``config.json`` and the weights to the Hugging Face Hub; returns the commit's address.
+
+        Args:
+            repo_id: "owner/name"; made if need be.
+            private: whether a repository that is made is.
+            token: with the right to write; None: the one that ``hf auth login`` keeps.
+            **save_options: of :meth:`save_pretrained`.
+        """
         import tempfile
 
         from huggingface_hub import HfApi

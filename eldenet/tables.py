@@ -123,7 +123,8 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         [heading(name, run) for name in COSTS],
         [[number(name, run["cost"][name]) for name in COSTS]],
     )
-    log.say(f"written to {log.folder}: {RUN_FILE}, per_image.csv, predictions.png, model/ ...")
+    weights = ", model/ ..." if (log.folder / "model").is_dir() else ""  # an evaluation writes none
+    log.say(f"written to {log.folder}: {RUN_FILE}, per_image.csv, predictions.png{weights}")
 
 
 def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:

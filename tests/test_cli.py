@@ -76,6 +76,8 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
         "evaluate", f"checkpoint={trained}", *TINY[:3], "run_dir=evaluation", cwd=trained.parent
     )
     assert finished.returncode == 0, finished.stderr
+    # and no model/, which an evaluation does not write
+    assert finished.stdout.rstrip().endswith("run.json, per_image.csv, predictions.png")
     first = json.loads((trained / "run.json").read_text())
     second = json.loads((trained.parent / "evaluation" / "run.json").read_text())
     assert second["metrics"] == pytest.approx(first["metrics"])

@@ -1,6 +1,7 @@
 """The house keeps its floors: who may import whom, and what an import costs."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -72,6 +73,14 @@ def test_imports_go_down(file: Path) -> None:
         assert LAYER_OF.get(other, 8) <= LAYER_OF[part], where
         if LAYER_OF[part] == 2 and other != part and (part, other) not in SIBLINGS_THAT_MAY:
             assert LAYER_OF[other] < 2, f"{where}, a sibling"
+
+
+def test_the_architecture_page_names_every_module() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| (\d) \| (.*) \|$", page, re.M)
+    named = {(int(layer), name) for layer, row in rows for name in re.findall(r"`(\w+)`", row)}
+    assert named == {(layer, name) for name, layer in LAYER_OF.items()}
+    assert set(LAYER_OF) == {part_of(file) for file in FILES} - {"__init__"}
 
 
 def test_hydra_and_omegaconf_stay_on_the_top_floor() -> None:

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from eldenet.studies import convergence, statistics
-from eldenet.studies.plots import _label_places, pareto_front
+from eldenet.studies.plots import name_points, pareto_front
 
 
 def scores(values: np.ndarray, **changes: tuple[str, ...]) -> statistics.Scores:
@@ -83,8 +83,18 @@ def test_speed_and_fluctuation_of_known_curves():
     assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
 
 
-def test_names_in_the_plot_keep_clear_of_each_other():
-    """Two points nearly in one place: the upper name goes above, the lower below; far ones stay above."""
-    rows = [("upper", 4.3, 0.705), ("lower", 4.6, 0.700), ("alone", 1.0, 0.5), ("level", 20.0, 0.702)]
-    below = {name: low for name, _, _, low in _label_places(rows)}
-    assert below == {"upper": False, "lower": True, "alone": False, "level": False}
+def test_names_in_the_plot_keep_clear_of_each_other_and_within_the_axes():
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    points = {"upper": [(4.3, 0.705)], "lower": [(4.6, 0.700)], "alone": [(1.0, 0.5)]}
+    points |= {"a_long_name_far_right": [(20.0, 0.702)], "of_two_runtimes": [(2.0, 0.6), (3.0, 0.6)]}
+    figure, axes = pyplot.subplots(figsize=(5, 4))
+    for own in points.values():
+        axes.plot(*zip(*own, strict=True), "o")
+    axes.set_xscale("log")
+    name_points(axes, points)
+    boxes = {note.get_text(): note.get_window_extent() for note in axes.texts}
+    assert set(boxes) == set(points)
+    for name, box in boxes.items():
+        assert not any(box.overlaps(other) for there, other in boxes.items() if there != name)
+        assert box.x1 <= axes.get_window_extent().x1
+    pyplot.close(figure)

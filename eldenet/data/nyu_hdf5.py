@@ -225,7 +225,7 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        raise ImportError("reading splits.mat needs scipy: pip install 'eldenet[nyu]'") from error
+        raise ImportError("reading splits.mat needs scipy: pip install scipy") from error
     if not path.is_file():
         raise FileNotFoundError(f"{path} is no file: fetch it again")
     try:

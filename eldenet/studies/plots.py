@@ -35,8 +35,6 @@ def pareto_plot(
         points = [(row[1], row[2]) for row in rows]
         line = axes.plot(*zip(*[points[i] for i in pareto_front(points)], strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
-    for name, x, y, below in _label_places([row for rows in blocks.values() for row in rows]):
-        axes.annotate(name, (x, y), xytext=(4, -9 if below else 4), textcoords="offset points", fontsize=7)
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.1)  # names stand to the right of their points
     axes.xaxis.set_major_formatter("{x:g}")
@@ -44,27 +42,40 @@ def pareto_plot(
     axes.xaxis.set_minor_formatter("{x:g}")
     axes.set_xlabel(cost)
     axes.set_ylabel(metric)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper left")  # cheap and accurate: few points lie there
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
+    name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows})
     figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
     pyplot.close(figure)
 
 
-def _label_places(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float, bool]]:
-    """Each row, and whether its name goes below its point: where it would lie on another name or point above.
+def name_points(axes: Any, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+    """Write each name beside its points ``(x, y)``, which lie on about one height, the highest first.
 
-    A name begins at its point, is about as long as a doubling of the cost, and 4 % of the plot high.
+    It goes right of the last or left of the first of them, within the axes and clear of other names,
+    points and the legend, where there is such a place. Call it last: it measures what is drawn.
     """
-    heights = [y for _, _, y in rows]
-    line = 0.04 * (max(heights) - min(heights))
-    placed: list[tuple[str, float, float, bool]] = []
-    for name, x, y in sorted(rows, key=lambda row: -row[2]):
-        names = [(there, height + (-line if low else line)) for _, there, height, low in placed]
-        on_name = any(0.5 < x / there < 2 and abs(y + line - height) < line for there, height in names)
-        on_point = any(x < there < 2 * x and abs(y + line - height) < line for _, there, height in rows)
-        placed.append((name, x, y, on_name or on_point))
-    return placed
+    axes.figure.draw_without_rendering()  # limits and layout are settled from here on
+    inside, legend = axes.get_window_extent(), axes.get_legend()
+    taken = [] if legend is None else [legend.get_window_extent()]
+    for name, own in sorted(points.items(), key=lambda row: -max(y for _, y in row[1])):
+        others = [point for other in points if other != name for point in points[other]]
+        pixels = axes.transData.transform(others) if others else []
+        for right, up in ((4, 4), (4, -9), (6, -2), (-4, 4), (-4, -9), (-6, -2)):
+            place, side = (max(own), "left") if right > 0 else (min(own), "right")
+            note = axes.annotate(
+                name, place, xytext=(right, up), textcoords="offset points", fontsize=7, ha=side
+            )
+            box = note.get_window_extent()
+            within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0
+            on_name = any(box.padded(4, 0).overlaps(other) for other in taken)
+            if within and not on_name and not any(box.padded(4).contains(*pixel) for pixel in pixels):
+                break
+            note.remove()
+        else:
+            axes.add_artist(note)  # no place is free: the last one
+        taken.append(box)
 
 
 def differences_plot(
