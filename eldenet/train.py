@@ -234,7 +234,6 @@ def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
     Raises:
         ValueError: ``folder/config.yaml`` differs.
     """
-
     begun = folder / "config.yaml"
     different = differences(cfg.plain(config), cfg.read_yaml(begun)) if begun.is_file() else []
     if different:
