@@ -102,6 +102,7 @@ def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, caps
     assert 1 <= results.images <= 5
     said = capsys.readouterr().out
     assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
+    assert "broke off" not in said  # it announces its five frames
     (file,) = (tmp_path / "out").iterdir()
     assert file.name.endswith("walk_mp4_depth.mp4")
     assert read_video(file)[1] == 12.0
@@ -115,6 +116,7 @@ class SlowCamera(DepthStream):
     def __init__(self, source, predictor) -> None:
         self.predictor, self.drop = predictor, True
         self.dropped, self.announced, self.frames_per_second = 5, 0, 10.0
+        self.ended_too_soon = "broke off after 8 frames"
         self._times = [0.0]
 
     def __iter__(self):
@@ -139,7 +141,10 @@ def test_a_film_of_a_camera_keeps_time(
     assert sorted(np.argsort(steps)[-2:] + 1) == [5, 7]  # where the picture changes
     said = capsys.readouterr().out
     assert "3 frames of street (5 dropped)" in said
+    assert "rtsp://host/street broke off after 8 frames" in said
     assert "cret" not in said
+    run(model_folder, "rtsp://host/street", tmp_path / "three", "frames=3")  # type: ignore[arg-type]
+    assert "broke off" not in capsys.readouterr().out
 
 
 def test_a_film_is_as_long_as_what_it_shows() -> None:

@@ -112,6 +112,47 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
         runtimes.DepthStream(path, depth_of, queue_size=0)
 
 
+class Capture:
+    """Of OpenCV: a source that announces some frames (0: it has no end) and gives five."""
+
+    def __init__(self, announced: int) -> None:
+        self.announced, self.left = announced, 5
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, what: int) -> float:
+        return self.announced if what == cv2.CAP_PROP_FRAME_COUNT else 10.0
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.left -= 1
+        return self.left >= 0, np.zeros((4, 6, 3), np.uint8)
+
+    def release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("source", "announced", "said"),
+    [
+        ("camera:0", -1, "broke off after 5 frames"),
+        ("rtsp://host/street", 0, "broke off after 5 frames"),
+        ("http://host/walk.mp4", 5, ""),
+        ("http://host/walk.mp4", 9, "announces 9 frames, 5 could be read"),
+        ("walk.mp4", 9, "announces 9 frames, 5 could be read"),
+        ("walk.avi", 0, ""),
+    ],
+)
+def test_an_end_that_is_none_is_said(
+    source: str, announced: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(announced))
+    with runtimes.DepthStream(source, depth_of) as stream:
+        list(stream)
+        assert stream.ended_too_soon.startswith(said)
+        assert bool(stream.ended_too_soon) == bool(said)
+
+
 def test_the_rate_is_of_the_last_frames() -> None:
     def paced(frame: np.ndarray) -> np.ndarray:
         time.sleep(0.02)

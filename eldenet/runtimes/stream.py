@@ -38,6 +38,7 @@ class DepthStream:
         with DepthStream("camera:0", predictor) as stream:
             for number, frame, depth, time in stream:
                 print(f"{stream.fps:.0f} frames/s, {stream.dropped} dropped")
+            print(stream.ended_too_soon)  # a camera that is unplugged ends the loop too
 
     Args:
         source: a video file, "camera:0" (number of a camera), an address ("rtsp://..."), or any iterable of
@@ -50,7 +51,9 @@ class DepthStream:
     Attributes:
         dropped: frames that were not predicted.
         frames_per_second: that the source announces, 30 where it does not.
-        announced: frames that the source announces, or 0.
+        announced: frames that the source announces; 0 where it has no end of its own, or does not say.
+        ended_too_soon: why the source's end is none, in words ("broke off after 90 frames: ..."); empty while
+            it goes on, and where it ended as it should.
 
     Raises:
         ValueError: the source cannot be opened, or the queue holds none.
@@ -68,14 +71,16 @@ class DepthStream:
             raise ValueError(f"queue_size={queue_size}: at least one frame must wait")
         self.predictor, self.queue_size = predictor, queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
+        self.ended_too_soon = ""
+        # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
         if isinstance(source, str | Path):
-            self.drop = is_live(source) if drop is None else drop
+            self._endless = self._by_clock = is_live(source)
+            self.drop = self._endless if drop is None else drop
             frames = self._open(source)
         else:
+            self._endless, self._by_clock = False, bool(drop)
             self.drop = bool(drop)
             frames = iter(source)
-        # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
-        self._by_clock = is_live(source) if isinstance(source, str | Path) else self.drop
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
@@ -119,10 +124,14 @@ class DepthStream:
         self.close()
 
     def _read(self, frames: Iterator[np.ndarray]) -> None:
+        came = 0
         try:
             for number, frame in enumerate(frames):
                 if not self._put(number, frame):
                     break
+                came = number + 1
+            else:
+                self.ended_too_soon = self._fault(came)
         except BaseException as error:  # it is the consumer's to see
             self._error = error
         finally:
@@ -147,6 +156,14 @@ class DepthStream:
             self._changed.notify_all()
             return not self._stop
 
+    def _fault(self, came: int) -> str:
+        """What is wrong with an end after so many frames."""
+        if came < self.announced:
+            return f"announces {self.announced} frames, {came} could be read: may be cut"
+        if self._endless and not self.announced:
+            return f"broke off after {came} frames: the camera or its connection is lost"
+        return ""
+
     def _open(self, source: str | Path) -> Iterator[np.ndarray]:
         import cv2
 
@@ -163,7 +180,7 @@ class DepthStream:
             raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
-        self.announced = 0 if is_live(name) else max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
         return _frames_of(capture)
 
 
