@@ -201,6 +201,20 @@ def test_a_file_under_the_agpl_says_so(tmp_path):
         OnnxDetector(path)
 
 
+def test_a_detector_says_that_it_fell_back(tmp_path, monkeypatch):
+    path = save(tmp_path / "d.onnx", *FILES["yolov8"])
+    with pytest.warns(UserWarning, match="runs by CPUExecutionProvider: CUDAExecutionProvider is not"):
+        OnnxDetector(path, providers=["CUDAExecutionProvider", "CPUExecutionProvider"])
+    for wrong in (["cuda"], "CPUExecutionProvider", []):
+        with pytest.raises(ValueError, match="this ONNX Runtime has"):
+            OnnxDetector(path, providers=wrong)
+    # installed, but its driver is not: ONNX Runtime takes the CPU, and its log is off
+    there = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: there)
+    with pytest.warns(UserWarning, match="cannot start on this machine"):
+        OnnxDetector(path, providers=there[:1])
+
+
 def test_nms_is_class_wise():
     boxes = np.array([[0, 0, 10, 10], [0, 0, 10, 11], [0, 0, 10, 10.0]])
     kept = class_wise_nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]), 0.5)

@@ -116,11 +116,14 @@ class OnnxDetector:
         keep: names of the classes to keep; None: all.
         box_style: how its boxes lie around objects.
         threads: of ONNX Runtime; 0: its own choice.
-        providers: of ONNX Runtime.
+        providers: of ONNX Runtime, the wanted one first; where it cannot start, the next one there is.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no ONNX file, a layout that is not known, or a number out of range.
+        ValueError: no ONNX file, a layout that is not known, a number out of range, or no provider to be had.
+
+    Warns:
+        UserWarning: the first provider does not run, another one does; or the file is under the AGPL.
     """
 
     def __init__(
@@ -227,10 +230,24 @@ def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
+    there = onnxruntime.get_available_providers()
+    usable = [name for name in providers if name in there]
+    if not usable:
+        raise ValueError(
+            f"providers={providers}: this ONNX Runtime has {', '.join(there)}; give a list of some, the "
+            "wanted one first (CUDA's needs onnxruntime-gpu)"
+        )
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=list(providers))
+        session = onnxruntime.InferenceSession(str(path), options, providers=usable)
     except Exception as error:  # its exceptions share no base class
         raise ValueError(f"{path} is no ONNX file that this ONNX Runtime can run: {error}") from error
+    runs = session.get_providers()[0]
+    if runs != providers[0]:  # it falls back without a word
+        warnings.warn(
+            f"{path} runs by {runs}: {providers[0]} is not installed, or cannot start on this machine",
+            stacklevel=3,
+        )
+    return session
 
 
 def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:
