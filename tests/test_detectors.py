@@ -30,11 +30,12 @@ NAMES = ("cat", "dog", "cow")
 
 
 def save(
-    path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *, by_first_channel=False
-) -> Path:
+    path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *,
+    by_first_channel=False, kind=TensorProto.FLOAT,
+) -> Path:  # fmt: skip
     """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it.
 
-    ``by_first_channel``: with zeros, where the first channel is dark.
+    ``by_first_channel``: with zeros, where the first channel is dark. ``kind``: of the picture's numbers.
     """
     constant = numpy_helper.from_array(output.astype(np.float32), "boxes")
     zero = numpy_helper.from_array(np.zeros(1, np.float32), "zero")
@@ -56,7 +57,9 @@ def save(
             helper.make_node("Cast", ["bright"], ["factor"], to=TensorProto.FLOAT),
             helper.make_node("Mul", ["boxes", "factor"], ["output"]),
         ]
-    picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, *size])
+    nodes[0].input[0] = "numbers"
+    nodes.insert(0, helper.make_node("Cast", ["images"], ["numbers"], to=TensorProto.FLOAT))
+    picture = helper.make_tensor_value_info("images", kind, [1, 3, *size])
     result = helper.make_tensor_value_info("output", TensorProto.FLOAT, list(output.shape))
     model = helper.make_model(
         helper.make_graph(nodes, "g", [picture], [result], constants),
@@ -198,6 +201,16 @@ def test_a_file_under_the_agpl_says_so(tmp_path):
     output, metadata = FILES["yolov8"]
     path = save(tmp_path / "a.onnx", output, metadata | {"license": "AGPL-3.0 License"})
     with pytest.warns(UserWarning, match="AGPL"):
+        OnnxDetector(path)
+
+
+def test_a_half_precision_file_gets_its_own_numbers(tmp_path, monkeypatch):
+    path = save(tmp_path / "half.onnx", *FILES["yolov8"], kind=TensorProto.FLOAT16)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    found = OnnxDetector("~/half.onnx")(FRAME)
+    np.testing.assert_allclose(found.xyxy, WANTED - 0.5, atol=2e-3)
+    save(path, *FILES["yolov8"], kind=TensorProto.UINT8)
+    with pytest.raises(ValueError, match=r"input of tensor\(uint8\), a detector takes tensor\(float\)"):
         OnnxDetector(path)
 
 

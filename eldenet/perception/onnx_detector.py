@@ -19,6 +19,7 @@ from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.letterbox import fit_picture, in_frame
 
 _STRIDES = (8, 16, 32)
+_INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters
 
 
 class Layout(NamedTuple):
@@ -148,17 +149,20 @@ class OnnxDetector:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         if threads < 0:
             raise ValueError(f"threads={threads}: give their number, or 0 for ONNX Runtime's own choice")
-        self.session = _open(Path(path), threads, providers)
+        path = Path(path).expanduser()
+        self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
-        _warn_of_licence(Path(path), metadata)
+        _warn_of_licence(path, metadata)
         given = self.session.get_inputs()[0]
-        self.input_name = given.name
-        self.input_size = _input_size(given.shape, input_size, Path(path))
-        self.layout_name = self._sniff(Path(path), metadata) if layout == "auto" else layout
+        if given.type not in _INPUTS:
+            raise ValueError(f"{path}: input of {given.type}, a detector takes {' or '.join(_INPUTS)}")
+        self.input_name, self.input_type = given.name, _INPUTS[given.type]
+        self.input_size = _input_size(given.shape, input_size, path)
+        self.layout_name = self._sniff(path, metadata) if layout == "auto" else layout
         self.layout = LAYOUTS[self.layout_name]
         self.letterbox = letterbox or metadata.get("letterbox_pad") or self.layout.letterbox
         one_of("letterbox", self.letterbox, ("topleft", "center", "stretch"))
-        self.names = self._names(names, metadata, Path(path))
+        self.names = self._names(names, metadata, path)
         self.threshold, self.nms, self.between_classes = threshold, nms, between_classes
         self.keep, self.box_style = keep, box_style
         if keep is not None and not set(keep) <= set(self.names):
@@ -175,7 +179,7 @@ class OnnxDetector:
         tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32) * np.float32(
             self.layout.scale
         )
-        output = self.session.run(None, {self.input_name: tensor})[0]
+        output = self.session.run(None, {self.input_name: tensor.astype(self.input_type, copy=False)})[0]
         xyxy, score = self.layout.decode(output, self.input_size)
         wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
         xyxy, best, label = in_frame(
