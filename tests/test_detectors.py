@@ -165,6 +165,15 @@ def test_boxes_come_back_from_every_letterbox(letterbox, tmp_path):
     assert (score.tolist(), label.tolist()) == ([0.9], [1])
 
 
+@pytest.mark.parametrize("letterbox", ["topleft", "center", "stretch"])
+def test_the_whole_picture_is_the_whole_frame(letterbox):
+    frame = np.full((98, 400, 3), 255, np.uint8)  # 31.36 rows of the input, so 31
+    picture, scale, shift = fit_picture(frame, SIZE, letterbox)
+    rows, columns = np.nonzero((picture > 200).all(-1))
+    box = np.array([[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]], float)
+    np.testing.assert_allclose((box - np.tile(shift, 2)) / np.tile(scale, 2), [[0, 0, 400, 98]], atol=1e-9)
+
+
 @pytest.mark.parametrize("layout", sorted(FILES))
 def test_every_layout_gets_its_order_of_colours(layout, tmp_path):
     """The file finds objects only where the first channel it is given is bright."""
