@@ -115,6 +115,8 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
 class Capture:
     """Of OpenCV: a source that announces some frames (0: it has no end) and gives five."""
 
+    times = (0.0, 40.0, 80.0, 330.0, 0.0)  # [ms]
+
     def __init__(self, announced: int) -> None:
         self.announced, self.left = announced, 5
 
@@ -122,6 +124,8 @@ class Capture:
         return True
 
     def get(self, what: int) -> float:
+        if what == cv2.CAP_PROP_POS_MSEC:
+            return self.times[4 - self.left]
         return self.announced if what == cv2.CAP_PROP_FRAME_COUNT else 10.0
 
     def read(self) -> tuple[bool, np.ndarray]:
@@ -151,6 +155,13 @@ def test_an_end_that_is_none_is_said(
         list(stream)
         assert stream.ended_too_soon.startswith(said)
         assert bool(stream.ended_too_soon) == bool(said)
+
+
+def test_a_file_says_when_its_frames_were_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may come at uneven times; of the last one some formats say nothing."""
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(5))
+    with runtimes.DepthStream("walk.mp4", depth_of) as stream:
+        np.testing.assert_allclose([item.time for item in stream], [0, 0.04, 0.08, 0.33, 0.43])
 
 
 def test_the_rate_is_of_the_last_frames() -> None:

@@ -6,9 +6,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import cv2
 
 RATE_OVER = 30  # frames that the live rate looks back on
 
@@ -20,8 +23,8 @@ class StreamFrame(NamedTuple):
         number: of the frame in the source, from 0; dropped ones count.
         frame: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m].
-        time: when it was taken [s], from any zero: a camera's frames by the clock, others by the source's
-            frame rate.
+        time: when it was taken [s], from any zero: a camera's frames by the clock, a file's as it says,
+            others by the frame rate.
     """
 
     number: int
@@ -81,6 +84,7 @@ class DepthStream:
             self._endless, self._by_clock = False, bool(drop)
             self.drop = bool(drop)
             frames = iter(source)
+        self._position: float | None = None  # in a file [s], of the newest frame
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
@@ -144,7 +148,9 @@ class DepthStream:
 
     def _put(self, number: int, frame: np.ndarray) -> bool:
         """Queue a frame; False once nobody wants more."""
-        taken = time.monotonic() if self._by_clock else number / self.frames_per_second
+        taken = number / self.frames_per_second if self._position is None else self._position
+        if self._by_clock:
+            taken = time.monotonic()
         with self._changed:
             if self.drop:
                 while len(self._waiting) >= self.queue_size:
@@ -181,20 +187,24 @@ class DepthStream:
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
         self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
-        return _frames_of(capture)
+        return self._frames_of(capture)
 
+    def _frames_of(self, capture: "cv2.VideoCapture") -> Iterator[np.ndarray]:
+        import cv2
 
-def _frames_of(capture: object) -> Iterator[np.ndarray]:
-    import cv2
-
-    try:
-        while True:
-            complete, frame = capture.read()  # type: ignore[attr-defined]
-            if not complete:
-                return
-            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-    finally:
-        capture.release()  # type: ignore[attr-defined]
+        try:
+            while True:
+                complete, frame = capture.read()
+                if not complete:
+                    return
+                # phones and loggers write frames at uneven times; not every format says them, or to the end
+                at, before = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, self._position
+                if before is not None and at <= before:
+                    at = before + 1 / self.frames_per_second
+                self._position = at
+                yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+        finally:
+            capture.release()
 
 
 def is_live(source: str | Path) -> bool:
