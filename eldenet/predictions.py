@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.folder import IMAGE_ENDINGS
-from eldenet.geometry import back_project
+from eldenet.geometry import back_project, check_intrinsics
 from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.pictures import write_picture
 from eldenet.pointcloud import write_ply
@@ -82,7 +82,7 @@ class Results:
         ``time`` is when a frame of a video was taken [s], from any zero.
 
         Raises:
-            ValueError: intrinsics were given, and the picture is of another size than those before it.
+            ValueError: intrinsics were given, and they or the pictures before it are of another size.
         """
         height, width = depth.shape
         self.size = self.size or (height, width)
@@ -91,6 +91,8 @@ class Results:
                 f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
                 "one set of intrinsics fits one size, so predict them in separate folders"
             )
+        if self.intrinsics is not None:
+            check_intrinsics(self.intrinsics, self.size)
         if "ply" in formats and self.intrinsics is not None:
             write_ply(self.folder / f"{name}.ply", back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
