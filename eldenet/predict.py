@@ -204,6 +204,8 @@ def predict_video(
             except KeyboardInterrupt:
                 if not stream.drop:
                     raise
+            if not results.images and stream.drop:
+                raise ValueError(f"{shown} gave no frame: in use elsewhere, or nothing sends there")
             if not results.images:
                 raise ValueError(f"{shown} holds no frame that can be read: it is cut, damaged or no video")
             speed, too_soon = bar.rate, stream.ended_too_soon

@@ -201,7 +201,7 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     if source.is_file():
         return {source: source.stem}
     if not source.is_dir():
-        raise FileNotFoundError(f"source={source} does not exist: give a picture, a folder or a video")
+        raise FileNotFoundError(f"source={source} does not exist: give a picture, folder, video or camera:0")
     own = output.resolve()
     paths = [
         path

@@ -214,6 +214,6 @@ def test_command(model_folder: Path, tmp_path: Path, run_command) -> None:
     failed = run_command("predict", f"checkpoint={model_folder}", "source=nothing.jpg", cwd=tmp_path)
     assert failed.returncode == 1
     assert failed.stderr == (
-        "error: source=nothing.jpg does not exist: give a picture, a folder or a video\n"
+        "error: source=nothing.jpg does not exist: give a picture, folder, video or camera:0\n"
     )
     assert len(list((tmp_path / "runs").iterdir())) == 1

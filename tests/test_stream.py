@@ -105,7 +105,13 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
     np.testing.assert_allclose([item.time for item in seen], np.arange(5) / 12)
     assert (stream.frames_per_second, stream.announced, len(frames)) == (12.0, 5, 5)
     assert frames[4][..., 2].mean() > 100 > frames[4][..., 0].mean()  # RGB
-    for wrong, message in ((tmp_path / "none.mp4", "no video"), ("camera:x", "camera:0")):
+    (tmp_path / "text.mp4").write_text("no video at all")
+    for wrong, message in (
+        (tmp_path / "none.mp4", "does not exist"),
+        (tmp_path / "text.mp4", "no video"),
+        ("camera:x", "camera:0"),
+        ("/dev/video99", "no such camera"),
+    ):
         with pytest.raises(ValueError, match=message):
             runtimes.DepthStream(wrong, depth_of)
     with pytest.raises(ValueError, match="at least one"):
@@ -140,6 +146,7 @@ class Capture:
     ("source", "announced", "said"),
     [
         ("camera:0", -1, "broke off after 5 frames"),
+        ("/dev/video0", -1, "broke off after 5 frames"),
         ("rtsp://host/street", 0, "broke off after 5 frames"),
         ("http://host/walk.mp4", 5, ""),
         ("http://host/walk.mp4", 9, "announces 9 frames, 5 could be read"),

@@ -44,8 +44,8 @@ class DepthStream:
             print(stream.ended_too_soon)  # a camera that is unplugged ends the loop too
 
     Args:
-        source: a video file, "camera:0" (number of a camera), an address ("rtsp://..."), or any iterable of
-            frames ``(H, W, 3)`` uint8 RGB.
+        source: a video file, "camera:0" (number of a camera) or "/dev/video0", an address ("rtsp://..."), or
+            any iterable of frames ``(H, W, 3)`` uint8 RGB.
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, the oldest goes when another comes.
         drop: None: drop frames of cameras and addresses, keep every frame of files and iterables (the reader
@@ -183,6 +183,8 @@ class DepthStream:
             if is_live(name):
                 name = without_password(name)
                 raise ValueError(f"source={name} cannot be opened: no such camera, out of reach, or no right")
+            if not Path(name).exists():
+                raise ValueError(f"source={name} does not exist: give a video, or a camera such as camera:0")
             raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
@@ -209,7 +211,7 @@ class DepthStream:
 
 def is_live(source: str | Path) -> bool:
     """Whether frames come whether or not anybody reads them: a camera, or an address."""
-    return str(source).startswith("camera:") or "://" in str(source)
+    return str(source).startswith(("camera:", "/dev/video")) or "://" in str(source)
 
 
 def without_password(source: str) -> str:
