@@ -14,6 +14,16 @@ def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> None:
+    """Raise ValueError for intrinsics that cannot be of a picture of ``(height, width)`` [px]."""
+    column, row = intrinsics[:2, 2]
+    if not (0 <= column < size[1] and 0 <= row < size[0]):
+        raise ValueError(
+            f"the camera's principal point ({column:g}, {row:g}) lies outside the picture, which is "
+            f"{size[1]} x {size[0]}: give the intrinsics of pictures of this size"
+        )
+
+
 def resize_intrinsics(
     intrinsics: np.ndarray, size_from: tuple[int, int], size_to: tuple[int, int]
 ) -> np.ndarray:

@@ -204,13 +204,15 @@ def predict_video(
             except KeyboardInterrupt:
                 if not stream.drop:
                     raise
+            if not results.images and stream.drop:
+                raise ValueError(f"{shown} gave no frame: in use elsewhere, or nothing sends there")
             if not results.images:
                 raise ValueError(f"{shown} holds no frame that can be read: it is cut, damaged or no video")
-            speed = bar.rate
-    ended = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
-    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{ended}", speed)
-    if results.images < (stream.announced if frames is None else min(frames, stream.announced)):
-        log.say(f"{shown} announces {stream.announced} frames, {results.images} could be read: may be cut")
+            speed, too_soon = bar.rate, stream.ended_too_soon
+    origin = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
+    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{origin}", speed)
+    if too_soon and results.images != frames:
+        log.say(f"{shown} {too_soon}")
 
 
 def say_what_was_done(log: "RunLog", results: "Results", what: str, rate: float) -> None:

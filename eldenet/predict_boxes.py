@@ -1,7 +1,8 @@
 """What ``boxes=true`` adds to ``eldenet.predict``: pictures with 3D boxes, and KITTI result files."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from eldenet.runlog import RunLog
 
 SHORTEST = 1e-3  # [s] between two frames, however fast they were read
+REMEMBERED = 10_000  # pictures whose times are kept: a camera may run for days
 FOLLOWED = 10.0  # frames in which a video's view from above comes near the reach that it wants
 
 Add = Callable[[str, np.ndarray, np.ndarray, float | None], None]
@@ -28,7 +30,7 @@ def box_results(
     results: "Results",
     names: Sequence[str],
     log: "RunLog",
-    depth_seconds: Sequence[float] = (),
+    depth_seconds: Collection[float] = (),
     *,
     is_video: bool = False,
 ) -> Iterator[Add | None]:
@@ -52,7 +54,7 @@ def box_results(
     perception = build_perception(config, results.intrinsics, tracked=is_video)
     endings = ("_boxes.mp4",) if is_video else ("_boxes.png", "_boxes.txt")
     results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])
-    spent: dict[str, list[float]] = {}
+    spent: dict[str, deque[float]] = {}
     with ExitStack() as stack:
         show: Callable[[np.ndarray, float], None] | None = None
         last: float | None = None
@@ -65,7 +67,7 @@ def box_results(
             last = taken
             scene = perception(photo, depth=depth, seconds=step)
             for stage, seconds in scene.seconds.items():
-                spent.setdefault(stage, []).append(seconds)
+                spent.setdefault(stage, deque(maxlen=REMEMBERED)).append(seconds)
             if taken is not None:
                 if show is None:  # a camera's rate is known by now
                     film = open_video(results.folder / f"{names[0]}_boxes.mp4", rate)
@@ -79,7 +81,7 @@ def box_results(
             scene.write_kitti(results.folder / f"{name}_boxes.txt")
 
         yield add
-    spent["depth"] = list(depth_seconds)  # it came with each picture
+    spent["depth"] = deque(depth_seconds)  # it came with each picture
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
@@ -93,12 +95,12 @@ class Timed:
     """A depth predictor that notes how long each picture took.
 
     Attributes:
-        seconds: of each picture so far.
+        seconds: of each of the last pictures.
     """
 
     def __init__(self, predictor: Callable[[np.ndarray], np.ndarray]) -> None:
         self.predictor = predictor
-        self.seconds: list[float] = []
+        self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray) -> np.ndarray:
         """Depth ``(H, W)`` [m] of a frame."""

@@ -2,14 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from eldenet.data.folder import IMAGE_ENDINGS
-from eldenet.geometry import back_project
+from eldenet.geometry import back_project, check_intrinsics
 from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.pictures import write_picture
 from eldenet.pointcloud import write_ply
@@ -82,7 +82,7 @@ class Results:
         ``time`` is when a frame of a video was taken [s], from any zero.
 
         Raises:
-            ValueError: intrinsics were given, and the picture is of another size than those before it.
+            ValueError: intrinsics were given, and they or the pictures before it are of another size.
         """
         height, width = depth.shape
         self.size = self.size or (height, width)
@@ -91,6 +91,8 @@ class Results:
                 f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
                 "one set of intrinsics fits one size, so predict them in separate folders"
             )
+        if self.intrinsics is not None:
+            check_intrinsics(self.intrinsics, self.size)
         if "ply" in formats and self.intrinsics is not None:
             write_ply(self.folder / f"{name}.ply", back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
@@ -106,35 +108,59 @@ class Results:
 
 @contextmanager
 def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
-    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the file appears once all are written.
+    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the file appears at the end.
 
-    All frames have one size. Without a frame no file is made.
+    So it does where an error ends it, for what a camera showed does not come again; Ctrl-C leaves no file,
+    nor does a film without a frame.
+
+    Raises:
+        ValueError: the film cannot be begun, or a frame is of another size than those before it.
+        OSError: the film does not hold all that was added.
     """
     import cv2
 
     unfinished = path.with_name(f".{path.stem}.part.mp4")
     writer = None
+    size, count = (0, 0), 0
 
     def add(picture: np.ndarray) -> None:
-        nonlocal writer
+        nonlocal writer, size, count
+        given = (picture.shape[1], picture.shape[0])
         if writer is None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            size = (picture.shape[1], picture.shape[0])
+            size = given
             writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter.fourcc(*"mp4v"), per_second, size)
             if not writer.isOpened():
                 raise ValueError(f"could not write {path}: no permission, or OpenCV without mp4v")
+        if given != size:  # OpenCV would leave it out without a word
+            raise ValueError(f"{path} shows {size} pixels (width, height), the next frame has {given}")
         writer.write(np.ascontiguousarray(picture[..., ::-1]))
+        count += 1
+
+    def finish() -> None:
+        if writer is None:
+            return
+        writer.release()
+        film = cv2.VideoCapture(str(unfinished))
+        written = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+        film.release()
+        if written < count:  # OpenCV says nothing of that either
+            unfinished.unlink(missing_ok=True)
+            raise OSError(f"{path} would hold {written} of {count} frames: is the disk full?")
+        unfinished.replace(path)
 
     try:
         yield add
+    except Exception:
+        with suppress(OSError):
+            finish()
+        raise
     except BaseException:
         if writer is not None:
             writer.release()
             unfinished.unlink(missing_ok=True)
         raise
-    if writer is not None:
-        writer.release()
-        unfinished.replace(path)
+    finish()
 
 
 def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[np.ndarray, float], None]:
@@ -175,7 +201,7 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     if source.is_file():
         return {source: source.stem}
     if not source.is_dir():
-        raise FileNotFoundError(f"source={source} does not exist: give a picture, a folder or a video")
+        raise FileNotFoundError(f"source={source} does not exist: give a picture, folder, video or camera:0")
     own = output.resolve()
     paths = [
         path

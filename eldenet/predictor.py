@@ -5,6 +5,7 @@ import torch
 
 from eldenet.data.base import resize_frame
 from eldenet.model import DepthNet, size_of_frames
+from eldenet.resources import full_fp32
 from eldenet.runtimes.base import Runtime
 from eldenet.types import Frame
 
@@ -61,6 +62,8 @@ class DepthPredictor:
             self.model: DepthNet | Runtime = model
         else:
             self.model = model.to(device).eval()
+            if self.device.type == "cuda":
+                full_fp32()  # as under the other runtimes
 
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` at which the network sees a frame of ``height`` x ``width`` [px]."""

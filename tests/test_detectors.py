@@ -30,11 +30,12 @@ NAMES = ("cat", "dog", "cow")
 
 
 def save(
-    path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *, by_first_channel=False
-) -> Path:
+    path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *,
+    by_first_channel=False, kind=TensorProto.FLOAT,
+) -> Path:  # fmt: skip
     """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it.
 
-    ``by_first_channel``: with zeros, where the first channel is dark.
+    ``by_first_channel``: with zeros, where the first channel is dark. ``kind``: of the picture's numbers.
     """
     constant = numpy_helper.from_array(output.astype(np.float32), "boxes")
     zero = numpy_helper.from_array(np.zeros(1, np.float32), "zero")
@@ -56,7 +57,9 @@ def save(
             helper.make_node("Cast", ["bright"], ["factor"], to=TensorProto.FLOAT),
             helper.make_node("Mul", ["boxes", "factor"], ["output"]),
         ]
-    picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, *size])
+    nodes[0].input[0] = "numbers"
+    nodes.insert(0, helper.make_node("Cast", ["images"], ["numbers"], to=TensorProto.FLOAT))
+    picture = helper.make_tensor_value_info("images", kind, [1, 3, *size])
     result = helper.make_tensor_value_info("output", TensorProto.FLOAT, list(output.shape))
     model = helper.make_model(
         helper.make_graph(nodes, "g", [picture], [result], constants),
@@ -162,6 +165,15 @@ def test_boxes_come_back_from_every_letterbox(letterbox, tmp_path):
     assert (score.tolist(), label.tolist()) == ([0.9], [1])
 
 
+@pytest.mark.parametrize("letterbox", ["topleft", "center", "stretch"])
+def test_the_whole_picture_is_the_whole_frame(letterbox):
+    frame = np.full((98, 400, 3), 255, np.uint8)  # 31.36 rows of the input, so 31
+    picture, scale, shift = fit_picture(frame, SIZE, letterbox)
+    rows, columns = np.nonzero((picture > 200).all(-1))
+    box = np.array([[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]], float)
+    np.testing.assert_allclose((box - np.tile(shift, 2)) / np.tile(scale, 2), [[0, 0, 400, 98]], atol=1e-9)
+
+
 @pytest.mark.parametrize("layout", sorted(FILES))
 def test_every_layout_gets_its_order_of_colours(layout, tmp_path):
     """The file finds objects only where the first channel it is given is bright."""
@@ -199,6 +211,30 @@ def test_a_file_under_the_agpl_says_so(tmp_path):
     path = save(tmp_path / "a.onnx", output, metadata | {"license": "AGPL-3.0 License"})
     with pytest.warns(UserWarning, match="AGPL"):
         OnnxDetector(path)
+
+
+def test_a_half_precision_file_gets_its_own_numbers(tmp_path, monkeypatch):
+    path = save(tmp_path / "half.onnx", *FILES["yolov8"], kind=TensorProto.FLOAT16)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    found = OnnxDetector("~/half.onnx")(FRAME)
+    np.testing.assert_allclose(found.xyxy, WANTED - 0.5, atol=2e-3)
+    save(path, *FILES["yolov8"], kind=TensorProto.UINT8)
+    with pytest.raises(ValueError, match=r"input of tensor\(uint8\), a detector takes tensor\(float\)"):
+        OnnxDetector(path)
+
+
+def test_a_detector_says_that_it_fell_back(tmp_path, monkeypatch):
+    path = save(tmp_path / "d.onnx", *FILES["yolov8"])
+    with pytest.warns(UserWarning, match="runs by CPUExecutionProvider: CUDAExecutionProvider is not"):
+        OnnxDetector(path, providers=["CUDAExecutionProvider", "CPUExecutionProvider"])
+    for wrong in (["cuda"], "CPUExecutionProvider", []):
+        with pytest.raises(ValueError, match="this ONNX Runtime has"):
+            OnnxDetector(path, providers=wrong)
+    # installed, but its driver is not: ONNX Runtime takes the CPU, and its log is off
+    there = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: there)
+    with pytest.warns(UserWarning, match="cannot start on this machine"):
+        OnnxDetector(path, providers=there[:1])
 
 
 def test_nms_is_class_wise():

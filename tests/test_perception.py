@@ -21,6 +21,7 @@ from eldenet.perception.lifter import BoxLifter
 from eldenet.perception.scene import STAGES, Perception, Scene
 from eldenet.perception.tracking import BoxTracker
 from eldenet.predict import predict
+from eldenet.predict_boxes import Timed
 from eldenet.simulation.street_views import render_street
 
 CAMERA = PinholeCamera(pinhole(300.0, 300.0, 160.0, 60.0))
@@ -73,6 +74,14 @@ def test_intrinsics_of_another_picture_are_refused(view):
     perception = Perception(lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), camera)
     with pytest.raises(ValueError, match="lies outside the picture"):
         perception(view.image)
+
+
+def test_times_of_a_camera_that_runs_for_days_are_not_all_kept(monkeypatch):
+    monkeypatch.setattr("eldenet.predict_boxes.REMEMBERED", 3)
+    timed = Timed(lambda frame: frame)
+    for _ in range(5):
+        timed(BLANK)
+    assert len(timed.seconds) == 3
 
 
 def test_a_scene_without_objects(view):

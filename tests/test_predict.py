@@ -178,6 +178,8 @@ def test_one_camera_is_of_one_size(model_folder: Path, tmp_path: Path) -> None:
     assert run(model_folder, tmp_path / "in", tmp_path / "other").images == 2
     with pytest.raises(ValueError, match=r"b is 40 x 30, the pictures before it 48 x 64"):
         run(model_folder, tmp_path / "in", tmp_path / "out", "intrinsics=[50,50,32,24]")
+    with pytest.raises(ValueError, match=r"\(640, 360\) lies outside the picture, which is 64 x 48"):
+        run(model_folder, tmp_path / "in/a.png", tmp_path / "none", "intrinsics=[900,900,640,360]")
 
 
 @pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
@@ -212,6 +214,6 @@ def test_command(model_folder: Path, tmp_path: Path, run_command) -> None:
     failed = run_command("predict", f"checkpoint={model_folder}", "source=nothing.jpg", cwd=tmp_path)
     assert failed.returncode == 1
     assert failed.stderr == (
-        "error: source=nothing.jpg does not exist: give a picture, a folder or a video\n"
+        "error: source=nothing.jpg does not exist: give a picture, folder, video or camera:0\n"
     )
     assert len(list((tmp_path / "runs").iterdir())) == 1

@@ -12,7 +12,7 @@ from eldenet.config import compose
 from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.model import DepthNet
 from eldenet.predict import predict
-from eldenet.predictions import in_time
+from eldenet.predictions import in_time, open_video
 from eldenet.predictor import DepthPredictor, to_millimetres
 from eldenet.runtimes.stream import DepthStream, StreamFrame, without_password
 
@@ -102,6 +102,7 @@ def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, caps
     assert 1 <= results.images <= 5
     said = capsys.readouterr().out
     assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
+    assert "broke off" not in said  # it announces its five frames
     (file,) = (tmp_path / "out").iterdir()
     assert file.name.endswith("walk_mp4_depth.mp4")
     assert read_video(file)[1] == 12.0
@@ -115,6 +116,7 @@ class SlowCamera(DepthStream):
     def __init__(self, source, predictor) -> None:
         self.predictor, self.drop = predictor, True
         self.dropped, self.announced, self.frames_per_second = 5, 0, 10.0
+        self.ended_too_soon = "broke off after 8 frames"
         self._times = [0.0]
 
     def __iter__(self):
@@ -139,7 +141,52 @@ def test_a_film_of_a_camera_keeps_time(
     assert sorted(np.argsort(steps)[-2:] + 1) == [5, 7]  # where the picture changes
     said = capsys.readouterr().out
     assert "3 frames of street (5 dropped)" in said
+    assert "rtsp://host/street broke off after 8 frames" in said
     assert "cret" not in said
+    run(model_folder, "rtsp://host/street", tmp_path / "three", "frames=3")  # type: ignore[arg-type]
+    assert "broke off" not in capsys.readouterr().out
+
+
+def film_of(path: Path, pictures: list[np.ndarray], error: BaseException | None = None) -> None:
+    with open_video(path, 10.0) as add:
+        for picture in pictures:
+            add(picture)
+        if error is not None:
+            raise error
+
+
+def test_an_error_leaves_the_film_up_to_it(tmp_path: Path) -> None:
+    grey = [np.full((48, 64, 3), 40 * number, np.uint8) for number in range(4)]
+    with pytest.raises(OSError, match="unplugged"):
+        film_of(tmp_path / "a.mp4", grey, OSError("unplugged"))
+    with pytest.raises(ValueError, match=r"shows \(64, 48\) pixels"):
+        film_of(tmp_path / "b.mp4", [*grey, np.zeros((50, 64, 3), np.uint8)])
+    with pytest.raises(KeyboardInterrupt):
+        film_of(tmp_path / "c.mp4", grey, KeyboardInterrupt())
+    assert [len(read_video(tmp_path / name)[0]) for name in ("a.mp4", "b.mp4")] == [4, 4]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+
+
+def test_a_film_that_does_not_fit_the_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def __init__(self, path: str, *settings: object) -> None:
+            Path(path).write_bytes(b"the beginning")
+
+        def isOpened(self) -> bool:
+            return True
+
+        def write(self, picture: np.ndarray) -> None:
+            pass
+
+        def release(self) -> None:
+            pass
+
+        fourcc = cv2.VideoWriter.fourcc
+
+    monkeypatch.setattr(cv2, "VideoWriter", Full)
+    with pytest.raises(OSError, match="0 of 1 frames: is the disk full"):
+        film_of(tmp_path / "a.mp4", [np.zeros((48, 64, 3), np.uint8)])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_is_as_long_as_what_it_shows() -> None:

@@ -66,6 +66,13 @@ def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> Non
         DepthPredictor(Broken())(photo())  # type: ignore[arg-type]
 
 
+def test_fp32_on_cuda_is_that_of_the_other_runtimes(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
+    monkeypatch.setattr(model, "to", lambda device: model)  # no CUDA device is needed
+    DepthPredictor(model, device="cuda")
+    assert not torch.backends.cudnn.allow_tf32
+
+
 def test_millimetres() -> None:
     depth = np.array([[0.0, 1.2344, 1.2346, 65.5351, 65.536, 200.0, np.nan, np.inf, -1.0]], np.float32)
     np.testing.assert_array_equal(to_millimetres(depth), [[0, 1234, 1235, 65535, 0, 0, 0, 0, 0]])

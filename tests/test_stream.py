@@ -105,11 +105,70 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
     np.testing.assert_allclose([item.time for item in seen], np.arange(5) / 12)
     assert (stream.frames_per_second, stream.announced, len(frames)) == (12.0, 5, 5)
     assert frames[4][..., 2].mean() > 100 > frames[4][..., 0].mean()  # RGB
-    for wrong, message in ((tmp_path / "none.mp4", "no video"), ("camera:x", "camera:0")):
+    (tmp_path / "text.mp4").write_text("no video at all")
+    for wrong, message in (
+        (tmp_path / "none.mp4", "does not exist"),
+        (tmp_path / "text.mp4", "no video"),
+        ("camera:x", "camera:0"),
+        ("/dev/video99", "no such camera"),
+    ):
         with pytest.raises(ValueError, match=message):
             runtimes.DepthStream(wrong, depth_of)
     with pytest.raises(ValueError, match="at least one"):
         runtimes.DepthStream(path, depth_of, queue_size=0)
+
+
+class Capture:
+    """Of OpenCV: a source that announces some frames (0: it has no end) and gives five."""
+
+    times = (0.0, 40.0, 80.0, 330.0, 0.0)  # [ms]
+
+    def __init__(self, announced: int) -> None:
+        self.announced, self.left = announced, 5
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, what: int) -> float:
+        if what == cv2.CAP_PROP_POS_MSEC:
+            return self.times[4 - self.left]
+        return self.announced if what == cv2.CAP_PROP_FRAME_COUNT else 10.0
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.left -= 1
+        return self.left >= 0, np.zeros((4, 6, 3), np.uint8)
+
+    def release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("source", "announced", "said"),
+    [
+        ("camera:0", -1, "broke off after 5 frames"),
+        ("/dev/video0", -1, "broke off after 5 frames"),
+        ("rtsp://host/street", 0, "broke off after 5 frames"),
+        ("http://host/walk.mp4", 5, ""),
+        ("http://host/walk.mp4", 9, "announces 9 frames, 5 could be read"),
+        ("walk.mp4", 9, "announces 9 frames, 5 could be read"),
+        ("walk.avi", 0, ""),
+    ],
+)
+def test_an_end_that_is_none_is_said(
+    source: str, announced: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(announced))
+    with runtimes.DepthStream(source, depth_of) as stream:
+        list(stream)
+        assert stream.ended_too_soon.startswith(said)
+        assert bool(stream.ended_too_soon) == bool(said)
+
+
+def test_a_file_says_when_its_frames_were_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may come at uneven times; of the last one some formats say nothing."""
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(5))
+    with runtimes.DepthStream("walk.mp4", depth_of) as stream:
+        np.testing.assert_allclose([item.time for item in stream], [0, 0.04, 0.08, 0.33, 0.43])
 
 
 def test_the_rate_is_of_the_last_frames() -> None:

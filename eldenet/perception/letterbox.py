@@ -25,7 +25,9 @@ def fit_picture(
     left, top = ((size[1] - inner[1]) // 2, (size[0] - inner[0]) // 2) if letterbox == "center" else (0, 0)
     picture = np.full((*size, 3), _PAD, np.uint8)
     picture[top : top + inner[0], left : left + inner[1]] = cv2.resize(frame, (inner[1], inner[0]))
-    return picture, np.array([ratio, ratio]), np.array([left, top], np.float64)
+    # of whole pixels, so not quite the ratio: up to half a pixel there is up to two in a large frame
+    scale = np.array([inner[1] / width, inner[0] / height])
+    return picture, scale, np.array([left, top], np.float64)
 
 
 def in_frame(

@@ -19,6 +19,7 @@ from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.letterbox import fit_picture, in_frame
 
 _STRIDES = (8, 16, 32)
+_INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters
 
 
 class Layout(NamedTuple):
@@ -116,11 +117,14 @@ class OnnxDetector:
         keep: names of the classes to keep; None: all.
         box_style: how its boxes lie around objects.
         threads: of ONNX Runtime; 0: its own choice.
-        providers: of ONNX Runtime.
+        providers: of ONNX Runtime, the wanted one first; where it cannot start, the next one there is.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no ONNX file, a layout that is not known, or a number out of range.
+        ValueError: no ONNX file, a layout that is not known, a number out of range, or no provider to be had.
+
+    Warns:
+        UserWarning: the first provider does not run, another one does; or the file is under the AGPL.
     """
 
     def __init__(
@@ -145,17 +149,20 @@ class OnnxDetector:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         if threads < 0:
             raise ValueError(f"threads={threads}: give their number, or 0 for ONNX Runtime's own choice")
-        self.session = _open(Path(path), threads, providers)
+        path = Path(path).expanduser()
+        self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
-        _warn_of_licence(Path(path), metadata)
+        _warn_of_licence(path, metadata)
         given = self.session.get_inputs()[0]
-        self.input_name = given.name
-        self.input_size = _input_size(given.shape, input_size, Path(path))
-        self.layout_name = self._sniff(Path(path), metadata) if layout == "auto" else layout
+        if given.type not in _INPUTS:
+            raise ValueError(f"{path}: input of {given.type}, a detector takes {' or '.join(_INPUTS)}")
+        self.input_name, self.input_type = given.name, _INPUTS[given.type]
+        self.input_size = _input_size(given.shape, input_size, path)
+        self.layout_name = self._sniff(path, metadata) if layout == "auto" else layout
         self.layout = LAYOUTS[self.layout_name]
         self.letterbox = letterbox or metadata.get("letterbox_pad") or self.layout.letterbox
         one_of("letterbox", self.letterbox, ("topleft", "center", "stretch"))
-        self.names = self._names(names, metadata, Path(path))
+        self.names = self._names(names, metadata, path)
         self.threshold, self.nms, self.between_classes = threshold, nms, between_classes
         self.keep, self.box_style = keep, box_style
         if keep is not None and not set(keep) <= set(self.names):
@@ -172,7 +179,7 @@ class OnnxDetector:
         tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32) * np.float32(
             self.layout.scale
         )
-        output = self.session.run(None, {self.input_name: tensor})[0]
+        output = self.session.run(None, {self.input_name: tensor.astype(self.input_type, copy=False)})[0]
         xyxy, score = self.layout.decode(output, self.input_size)
         wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
         xyxy, best, label = in_frame(
@@ -227,10 +234,24 @@ def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
+    there = onnxruntime.get_available_providers()
+    usable = [name for name in providers if name in there]
+    if not usable:
+        raise ValueError(
+            f"providers={providers}: this ONNX Runtime has {', '.join(there)}; give a list of some, the "
+            "wanted one first (CUDA's needs onnxruntime-gpu)"
+        )
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=list(providers))
+        session = onnxruntime.InferenceSession(str(path), options, providers=usable)
     except Exception as error:  # its exceptions share no base class
         raise ValueError(f"{path} is no ONNX file that this ONNX Runtime can run: {error}") from error
+    runs = session.get_providers()[0]
+    if runs != providers[0]:  # it falls back without a word
+        warnings.warn(
+            f"{path} runs by {runs}: {providers[0]} is not installed, or cannot start on this machine",
+            stacklevel=3,
+        )
+    return session
 
 
 def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, check_intrinsics
 from eldenet.perception.detectors import Detector, check_frame
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
@@ -132,12 +132,7 @@ class Perception:
             ValueError: the picture is none, or its depth has another size.
         """
         check_frame(image)
-        column, row = self.camera.intrinsics[:2, 2]
-        if not (0 <= column < image.shape[1] and 0 <= row < image.shape[0]):
-            raise ValueError(
-                f"the camera's principal point ({column:g}, {row:g}) lies outside the picture, which is "
-                f"{image.shape[1]} x {image.shape[0]}: give the intrinsics of pictures of this size"
-            )
+        check_intrinsics(self.camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
         depth = self.depth_model(image) if depth is None else depth
         clock.append(time.perf_counter())

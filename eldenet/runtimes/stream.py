@@ -6,9 +6,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import cv2
 
 RATE_OVER = 30  # frames that the live rate looks back on
 
@@ -20,8 +23,8 @@ class StreamFrame(NamedTuple):
         number: of the frame in the source, from 0; dropped ones count.
         frame: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m].
-        time: when it was taken [s], from any zero: a camera's frames by the clock, others by the source's
-            frame rate.
+        time: when it was taken [s], from any zero: a camera's frames by the clock, a file's as it says,
+            others by the frame rate.
     """
 
     number: int
@@ -38,10 +41,11 @@ class DepthStream:
         with DepthStream("camera:0", predictor) as stream:
             for number, frame, depth, time in stream:
                 print(f"{stream.fps:.0f} frames/s, {stream.dropped} dropped")
+            print(stream.ended_too_soon)  # a camera that is unplugged ends the loop too
 
     Args:
-        source: a video file, "camera:0" (number of a camera), an address ("rtsp://..."), or any iterable of
-            frames ``(H, W, 3)`` uint8 RGB.
+        source: a video file, "camera:0" (number of a camera) or "/dev/video0", an address ("rtsp://..."), or
+            any iterable of frames ``(H, W, 3)`` uint8 RGB.
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, the oldest goes when another comes.
         drop: None: drop frames of cameras and addresses, keep every frame of files and iterables (the reader
@@ -50,7 +54,9 @@ class DepthStream:
     Attributes:
         dropped: frames that were not predicted.
         frames_per_second: that the source announces, 30 where it does not.
-        announced: frames that the source announces, or 0.
+        announced: frames that the source announces; 0 where it has no end of its own, or does not say.
+        ended_too_soon: why the source's end is none, in words ("broke off after 90 frames: ..."); empty while
+            it goes on, and where it ended as it should.
 
     Raises:
         ValueError: the source cannot be opened, or the queue holds none.
@@ -68,14 +74,17 @@ class DepthStream:
             raise ValueError(f"queue_size={queue_size}: at least one frame must wait")
         self.predictor, self.queue_size = predictor, queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
+        self.ended_too_soon = ""
+        # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
         if isinstance(source, str | Path):
-            self.drop = is_live(source) if drop is None else drop
+            self._endless = self._by_clock = is_live(source)
+            self.drop = self._endless if drop is None else drop
             frames = self._open(source)
         else:
+            self._endless, self._by_clock = False, bool(drop)
             self.drop = bool(drop)
             frames = iter(source)
-        # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
-        self._by_clock = is_live(source) if isinstance(source, str | Path) else self.drop
+        self._position: float | None = None  # in a file [s], of the newest frame
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
@@ -119,10 +128,14 @@ class DepthStream:
         self.close()
 
     def _read(self, frames: Iterator[np.ndarray]) -> None:
+        came = 0
         try:
             for number, frame in enumerate(frames):
                 if not self._put(number, frame):
                     break
+                came = number + 1
+            else:
+                self.ended_too_soon = self._fault(came)
         except BaseException as error:  # it is the consumer's to see
             self._error = error
         finally:
@@ -135,7 +148,9 @@ class DepthStream:
 
     def _put(self, number: int, frame: np.ndarray) -> bool:
         """Queue a frame; False once nobody wants more."""
-        taken = time.monotonic() if self._by_clock else number / self.frames_per_second
+        taken = number / self.frames_per_second if self._position is None else self._position
+        if self._by_clock:
+            taken = time.monotonic()
         with self._changed:
             if self.drop:
                 while len(self._waiting) >= self.queue_size:
@@ -146,6 +161,14 @@ class DepthStream:
             self._waiting.append((number, frame, taken))
             self._changed.notify_all()
             return not self._stop
+
+    def _fault(self, came: int) -> str:
+        """What is wrong with an end after so many frames."""
+        if came < self.announced:
+            return f"announces {self.announced} frames, {came} could be read: may be cut"
+        if self._endless and not self.announced:
+            return f"broke off after {came} frames: the camera or its connection is lost"
+        return ""
 
     def _open(self, source: str | Path) -> Iterator[np.ndarray]:
         import cv2
@@ -160,29 +183,35 @@ class DepthStream:
             if is_live(name):
                 name = without_password(name)
                 raise ValueError(f"source={name} cannot be opened: no such camera, out of reach, or no right")
+            if not Path(name).exists():
+                raise ValueError(f"source={name} does not exist: give a video, or a camera such as camera:0")
             raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
-        self.announced = 0 if is_live(name) else max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-        return _frames_of(capture)
+        self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
+        return self._frames_of(capture)
 
+    def _frames_of(self, capture: "cv2.VideoCapture") -> Iterator[np.ndarray]:
+        import cv2
 
-def _frames_of(capture: object) -> Iterator[np.ndarray]:
-    import cv2
-
-    try:
-        while True:
-            complete, frame = capture.read()  # type: ignore[attr-defined]
-            if not complete:
-                return
-            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-    finally:
-        capture.release()  # type: ignore[attr-defined]
+        try:
+            while True:
+                complete, frame = capture.read()
+                if not complete:
+                    return
+                # phones and loggers write frames at uneven times; not every format says them, or to the end
+                at, before = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, self._position
+                if before is not None and at <= before:
+                    at = before + 1 / self.frames_per_second
+                self._position = at
+                yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+        finally:
+            capture.release()
 
 
 def is_live(source: str | Path) -> bool:
     """Whether frames come whether or not anybody reads them: a camera, or an address."""
-    return str(source).startswith("camera:") or "://" in str(source)
+    return str(source).startswith(("camera:", "/dev/video")) or "://" in str(source)
 
 
 def without_password(source: str) -> str:
