@@ -135,11 +135,11 @@ def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
     """Their tensors fit as well, and mean something else here."""
     start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
     start.save_pretrained(tmp_path / "start")
-    model = seeded(tmp_path, "model.head.max_depth=80", "model.backbone.shortcuts=true")
+    model = seeded(tmp_path, "model.head.max_depth=80", "model.backbone.shortcuts=false")
     assert model.head.max_depth == 80
     said = capsys.readouterr().out
     assert "head.max_depth=80 (there 10" in said
-    assert "backbone.shortcuts=True (there False)" in said
+    assert "backbone.shortcuts=False (there True)" in said
 
 
 def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:
