@@ -179,7 +179,7 @@ class Trainer:
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
-        loss.attach(model)
+        loss.attach(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)

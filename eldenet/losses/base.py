@@ -1,10 +1,14 @@
 """What a loss is, and the weighted sum that training minimises."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+
+Autocast = Callable[[], AbstractContextManager[Any]]
+"""Makes the context of a precision, as ``Accelerator.autocast`` does."""
 
 
 class Loss(nn.Module):
@@ -68,8 +72,8 @@ class WeightedTerm(nn.Module):
         """What must be the same for a training to go on, beside the settings; nothing as a rule."""
         return {}
 
-    def attach(self, student: nn.Module) -> None:
-        """Called once with the network that is trained, before its first step."""
+    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
+        """Called once, before the first step: what is trained, and the precision that it runs in."""
 
     def forward(
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
@@ -99,10 +103,10 @@ class WeightedSum(nn.Module):
         found = {name: term.identity for name, term in self.terms.items()}
         return {name: identity for name, identity in found.items() if identity}
 
-    def attach(self, student: nn.Module) -> None:
-        """Show every term the network that is trained."""
+    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
+        """Show every term the network that is trained, and the context that it runs in."""
         for term in self.terms.values():
-            term.attach(student)
+            term.attach(student, autocast)
 
     def forward(
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None

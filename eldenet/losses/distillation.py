@@ -6,13 +6,14 @@ Depth Estimation via Knowledge Distillation"). Features: FitNets' hint (Romero e
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from eldenet.losses.base import Loss, WeightedTerm
+from eldenet.losses.base import Autocast, Loss, WeightedTerm
 
 Features = dict[int, Tensor]
 """Feature ``(B, C, h, w)`` by its stride."""
@@ -20,6 +21,9 @@ Features = dict[int, Tensor]
 
 class Teacher:
     """A frozen network. No module, so that whoever holds it has neither its parameters nor its state.
+
+    Once attached it runs in the student's precision, and always in its images' layout: a large teacher is
+    most of a step's work.
 
     Args:
         network: image ``(B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m]; frozen in place.
@@ -33,18 +37,21 @@ class Teacher:
         self.network = network.eval().requires_grad_(False)
         self.source = source
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
+        self.autocast: Autocast = nullcontext
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
         """Depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, in the image's own size."""
-        self.network.to(image.device)
+        layout = torch.channels_last if _is_channels_last(image) else torch.contiguous_format
+        self.network.to(image.device, memory_format=layout)
         size = image.shape[-2:]
         if self.input_size is not None and self.input_size != tuple(size):
             shrink = self.input_size[0] < size[0]
             image = F.interpolate(
                 image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrink
             )
-        depth = self.network(image)
+        with self.autocast():
+            depth = self.network(image).float()
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth
@@ -103,8 +110,9 @@ class DistilledTerm(WeightedTerm):
         """The teacher's."""
         return self.teacher.identity
 
-    def attach(self, student: nn.Module) -> None:
+    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
         """Listen to the features of both networks, and make the projections between them."""
+        self.teacher.autocast = autocast
         if self.feature_weight == 0 or self._seen:
             return
         channels = {}
@@ -157,3 +165,7 @@ class DistilledTerm(WeightedTerm):
             square, error = (value.square().mean(dim=(1, 2, 3)) for value in (wanted, found - wanted))
             losses.append((error / square.clamp(min=1e-12)).mean())
         return torch.stack(losses).mean()
+
+
+def _is_channels_last(image: Tensor) -> bool:
+    return image.is_contiguous(memory_format=torch.channels_last)
