@@ -85,7 +85,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
     return content
 
 
-# they say where a run lay, what it is called and what it was computed with, and change no result that is looked for
+# where a run lay, what it is called and what it was computed with: they change no result that is looked for
 NOT_COMPARED = frozenset(
     ("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache", "threads", "workers", "device")
 )
