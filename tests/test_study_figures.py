@@ -63,6 +63,8 @@ def test_an_image_without_a_score_is_left_out_of_both():
 def test_the_front_holds_what_nothing_beats():
     points = [(5.0, 0.5), (1.0, 0.3), (2.0, 0.6), (4.0, 0.6), (2.0, 0.4), (9.0, 0.7)]
     assert pareto_front(points) == [1, 2, 5]
+    errors = [(cost, 1 - accuracy) for cost, accuracy in points]  # compare: rmse
+    assert pareto_front(errors, lower_is_better=True) == [1, 2, 5]
 
 
 def test_speed_and_fluctuation_of_known_curves():
