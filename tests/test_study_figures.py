@@ -58,6 +58,8 @@ def test_an_image_without_a_score_is_left_out_of_both():
     for draw_seeds in (True, False):
         found = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
         assert found == pytest.approx((0.1, 0.1, 0.1))
+    unknown = statistics.Difference(np.nan, np.nan, np.nan, seeds=True, lower_is_better=False)
+    assert unknown.verdict == ""
 
 
 def test_the_front_holds_what_nothing_beats():
