@@ -14,7 +14,16 @@ from eldenet.tables import COLUMNS, COSTS, heading, number
 # a metrics column may hold one of each only; so may a cost column
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
 # runs that share a row differ in their seed, and in nothing that shapes a training
-SAME_IN_A_ROW = ("model", "loss", "optimizer", "scheduler", "augmentation", "trainer", "normalisation")
+SAME_IN_A_ROW = (
+    "model",
+    "data",
+    "loss",
+    "optimizer",
+    "scheduler",
+    "augmentation",
+    "trainer",
+    "normalisation",
+)
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
 
 

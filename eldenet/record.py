@@ -118,8 +118,11 @@ def differences(
 
 
 def _default(target: str, option: str, otherwise: Any) -> Any:
-    """What ``target`` takes for an option that it is not given; ``otherwise`` for what it does not know."""
-    if not target.startswith("eldenet."):
+    """What ``target`` takes for an option that it is not given; ``otherwise`` for what it does not know.
+
+    A record may come from elsewhere: what it names is imported from this package and from torch alone.
+    """
+    if not target.startswith(("eldenet.", "torch.")):
         return otherwise
     try:
         parameter = inspect.signature(pkgutil.resolve_name(target)).parameters.get(option)

@@ -55,6 +55,11 @@ def train(config: "DictConfig", folder: Path) -> float:
         seed=config.seed,
     )
     loss = cfg.instantiate(config.loss)
+    if config.teacher is not None and not loss.identity:
+        raise ValueError(
+            f"teacher={config.teacher}: no term of this loss learns from a teacher; give "
+            "loss=ssim_l1_distill, or leave the teacher out"
+        )
     with main_process_first(resources):  # it renders or prepares what the others then find
         train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
         val_set = cfg.build_split(config, "val", protocol)

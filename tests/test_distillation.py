@@ -18,6 +18,7 @@ from eldenet.losses.ssim import SSIMLoss
 from eldenet.metrics import EvalProtocol
 from eldenet.resources import Resources, seed_everything
 from eldenet.schedules import cosine
+from eldenet.train import train
 from eldenet.trainer import Trainer
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
@@ -117,6 +118,15 @@ def test_what_cannot_be_distilled_is_refused(networks):
         instantiate(compose("train", ["loss=ssim_l1_distill"]).loss)
     with pytest.raises(ValueError, match="without trained weights"):
         build_teacher("eldenet")
+
+
+def test_a_teacher_that_nobody_asks_is_refused(tmp_path):
+    """Its name in run.json would say that the network was taught."""
+    config = compose(
+        "train", ["teacher=runs/big", "model_name=a", f"run_dir={tmp_path}", "runtime.threads=1"]
+    )
+    with pytest.raises(ValueError, match="teacher=runs/big: no term of this loss"):
+        train(config, tmp_path)
 
 
 def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | None = None, ckpt_path=None):

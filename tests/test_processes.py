@@ -153,6 +153,11 @@ def test_settings_that_tell_two_runs_apart():
     assert differences(ours | {"augmentation": None}, ours)
     assert differences(ours | {"augmentation": {}}, ours)
     assert differences(ours | {"seed": 1}, ours) == ["seed=1 (there 0)"]
+    adam = {"optimizer": {"_target_": "torch.optim.Adam", "lr": 1e-3}}
+    asked = {"optimizer": adam["optimizer"] | {"amsgrad": False}}  # torch's default: so the run was made
+    assert differences(asked, adam) == []
+    asked["optimizer"]["amsgrad"] = True
+    assert differences(asked, adam) == ["optimizer.amsgrad=True (there False)"]
 
 
 if __name__ == "__main__":  # one of torchrun's processes

@@ -122,6 +122,10 @@ def test_other_settings_are_no_seeds():
         table_of(runs, COLUMNS)
     runs[1]["config"]["optimizer"]["lr"] = 1e-3
     assert table_of(runs, COLUMNS)[1][0][1] == "2"
+    for run, size in zip(runs, ([96, 128], [240, 320]), strict=True):  # without costs, nothing else tells
+        run["config"]["data"] = {"input_size": size, "root": f"/{size}"}
+    with pytest.raises(ValueError, match=r"data differs: .*data\.input_size=\[96, 128\]"):
+        table_of(runs, COLUMNS, costs=False)
 
 
 def started(seed: int, place: str, content: str) -> dict:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from eldenet import config as cfg
 from eldenet.studies import convergence, statistics
 from eldenet.studies.plots import name_points, pareto_front
 
@@ -58,11 +59,15 @@ def test_an_image_without_a_score_is_left_out_of_both():
     for draw_seeds in (True, False):
         found = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
         assert found == pytest.approx((0.1, 0.1, 0.1))
+    unknown = statistics.Difference(np.nan, np.nan, np.nan, seeds=True, lower_is_better=False)
+    assert unknown.verdict == ""
 
 
 def test_the_front_holds_what_nothing_beats():
     points = [(5.0, 0.5), (1.0, 0.3), (2.0, 0.6), (4.0, 0.6), (2.0, 0.4), (9.0, 0.7)]
     assert pareto_front(points) == [1, 2, 5]
+    errors = [(cost, 1 - accuracy) for cost, accuracy in points]  # compare: rmse
+    assert pareto_front(errors, lower_is_better=True) == [1, 2, 5]
 
 
 def test_speed_and_fluctuation_of_known_curves():
@@ -77,10 +82,22 @@ def test_speed_and_fluctuation_of_known_curves():
     # places 5 to 7 of ten have a whole window; a zigzag of 2 and 1 lies 0.4 off its means 1.6 and 1.4 there
     assert convergence.fluctuation([9, 9, 9, 2, 1, 2, 1, 2, 1, 2]) == pytest.approx(0.4 / (5 / 3))
     assert convergence.fluctuation([1.0, 2.0]) is None
-    run = {"config": {"loss": {"terms": {"ssim": {"weight": 1.0}, "l1": {"weight": 0.5}}}}}
-    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(0.3)
-    run["config"]["loss"]["terms"]["berhu"] = {"weight": 1.0}
-    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["loss.terms.l1.weight=0.5"], 0.3),
+        (["loss=l1"], 0.4),
+        (["loss=berhu"], None),
+        (["loss.terms.l1.space=log"], None),
+        (["loss.terms.l1.loss._target_=eldenet.losses.pointwise.BerHuLoss"], None),
+    ],
+)
+def test_the_validation_loss_is_the_trainings_or_none(overrides, expected):
+    config = cfg.compose("train", ["model_name=a", "run_dir=b", *overrides])
+    run = {"config": {"loss": cfg.plain(config.loss)}}
+    assert convergence.validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(expected)
 
 
 def test_names_in_the_plot_keep_clear_of_each_other_and_within_the_axes():

@@ -33,7 +33,7 @@ def test_plans_are_checked(tiny, tmp_path):
         ("columns: [rmse, delta1]", "columns: [rsme]", "rsme"),
         ("reference: [eldenet_s]", "reference: [eldenet_m]", "eldenet_m"),
         ("reference: [eldenet_s]", "reference: eldenet_s", "a list of rows"),
-        ("seeds: [0, 1]}", "seeds: 1}", "a list of seeds"),
+        *(("seeds: [0, 1]}", f"seeds: {seeds}}}", "different seeds") for seeds in ("1", "[0, 0]", "[a]")),
         ("overrides: [model=eldenet],", "overrides: model=eldenet,", "a list of overrides"),
         ("plots: [pareto, convergence]", "plots: [parreto]", "pareto, differences or convergence"),
         ("learning_rate: 1.0e-3}", "learning_rate: fast}", "a number above 0"),

@@ -115,3 +115,18 @@ def test_what_was_given_counts_by_its_content(study, trials, tmp_path) -> None:
     trials({3e-4: 0.6, 1e-3: 0.5, 3e-3: 0.3, 1e-4: 0.2})
     assert choose(study, tmp_path / "other", "taught", give("c"), rerun=True) == 3e-4
     assert choose(study, tmp_path / "other", "taught", give("c")) == 3e-4  # stored in its place
+
+
+@pytest.mark.parametrize("place", ["{runs}/small/seed0", "{runs}/small/seed{seed}"])
+def test_trials_wait_for_the_row_that_they_start_from(study, trials, tmp_path, place) -> None:
+    """A run that is still trained has weights already, but not those that will be compared."""
+    noted = trials({3e-4: 0.4, 1e-3: 0.5, 3e-3: 0.3})
+    (tmp_path / "sweep.yaml").write_text(PLAN + f'  next: {{overrides: ["weights={place}"]}}\n')
+    begun = tmp_path / "runs" / "small" / "seed0"
+    (begun / "model").mkdir(parents=True)
+    (begun / "model" / "model.safetensors").write_bytes(b"half")
+    with pytest.raises(FileNotFoundError, match=r"next needs the weights of \S*small/seed0: run"):
+        choose(read_study(tmp_path), tmp_path / "runs", "next")
+    assert not noted
+    (begun / "run.json").write_text("{}")
+    assert choose(read_study(tmp_path), tmp_path / "runs", "next") == 1e-3

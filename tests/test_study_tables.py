@@ -243,6 +243,12 @@ def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_pat
     assert levels["small", "MSE"] == levels["large", "MSE"] == "1.000"
 
 
+def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> None:
+    epochs = [row | {"val_ssim": None} for row in history([3.0, 2.0, 1.0])]  # as run.json has NaN
+    store(study, "small", 0, figures(0, 0), training={"history": epochs})
+    assert set(convergence(study).curves["small/seed0"]) == {"epoch", "train_loss", "val_mse"}
+
+
 def test_a_rule_that_a_run_does_not_know_was_not_applied(study: Study) -> None:
     """Runs of before and after a new key of the protocol stand in one block."""
     store(study, "small", 0, figures(0, 0))

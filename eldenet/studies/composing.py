@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.record import differences
+from eldenet.record import RUN_FILE, differences
 from eldenet.sources import KEYS
 from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 
@@ -25,10 +25,20 @@ def compose_run(shared: Sequence[str], folder: Path, runs: Path, *, name: str, s
     return cfg.compose("train", [*filled, *own])
 
 
-def runs_needed(row: StudyRow, runs: Path) -> list[Path]:
-    """Run folders of other rows whose weights this one starts from or is taught by."""
-    names = [name for text in row.overrides for name in _NEEDED.findall(text)]
-    return [Path(runs / name).resolve() for name in names]
+def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
+    """Refuse to start from, or be taught by, another row's run that is not finished below ``runs``.
+
+    Raises:
+        FileNotFoundError: names its folder.
+    """
+    texts = [text.replace("{seed}", str(seed)) for text in row.overrides]
+    needed = [Path(runs / name).resolve() for text in texts for name in _NEEDED.findall(text)]
+    missing = [path for path in needed if not (path / RUN_FILE).is_file()]
+    if missing:
+        raise FileNotFoundError(
+            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first; where its "
+            "results are stored already, with rerun=true"
+        )
 
 
 @dataclass(frozen=True)

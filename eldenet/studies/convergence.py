@@ -39,18 +39,24 @@ NOTES = (
 def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
     """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
 
-    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss with other terms.
+    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss of other terms, by their
+    classes, or of other maps than metres.
     """
-    terms = run["config"]["loss"]["terms"]
-    values = {"ssim": (1 - row.get("val_ssim", np.nan)) / 2, "l1": row.get("val_mae", np.nan)}
-    if not set(terms) <= set(values):
-        return None
-    loss = sum(term["weight"] * values[name] for name, term in terms.items())
+    ssim, mae = (np.nan if row.get(name) is None else row[name] for name in ("val_ssim", "val_mae"))
+    values, loss = {"SSIMLoss": (1 - ssim) / 2, "L1Loss": mae}, 0.0
+    for term in run["config"]["loss"]["terms"].values():
+        kind = term["loss"]["_target_"].rpartition(".")[2]
+        if kind not in values or "teacher" in term or term.get("space", "metres") != "metres":
+            return None
+        loss += term["weight"] * values[kind]
     return float(loss) if np.isfinite(loss) else None
 
 
 def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Training and validation curves of one run by their names, one value per validated epoch."""
+    """Training and validation curves of one run by their names, one value per validated epoch.
+
+    A curve with a gap is left out: sparse ground truth has no SSIM.
+    """
     history = [row for row in run["training"]["history"] if "val_mse" in row]
     found: dict[str, list[float]] = {
         "epoch": [row["epoch"] for row in history],
@@ -61,7 +67,7 @@ def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
     losses = [validation_loss(run, row) for row in history]
     if None not in losses:
         found["val_loss"] = [loss for loss in losses if loss is not None]
-    return found
+    return {name: values for name, values in found.items() if None not in values}
 
 
 def first_epoch(epochs: Sequence[float], values: Sequence[float], level: float) -> float | None:

@@ -194,7 +194,14 @@ KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "rate_overrides": (_texts, "a list of overrides, such as [trainer.epochs=6]"),
     "reference": (_texts, "a list of rows"),
     "columns": (_texts, "a list of metrics"),
-    "seeds": (lambda value: isinstance(value, tuple) and bool(value), "a list of seeds, such as [0, 1, 2]"),
+    "seeds": (
+        lambda value: (
+            isinstance(value, tuple)
+            and all(isinstance(one, int) for one in value)
+            and 0 < len(value) == len(set(value))
+        ),
+        "a list of different seeds, such as [0, 1, 2]",
+    ),
     "given": (lambda value: isinstance(value, Mapping), "a mapping, such as {kitti: data.root}"),
     "learning_rate": (
         lambda value: isinstance(value, float) and value > 0,

@@ -9,19 +9,24 @@ import numpy as np
 from eldenet.studies.statistics import Difference
 
 
-def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Places of the points ``(latency, accuracy)`` that no other is faster and better than, fastest first."""
+def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
+    """Places of the points ``(latency, metric)`` that no other is faster and better than, fastest first."""
     front: list[int] = []
-    best = float("-inf")
-    for index in sorted(range(len(points)), key=lambda place: (points[place][0], -points[place][1])):
-        if points[index][1] > best:
+    best, sign = float("-inf"), -1 if lower_is_better else 1
+    for index in sorted(range(len(points)), key=lambda place: (points[place][0], -sign * points[place][1])):
+        if sign * points[index][1] > best:
             front.append(index)
-            best = points[index][1]
+            best = sign * points[index][1]
     return front
 
 
 def pareto_plot(
-    path: Path, blocks: Mapping[str, Sequence[tuple[str, float, float]]], *, metric: str, cost: str
+    path: Path,
+    blocks: Mapping[str, Sequence[tuple[str, float, float]]],
+    *,
+    metric: str,
+    cost: str,
+    lower_is_better: bool,
 ) -> None:
     """One colour per block, its front as a line; rows are ``(name, cost, metric)``."""
     import matplotlib
@@ -33,7 +38,8 @@ def pareto_plot(
     figure, axes = pyplot.subplots(figsize=(7, 4.5))
     for block, rows in blocks.items():
         points = [(row[1], row[2]) for row in rows]
-        line = axes.plot(*zip(*[points[i] for i in pareto_front(points)], strict=True), "-", linewidth=1)[0]
+        front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
+        line = axes.plot(*zip(*front, strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.1)  # names stand to the right of their points

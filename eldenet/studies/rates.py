@@ -8,7 +8,7 @@ from typing import Any
 from eldenet import config as cfg
 from eldenet.record import read_run, write_json
 from eldenet.sources import fingerprints, run_differences
-from eldenet.studies.composing import compose_run
+from eldenet.studies.composing import compose_run, refuse_missing
 from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 from eldenet.train import train
 
@@ -27,6 +27,7 @@ def learning_rate(
     led to is made anew with ``rerun``.
 
     Raises:
+        FileNotFoundError: the trials would start from another row's run, which is not finished.
         ValueError: such a choice is stored, without ``rerun``; or every trial diverged.
     """
     if row.learning_rate is not None or not study.learning_rates:
@@ -39,6 +40,7 @@ def learning_rate(
         kept = kept_rate(file, rule, rerun=rerun)
         if kept is not None:
             return kept
+    refuse_missing(row, runs, seed=0)
     scores: dict[float, float | None] = {}
     record: dict[str, Any] = {}
     waiting = list(study.learning_rates)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.record import write_rows
 from eldenet.studies.blocks import Block, build_blocks
 from eldenet.studies.convergence import NOTES, convergence
@@ -32,6 +33,7 @@ def write_study_report(folder: str | Path) -> list[Block]:
             points,
             metric=WORDS.get(study.compare, study.compare),
             cost=latencies.title if latencies else "GMACs",
+            lower_is_better=study.compare in LOWER_IS_BETTER,
         )
         markdown += ["![accuracy against cost](pareto.png)", ""]
     differences = {block.name: block.differences for block in blocks if block.differences}

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.record import RUN_FILE
-from eldenet.studies.composing import compose_run, runs_needed
+from eldenet.studies.composing import compose_run, refuse_missing
 from eldenet.studies.plan import KEPT, Study, StudyRow
 from eldenet.studies.rates import learning_rate
 from eldenet.train import finished_run, train
@@ -118,7 +117,7 @@ def _run_seed(
         config = compose_run(shared, folder, runs, name=row.name, seed=seed)
         if not rerun and _finished(config, stored, f"{study.name}/{name}", say):
             return Outcome(name, "finished before")
-        _refuse_missing(row, runs)
+        refuse_missing(row, runs, seed)
         train(config, folder)
         store(folder, stored)
     except Exception as error:
@@ -153,15 +152,6 @@ def store(folder: Path, stored: Path) -> None:
         shutil.copyfile(folder / file, stored / f"{file}.part")
     for file in KEPT:
         os.replace(stored / f"{file}.part", stored / file)
-
-
-def _refuse_missing(row: StudyRow, runs: Path) -> None:
-    missing = [path for path in runs_needed(row, runs) if not (path / RUN_FILE).is_file()]
-    if missing:
-        raise FileNotFoundError(
-            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first; where its "
-            "results are stored already, with rerun=true"
-        )
 
 
 def _failed(folder: Path, name: str, error: Exception, say: Say) -> Outcome:

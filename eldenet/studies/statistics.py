@@ -47,8 +47,11 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """Whether it is "better" or "worse": empty where the interval holds 0, or is of the images alone."""
-        if self.low <= 0 <= self.high or not self.seeds:
+        """Whether it is "better" or "worse": empty where the interval holds 0, or is of the images alone.
+
+        Empty, too, where no image was scored in all runs: nothing is known then.
+        """
+        if not self.seeds or not (self.low > 0 or self.high < 0):
             return ""
         return "better" if (self.mean < 0) == self.lower_is_better else "worse"
 
@@ -124,7 +127,8 @@ def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) ->
     """
     rng = np.random.default_rng(seed)
     drawn = [_drawn_means(rng, mine, other) for _ in range(DRAWS // AT_ONCE)]
-    low, high = np.quantile(np.concatenate(drawn), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    ends = np.quantile(np.concatenate(drawn), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = ends.round(12)  # what a processor's sums leave of 0 is no verdict
     return float(low), float(high)
 
 
