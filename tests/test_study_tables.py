@@ -11,6 +11,7 @@ import pytest
 
 from eldenet import config as cfg
 from eldenet.metrics import METRICS
+from eldenet.sources import fingerprint
 from eldenet.studies import statistics
 from eldenet.studies.blocks import build_blocks
 from eldenet.studies.composing import compose_run
@@ -197,6 +198,28 @@ def test_rows_of_an_older_plan_show_no_figures(study: Study, tmp_path: Path) -> 
     (tmp_path / "sweep.yaml").write_text(PLAN.replace("epochs=3", "epochs=4"))
     rows = table(read_study(tmp_path))
     assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+
+
+def test_rows_of_other_weights_show_no_figures(study: Study, tmp_path: Path) -> None:
+    """Whether there are weights, and what those of the package hold; a path alone may move."""
+    store(study, "large", 0, figures(0, 1))
+    plan = PLAN.replace("model=eldenet]", "model=eldenet, weights=eldenet_rooms]")
+    (tmp_path / "sweep.yaml").write_text(plan)
+    assert table(read_study(tmp_path))["large"]["seeds"] == "outdated: weights=eldenet_rooms (there None)"
+    content = fingerprint("eldenet_rooms")
+    for stored, status in (
+        (content, "1 of 3"),
+        ("0" * 16, f"outdated: weights=eldenet_rooms (content {content}"),
+    ):
+        folder = store(read_study(tmp_path), "large", 0, figures(0, 1))
+        run = json.loads((folder / "run.json").read_text())
+        run["config"]["weights"], run["sources"] = "eldenet_rooms", {"weights": stored}
+        (folder / "run.json").write_text(json.dumps(run))
+        assert table(read_study(tmp_path))["large"]["seeds"].startswith(status)
+    (tmp_path / "sweep.yaml").write_text(
+        PLAN.replace("model=eldenet]", 'model=eldenet, "weights={runs}/small/seed0"]')
+    )
+    assert table(read_study(tmp_path))["large"]["seeds"] == "1 of 3"
 
 
 def test_curves_of_an_older_plan_are_left_out(study: Study, tmp_path: Path) -> None:

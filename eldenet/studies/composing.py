@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.record import RUN_FILE, differences
-from eldenet.sources import KEYS
+from eldenet.sources import KEYS, fingerprint, sources_of
 from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 
 if TYPE_CHECKING:
@@ -67,8 +67,9 @@ def stored_choice(study: Study, row: StudyRow) -> Choice | None:
 def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     """What the plan says today of a stored run's settings, where that is something else; no data is needed.
 
-    Weights and teachers are left to the command that runs the row: it knows what is given. The learning rate
-    is the row's, or the one that is stored as its choice.
+    Weights and teachers: whether there are any, and the content of those that come with the package; where
+    others lie, and what is given, knows the command that runs the row. The learning rate is the row's, or the
+    one that is stored as its choice.
     """
     plan, nowhere = row.owner or study, Path("unused")
     overrides = [*plan.overrides, *row.overrides]
@@ -77,6 +78,17 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     if rate is not None:
         overrides.append(f"optimizer.lr={rate}")
     config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))
-    given = frozenset(setting.rpartition(".")[2] for setting in (row.given or {}).values())
+    settings = set((row.given or {}).values())
+    given = frozenset(setting.rpartition(".")[2] for setting in settings)
     ignored = KEYS | given | (frozenset() if rate is not None else {"lr"})
-    return differences(cfg.plain(config), run["config"], ignored=ignored)
+    found = differences(cfg.plain(config), run["config"], ignored=ignored)
+    ours, theirs = sources_of(cfg.plain(config)), sources_of(run["config"])
+    for name in sorted({*ours, *theirs} - settings):
+        mine, other = ours.get(name), theirs.get(name)
+        content = None if mine is None else fingerprint(mine)
+        recorded = run.get("sources", {}).get(name)
+        if None in (mine, other):
+            found.append(f"{name}={mine} (there {other})")
+        elif None not in (content, recorded) and content != recorded:
+            found.append(f"{name}={mine} (content {content}, there {recorded})")
+    return found
