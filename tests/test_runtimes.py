@@ -34,13 +34,8 @@ ROUNDING, HALF, INT8 = 1e-5, 0.02, 0.05  # relative to torch's fp32: fp32 larges
 
 @pytest.fixture(scope="module")
 def model() -> DepthNet:
-    """As after a training: batch statistics that are not the initial ones."""
-    torch.manual_seed(0)
-    model = eldenet.load("eldenet_s")
-    for part in model.modules():
-        if isinstance(part, nn.BatchNorm2d):
-            part.running_mean.uniform_(-0.2, 0.2)
-            part.running_var.uniform_(0.5, 1.5)
+    """A trained one: an untrained map is far steeper than what rounding may be judged by."""
+    model = eldenet.load("eldenet_rooms").eval()
     model.info = {"input_size": list(SIZE), "model_name": "eldenet_s", "data": "rooms"}
     return model
 
