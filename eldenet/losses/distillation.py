@@ -43,7 +43,7 @@ class Teacher:
     def __call__(self, image: Tensor) -> Tensor:
         """Depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, in the image's own size."""
         layout = torch.channels_last if _is_channels_last(image) else torch.contiguous_format
-        self.network.to(image.device, memory_format=layout)
+        self.network.to(image.device).to(memory_format=layout)
         size = image.shape[-2:]
         if self.input_size is not None and self.input_size != tuple(size):
             shrink = self.input_size[0] < size[0]
