@@ -48,7 +48,7 @@ def pareto_plot(
     axes.xaxis.set_minor_formatter("{x:g}")
     axes.set_xlabel(cost)
     axes.set_ylabel(metric)
-    axes.legend(fontsize=8, loc="upper left")  # cheap and accurate: few points lie there
+    axes.legend(fontsize=8, loc="best")  # clear of the points
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
     name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows})
