@@ -49,13 +49,19 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 
 def _open(config: "DictConfig", resources: "Resources") -> "DepthNet | RuntimeNetwork":
-    """What ``checkpoint`` names: a model for torch, or an exported file under ``engine``."""
+    """What ``checkpoint`` names: a model for torch, or an exported file under ``engine``.
+
+    A file runs on an accelerator only where that was asked for: it takes another build of its runtime.
+    """
     import eldenet
     from eldenet import runtimes
     from eldenet.runtimes.scored import RuntimeNetwork
 
     if Path(str(config.checkpoint)).suffix in runtimes.READS:
-        network = runtimes.load(config.checkpoint, config.engine, config.precision, threads=resources.threads)
+        device = "cpu" if config.runtime.device == "auto" else resources.device
+        network = runtimes.load(
+            config.checkpoint, config.engine, config.precision, threads=resources.threads, device=device
+        )
         return RuntimeNetwork(network)
     if (config.engine, config.precision) != ("auto", None):
         raise ValueError("engine and precision are for exported files (python -m eldenet.export)")
