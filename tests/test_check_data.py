@@ -79,6 +79,18 @@ def test_a_split_that_cannot_be_opened_does_not_hide_the_others(tmp_path: Path) 
     assert "nowhere is not a folder" in report["faults"][0]
 
 
+def test_ground_truth_that_the_protocol_does_not_score_is_a_fault(tmp_path: Path) -> None:
+    """A training would refuse it; ``protocol=`` is the training's."""
+    root = layouts.folder(tmp_path / "data")
+    words = ("data=folder", f"data.root={root}", "data.ground_truth=sparse")
+    assert run(tmp_path / "out", *words)[0]
+    good, report = run(tmp_path / "out", *words, "protocol=nyu_bts")
+    assert not good
+    (fault,) = report["faults"]  # test is val here
+    assert fault.startswith("val: protocol nyu_bts scores raw ground truth, this data set has sparse")
+    assert report["splits"][1]["looked_at"] == 1
+
+
 def test_frames_in_two_splits_are_a_fault(tmp_path: Path) -> None:
     root = layouts.sync(tmp_path / "sync")
     good, report = run(tmp_path / "out", "data=nyu_sync", f"data.root={root}", f"data.test_root={root}")
