@@ -15,6 +15,7 @@ from eldenet.config import compose
 from eldenet.decoders.upconv import UpConv2d
 from eldenet.evaluate import _open
 from eldenet.exporting import (
+    CameraNet,
     area_weights,
     count_operations,
     describe,
@@ -26,7 +27,7 @@ from eldenet.exporting import (
 from eldenet.folding import fold, merge_upconv
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
-from eldenet.predictor import DepthPredictor
+from eldenet.predictor import DepthPredictor, resized
 from eldenet.quantisation import quantise_onnx, quantise_openvino
 from eldenet.resources import Resources
 from eldenet.runtimes.onnx import OPTIONS, providers_behind
@@ -332,6 +333,15 @@ def test_frames_of_other_sizes(model, camera: tuple[int, int], tmp_path: Path) -
         found["max_relative"] < 0.02
     )  # OpenCV rounds to grey levels, and where a frame grows its weights too
     assert found["median_relative"] < 2e-3
+
+
+@pytest.mark.parametrize("camera", [(64, 128), (70, 100), (32, 100), (50, 64)])
+def test_a_graph_shrinks_a_frame_as_the_data_sets_do(model, camera: tuple[int, int]) -> None:
+    """But for their rounding to whole grey levels, and where one side stays as it is, too."""
+    frame = np.random.default_rng(4).integers(0, 256, (*camera, 3), np.uint8)
+    image = torch.from_numpy(frame).permute(2, 0, 1)[None].float()
+    ours = CameraNet(model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(ours, resized(frame, SIZE), atol=0.51)
 
 
 def test_area_weights_equal_opencv() -> None:
