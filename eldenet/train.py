@@ -82,6 +82,9 @@ def train(config: "DictConfig", folder: Path) -> float:
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
         f"; run folder {folder}"
     )
+    for split, scored in (("validation", val_set), ("test", test_set)):
+        if count := remembered(train_set, scored):
+            log.say(f"note: {count} of {len(scored)} {split} frames are trained on")
     progress = trainer.fit(
         model,
         train_set,
@@ -128,6 +131,13 @@ def check_scored(dataset: "DepthDataset", protocol: "EvalProtocol") -> None:
     """
     sample = dataset[0]
     protocol.scored(sample["depth"][None], sample["mask"][None])
+
+
+def remembered(train_set: "DepthDataset", scored: "DepthDataset") -> int:
+    """How many of the frames that are scored are training frames: they say how well these are remembered."""
+    from eldenet.data.checking import identities
+
+    return len(identities(train_set).keys() & identities(scored).keys())
 
 
 def seen_sizes(
