@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @cfg.entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
+    import eldenet
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
@@ -33,6 +34,8 @@ def main(config: "DictConfig", folder: Path) -> None:
     model = _open(config, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
+    if str(config.checkpoint) in eldenet.list_models():
+        log.say(f"note: {config.checkpoint} is a freshly initialised network: its figures mean nothing")
     _choose_input_size(config, model, protocol, log)
     record = score_and_record(
         config,

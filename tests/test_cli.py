@@ -178,6 +178,18 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
     assert "data.input_size=[16, 20] is not used" in finished.stdout
 
 
+def test_evaluate_says_that_a_network_is_not_trained(run_command):
+    words = (
+        "checkpoint=eldenet_s",
+        *TINY[:2],
+        "data.frames={train: 8, val: 8, test: 8}",
+        "run_dir=untrained",
+    )
+    finished = run_command("evaluate", *words)
+    assert finished.returncode == 0, finished.stderr
+    assert "eldenet_s is a freshly initialised network" in finished.stdout
+
+
 @pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
 def test_evaluate_at_another_size(trained, run_command, choice, size):
     finished = run_command(
