@@ -8,7 +8,9 @@ from eldenet import config as cfg
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.data.base import DepthDataset
     from eldenet.data.checking import SplitCheck
+    from eldenet.protocol import EvalProtocol
     from eldenet.runlog import RunLog
 
 SPLITS = ("train", "val", "test")
@@ -33,11 +35,13 @@ def check(config: "DictConfig") -> bool:
         if config[name] is not None and config[name] < least:
             raise ValueError(f"{name}={config[name]}: give a number from {least} on, or leave it out")
     log = RunLog(Path(config.run_dir).expanduser())
+    protocol = cfg.build_protocol(config)
     nodes = {split: cfg.plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
     subset = cfg.plain(config.data.get("subset")) or {}
     same: dict[str, str] = {}  # test: ${data.val}, where a data set has no third part
     checks: list[SplitCheck] = []
     panels: list[tuple[str, Any]] = []
+    refused: list[str] = []
     for split, node in nodes.items():
         alike = [o for o in nodes if nodes[o] == node and subset.get(o) == subset.get(split)]
         original = alike[0]
@@ -57,7 +61,8 @@ def check(config: "DictConfig") -> bool:
         with log.bar(f"checking {split}", total) as bar:
             checks.append(check_split(split, dataset, frames=config.frames, advance=bar.advance))
         panels += _samples(split, dataset, config.samples, checks[-1])
-    faults = [line for found in checks for line in found.faults] + shared_frames(checks)
+        refused += [] if split == "train" else _refused(split, dataset, protocol)
+    faults = [line for found in checks for line in found.faults] + refused + shared_frames(checks)
     log.folder.mkdir(parents=True, exist_ok=True)
     write_json(
         log.folder / CHECK_FILE,
@@ -75,6 +80,15 @@ def check(config: "DictConfig") -> bool:
         write_picture(sheet, contact_sheet(panels, config.samples))
     _show(log, config.data.name, checks, same, faults, bool(panels))
     return not faults
+
+
+def _refused(split: str, dataset: "DepthDataset", protocol: "EvalProtocol") -> list[str]:
+    """What a training would say, if the protocol does not score this kind of ground truth."""
+    try:
+        protocol.check_ground_truth(dataset.ground_truth)
+    except ValueError as error:
+        return [f"{split}: {error}"]
+    return []
 
 
 def _samples(split: str, dataset: Any, wanted: int, found: "SplitCheck") -> list[tuple[str, Any]]:

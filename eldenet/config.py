@@ -131,6 +131,13 @@ def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
     return register
 
 
+@resolver("test_part")
+def _test_part(test_root: str | None, root: str | None) -> str:
+    """``${test_part:test_root,root}``: "val" of the training's own folder, "all" of another one."""
+    places = {folder and Path(folder).expanduser().resolve() for folder in (test_root, root)}
+    return "val" if len(places) == 1 else "all"
+
+
 def read_yaml(path: Path) -> Any:
     """A YAML file as plain values.
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @cfg.entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
+    import eldenet
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
@@ -33,6 +34,8 @@ def main(config: "DictConfig", folder: Path) -> None:
     model = _open(config, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
+    if str(config.checkpoint) in eldenet.list_models():
+        log.say(f"note: {config.checkpoint} is a freshly initialised network: its figures mean nothing")
     _choose_input_size(config, model, protocol, log)
     record = score_and_record(
         config,
@@ -49,13 +52,19 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 
 def _open(config: "DictConfig", resources: "Resources") -> "DepthNet | RuntimeNetwork":
-    """What ``checkpoint`` names: a model for torch, or an exported file under ``engine``."""
+    """What ``checkpoint`` names: a model for torch, or an exported file under ``engine``.
+
+    A file runs on an accelerator only where that was asked for: it takes another build of its runtime.
+    """
     import eldenet
     from eldenet import runtimes
     from eldenet.runtimes.scored import RuntimeNetwork
 
     if Path(str(config.checkpoint)).suffix in runtimes.READS:
-        network = runtimes.load(config.checkpoint, config.engine, config.precision, threads=resources.threads)
+        device = "cpu" if config.runtime.device == "auto" else resources.device
+        network = runtimes.load(
+            config.checkpoint, config.engine, config.precision, threads=resources.threads, device=device
+        )
         return RuntimeNetwork(network)
     if (config.engine, config.precision) != ("auto", None):
         raise ValueError("engine and precision are for exported files (python -m eldenet.export)")

@@ -8,16 +8,18 @@ from torchvision.models.resnet import BasicBlock, Bottleneck
 
 from eldenet.backbones.resnet import ResNet
 from eldenet.decoders.upconv import PARITIES, UpConv2d
+from eldenet.layers import DepthwiseConv2d
 from eldenet.model import DepthNet
 
 RESNET_PARTS = (ResNet, BasicBlock, Bottleneck)
+PLAIN = (nn.Conv2d, DepthwiseConv2d)  # and no subclass, which may do more than its base
 
 
 def fold(model: DepthNet) -> DepthNet:
     """A copy of ``model`` for inference, in eval mode; its depth differs by rounding alone.
 
     - Batch normalisations that follow their convolution in an ``nn.Sequential`` are folded into it, and
-      those of torchvision's ResNet blocks.
+      those of torchvision's ResNet blocks. Subclasses of either stay: they may do more than their base.
     - Every up-convolution, whichever form it had, becomes one 3x3 convolution on the small map, its
       activation there too, and a pixel shuffle: see :func:`merge_upconv`.
 
@@ -52,8 +54,8 @@ def _fold_numbered(part: nn.Module) -> None:
     """Fold ``bn1`` into ``conv1`` and so on, in place: torchvision's blocks name them so, and run them so."""
     for number in (1, 2, 3):
         conv, norm = getattr(part, f"conv{number}", None), getattr(part, f"bn{number}", None)
-        if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-            setattr(part, f"conv{number}", fuse_conv_bn_eval(conv, norm))
+        if type(conv) in PLAIN and type(norm) is nn.BatchNorm2d:
+            setattr(part, f"conv{number}", fuse_conv_bn_eval(conv, norm))  # type: ignore[type-var]
             setattr(part, f"bn{number}", nn.Identity())
 
 
@@ -63,10 +65,11 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
     names = [*parts, ""]
     for name, after, last in zip(names, names[1:], names[2:], strict=False):
         layer, norm = parts[name], parts[after]
-        if not isinstance(norm, nn.BatchNorm2d):
+        if type(norm) is not nn.BatchNorm2d:  # timm's has its activation inside
             continue
-        if isinstance(layer, nn.Conv2d):
-            parts[name], parts[after] = fuse_conv_bn_eval(layer, norm), nn.Identity()
+        if type(layer) in PLAIN:
+            parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
+            parts[after] = nn.Identity()
         elif isinstance(layer, UpConv2d):
             scale = norm.weight / (norm.running_var + norm.eps).sqrt()  # type: ignore[operator,union-attr]
             bias = norm.bias - norm.running_mean * scale  # type: ignore[operator]
@@ -108,8 +111,3 @@ def merge_upconv(weight: Tensor, bias: Tensor | None, activation: nn.Module | No
         conv.bias = nn.Parameter(bias.detach().repeat_interleave(4))
     layers = [conv, nn.PixelShuffle(2)] if activation is None else [conv, activation, nn.PixelShuffle(2)]
     return nn.Sequential(*layers)
-
-
-def count_batch_norms(model: nn.Module) -> int:
-    """Batch normalisations that still run on their own."""
-    return sum(isinstance(part, nn.BatchNorm2d) for part in model.modules())

@@ -84,7 +84,8 @@ def device_of(model: nn.Module) -> torch.device:
     return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
 
-def _peak_memory_mb(device: torch.device) -> float:
+def peak_memory_mb(device: torch.device) -> float:
+    """Most memory so far [MB]: of the device on CUDA, else of this process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
@@ -171,7 +172,7 @@ def measure_cost(
         latency_ms_p50=median_ms(times["one"]),
         latency_ms_p95=percentile_ms(times["one"], 95),
         throughput_img_s=1e3 * batch / median_ms(times["many"]),
-        peak_memory_mb=_peak_memory_mb(device),
+        peak_memory_mb=peak_memory_mb(device),
         height=size[0],
         width=size[1],
         batch=batch,

@@ -10,10 +10,15 @@ from torch import Tensor
 
 from eldenet.geometry import crop_corner
 
+# torch's "nearest" would shift the map by up to half a pixel
+_MODES: dict[str, dict[str, Any]] = {
+    "bilinear": {"mode": "bilinear", "align_corners": False},
+    "nearest": {"mode": "nearest-exact"},
+}
 _CHOICES = {
     "ground_truth": ("raw", "inpainted", "sparse", "improved", "dense"),
     "frame_anchor": ("center", "bottom"),
-    "interpolation": ("bilinear", "nearest"),
+    "interpolation": tuple(_MODES),
     "average": ("image", "pixel"),
     "scale": ("metric", "median"),
     "flip": ("none", "mean"),
@@ -43,7 +48,8 @@ class EvalProtocol:
         crop_fractions: the same box as fractions of the ground truth's own height and width, cut off to whole
             pixels, for frames of several sizes.
         size: the ground truth's ``(height, width)`` [px] that ``crop`` speaks of; another size is an error.
-        interpolation: how a prediction is brought to the ground truth's size (bilinear: corners not aligned).
+        interpolation: how a prediction is brought to the ground truth's size: "bilinear" (corners not
+            aligned) or "nearest" (to the pixels' centres).
         clamp: clamp the prediction into ``[min_depth, max_depth]`` before scoring.
         average: "image": a metric per image, then the mean over images; "pixel": all pixels pooled.
         scale: "metric": as predicted; "median": each prediction times median(truth) / median(prediction).
@@ -205,8 +211,7 @@ class EvalProtocol:
         box = self.pasted_box(size[0], size[1])
         top, bottom, left, right = box or (0, size[0], 0, size[1])
         if values.shape[-2:] != (bottom - top, right - left):
-            options: dict[str, Any] = {"align_corners": False} if self.interpolation == "bilinear" else {}
-            values = F.interpolate(values, (bottom - top, right - left), mode=self.interpolation, **options)
+            values = F.interpolate(values, (bottom - top, right - left), **_MODES[self.interpolation])
         return values if box is None else F.pad(values, (left, size[1] - right, top, size[0] - bottom))
 
     def prepare(self, prediction: Tensor, depth: Tensor, counts: Tensor) -> Tensor:

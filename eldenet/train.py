@@ -60,11 +60,13 @@ def train(config: "DictConfig", folder: Path) -> float:
             f"teacher={config.teacher}: no term of this loss learns from a teacher; give "
             "loss=ssim_l1_distill, or leave the teacher out"
         )
+    build_seeded_model(config, RunLog(folder, quiet=True))  # built again once its normalisation is known
     with main_process_first(resources):  # it renders or prepares what the others then find
         train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
         val_set = cfg.build_split(config, "val", protocol)
-        # what the test split lacks shows now, not after the training
-        cfg.build_split(config, "test", protocol, score=True)
+        test_set = cfg.build_split(config, "test", protocol, score=True)
+    for scored in (val_set, test_set):  # what they lack shows now, not after an epoch or the whole training
+        check_scored(scored, protocol)
     log = RunLog(folder, quiet=not cfg.is_main_process())
     resumed = None if checkpoint is None else run_folder(checkpoint)
     chosen = normalisation(cfg.plain(config.normalisation), train_set, resumed=resumed)
@@ -80,6 +82,9 @@ def train(config: "DictConfig", folder: Path) -> float:
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
         f"; run folder {folder}"
     )
+    for split, scored in (("validation", val_set), ("test", test_set)):
+        if count := remembered(train_set, scored):
+            log.say(f"note: {count} of {len(scored)} {split} frames are trained on")
     progress = trainer.fit(
         model,
         train_set,
@@ -118,6 +123,23 @@ def train(config: "DictConfig", folder: Path) -> float:
     return progress.best_value
 
 
+def check_scored(dataset: "DepthDataset", protocol: "EvalProtocol") -> None:
+    """Bring the first frame to where its metrics would be taken.
+
+    Raises:
+        ValueError: the protocol's crop does not fit into it, or its ground truth has another size.
+    """
+    sample = dataset[0]
+    protocol.scored(sample["depth"][None], sample["mask"][None])
+
+
+def remembered(train_set: "DepthDataset", scored: "DepthDataset") -> int:
+    """How many of the frames that are scored are training frames: they say how well these are remembered."""
+    from eldenet.data.checking import identities
+
+    return len(identities(train_set).keys() & identities(scored).keys())
+
+
 def seen_sizes(
     input_size: list[int] | None, protocol: "EvalProtocol", train_set: "DepthDataset"
 ) -> dict[str, list[int] | None]:
@@ -140,6 +162,9 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
     """The network with weights drawn from ``config.seed``, or taken over from ``config.weights``.
 
     ``arguments`` go to its constructor beside those of ``config.model``.
+
+    Raises:
+        ValueError: the weights are those of another network, or of none.
     """
     from eldenet.normalisation import keep_normalisation
     from eldenet.resources import seed_everything
@@ -149,9 +174,13 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
     if config.weights is not None:
         import eldenet
 
-        named = str(config.weights) in eldenet.list_models()
-        trusted = [] if named else _own_modules(cfg.plain(config.model))
-        start = eldenet.load(config.weights, trusted_modules=trusted)
+        if str(config.weights) in eldenet.list_models():
+            raise ValueError(
+                f"weights={config.weights} names a network without trained weights: give a run of it, a "
+                f"saved model, a Hub id, or the package's {', '.join(eldenet.list_weights())} (of a folder "
+                f"of that name: ./{config.weights})"
+            )
+        start = eldenet.load(config.weights, trusted_modules=_own_modules(cfg.plain(config.model)))
         own = model.state_dict()
         fitting = {
             name: value

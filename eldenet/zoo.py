@@ -56,7 +56,10 @@ def load(
     if weights is not None:
         known = list_weights()
         if f"{source}_{weights}" not in known:
-            raise ValueError(f"no weights {weights!r} of {source} in the package: it has {', '.join(known)}")
+            raise ValueError(
+                f"no weights {weights!r} of {source} in the package: it has {', '.join(known)}. A run "
+                f"folder, a saved model or a Hub id is given alone: eldenet.load({weights!r})"
+            )
         source = f"{source}_{weights}"
     if str(source) in list_models():
         from eldenet.config import build_model, compose

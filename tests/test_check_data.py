@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from eldenet.check_data import _bars, check
-from eldenet.config import compose
+from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.checking import check_split, spread
 from eldenet.data.folder import FolderDataset
+from eldenet.train import remembered
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
@@ -79,11 +80,42 @@ def test_a_split_that_cannot_be_opened_does_not_hide_the_others(tmp_path: Path) 
     assert "nowhere is not a folder" in report["faults"][0]
 
 
+def test_ground_truth_that_the_protocol_does_not_score_is_a_fault(tmp_path: Path) -> None:
+    """A training would refuse it; ``protocol=`` is the training's."""
+    root = layouts.folder(tmp_path / "data")
+    words = ("data=folder", f"data.root={root}", "data.ground_truth=sparse")
+    assert run(tmp_path / "out", *words)[0]
+    good, report = run(tmp_path / "out", *words, "protocol=nyu_bts")
+    assert not good
+    (fault,) = report["faults"]  # test is val here
+    assert fault.startswith("val: protocol nyu_bts scores raw ground truth, this data set has sparse")
+    assert report["splits"][1]["looked_at"] == 1
+
+
 def test_frames_in_two_splits_are_a_fault(tmp_path: Path) -> None:
     root = layouts.sync(tmp_path / "sync")
     good, report = run(tmp_path / "out", "data=nyu_sync", f"data.root={root}", f"data.test_root={root}")
     assert not good
     assert report["faults"][0].startswith("train and test: 1 frames are in both")
+
+
+def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
+    mine, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
+    words = ("data=folder", f"data.root={mine}")
+    good, report = run(tmp_path / "out", *words, f"data.test_root={other}")
+    assert good
+    assert [part["frames"] for part in report["splits"]] == [9, 1, 10]
+    good, report = run(tmp_path / "out", *words, "data.test_split=all")
+    assert not good
+    assert [line for line in report["faults"] if "are in both" in line] == [
+        "train and test: 9 frames are in both:",
+        "val and test: 1 frames are in both:",
+    ]
+    config = compose("train", [*words, "data.test_split=all"])
+    train, val, test = (
+        build_split(config, name, build_protocol(config)) for name in ("train", "val", "test")
+    )
+    assert (remembered(train, val), remembered(train, test)) == (0, 9)
 
 
 def test_all_frames_missing_is_a_fault(tmp_path: Path) -> None:

@@ -2,9 +2,14 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
+import layouts
 import pytest
+
+from eldenet.config import compose
+from eldenet.train import train
 
 TINY = (
     "data.size=[32,40]",
@@ -114,13 +119,35 @@ def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
     assert "Traceback" not in finished.stderr + finished.stdout
 
 
-@pytest.mark.parametrize("wrong", ["trainer.monitor=accuracy", "ckpt_path=none.pt", "teacher=nowhere"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *("trainer.monitor=accuracy", "ckpt_path=none.pt", "weights=nowhere", "weights=resnet18_upconv"),
+        *("model.backbone.scale=0.33", ["teacher=nowhere", "loss=ssim_l1_distill"]),
+    ],
+)
 def test_a_wrong_setting_shows_before_minutes_of_rendering(run_command, tmp_path, wrong):
+    words = [wrong] if isinstance(wrong, str) else wrong
     cache = tmp_path / "empty"
-    finished = run_command("train", wrong, "loss=ssim_l1_distill", ELDENET_CACHE=str(cache))
+    finished = run_command("train", *words, ELDENET_CACHE=str(cache))
     assert finished.returncode == 1
-    assert wrong.partition("=")[2] in finished.stderr
+    assert words[0].partition("=")[2] in finished.stderr
     assert not cache.exists()
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ("protocol.size=[480,640]", "defined on ground truth of (480, 640) pixels, this one has (48, 64)"),
+        ("protocol.frame_crop=[228,304]", "crop=[228, 304] does not fit"),
+    ],
+)
+def test_frames_that_cannot_be_scored_show_before_the_first_epoch(tmp_path, rule, message):
+    root = layouts.folder(tmp_path / "data")
+    words = ["data=folder", f"data.root={root}", "model=eldenet_s", "protocol=folder", rule]
+    with pytest.raises(ValueError, match=re.escape(message)):
+        train(compose("train", words), tmp_path / "run")
+    assert not (tmp_path / "run" / "checkpoints").exists()
 
 
 def test_a_run_folder_holds_one_run(trained, run_command):
@@ -149,6 +176,18 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
     trained_at = json.loads((trained / "run.json").read_text())["config"]["data"]["input_size"]
     assert [run["cost"]["height"], run["cost"]["width"]] == trained_at
     assert "data.input_size=[16, 20] is not used" in finished.stdout
+
+
+def test_evaluate_says_that_a_network_is_not_trained(run_command):
+    words = (
+        "checkpoint=eldenet_s",
+        *TINY[:2],
+        "data.frames={train: 8, val: 8, test: 8}",
+        "run_dir=untrained",
+    )
+    finished = run_command("evaluate", *words)
+    assert finished.returncode == 0, finished.stderr
+    assert "eldenet_s is a freshly initialised network" in finished.stdout
 
 
 @pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
@@ -202,7 +241,7 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
     import sys
 
     import eldenet
-    from eldenet.config import compose, instantiate
+    from eldenet.config import instantiate
     from eldenet.evaluation import evaluate
 
     finished = subprocess.run(

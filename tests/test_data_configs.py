@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from eldenet.config import build_protocol, build_split, compose, config_folder, plain
+from eldenet.data.folder import FolderDataset
 
 FULL = layouts.content((480, 640))
 TREES: dict[str, Callable[[Path], list[str]]] = {
@@ -144,11 +145,18 @@ def test_the_protocol_alone_says_what_is_scored(tmp_path: Path) -> None:
 
 
 def test_test_frames_of_another_folder(tmp_path: Path) -> None:
+    """All of them: of the training's own folder, however it is written, those of validation."""
     root, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
-    words = ["data=folder", f"data.root={root}", f"data.test_root={other}", "data.test_split=all"]
-    config = compose("train", words)
-    test = build_split(config, "test", build_protocol(config))
-    assert (test.root, len(test)) == (other, len(list((other / "images").iterdir())))
+
+    def test_split(*words: str) -> FolderDataset:
+        config = compose("train", ["data=folder", f"data.root={root}", *words])
+        return build_split(config, "test", build_protocol(config))
+
+    every = len(list((other / "images").iterdir()))
+    test = test_split(f"data.test_root={other}")
+    assert (test.root, len(test)) == (other, every)
+    for words in ([], [f"data.test_root={root}/"], [f"data.test_root={other}", "data.test_split=val"]):
+        assert 0 < len(test_split(*words)) < every
 
 
 # One file of a training frame in each tree.

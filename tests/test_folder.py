@@ -86,6 +86,14 @@ def test_missing_partners_are_named(tmp_path: Path) -> None:
     assert "and 3 more" in text
 
 
+def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
+    tree(tmp_path)
+    (tmp_path / "images/._f000.png").write_bytes(b"a Mac's note on the file")
+    (tmp_path / "depths/.thumbnails").mkdir()
+    cv2.imwrite(str(tmp_path / "depths/.thumbnails/f000.png"), MILLIMETRES)
+    assert FolderDataset(tmp_path, max_depth=10.0).names == ["f000", "f001"]
+
+
 def test_two_pictures_of_one_name(tmp_path: Path) -> None:
     tree(tmp_path)
     cv2.imwrite(str(tmp_path / "images/f000.jpg"), RGB)

@@ -1,5 +1,6 @@
 """One network under every runtime gives the same metres; a stream never waits for a slow network."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -10,8 +11,11 @@ from torch import nn
 
 import eldenet
 from eldenet import runtimes
+from eldenet.config import compose
 from eldenet.decoders.upconv import UpConv2d
+from eldenet.evaluate import _open
 from eldenet.exporting import (
+    CameraNet,
     area_weights,
     count_operations,
     describe,
@@ -20,10 +24,13 @@ from eldenet.exporting import (
     write_onnx,
     write_openvino,
 )
-from eldenet.folding import count_batch_norms, fold, merge_upconv
+from eldenet.folding import fold, merge_upconv
+from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
-from eldenet.predictor import DepthPredictor
+from eldenet.predictor import DepthPredictor, resized
 from eldenet.quantisation import quantise_onnx, quantise_openvino
+from eldenet.resources import Resources
+from eldenet.runtimes.onnx import OPTIONS, providers_behind
 from eldenet.runtimes.scored import RuntimeNetwork, measure_runtime_cost
 
 pytest.importorskip("onnxruntime")
@@ -108,10 +115,36 @@ def test_resnet_blocks_are_folded(name: str) -> None:
             part.running_mean.uniform_(-0.2, 0.2)
             part.running_var.uniform_(0.5, 1.5)
     folded = fold(model)
-    assert count_batch_norms(folded) == 0
+    assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
     image = torch.rand(1, 3, *SIZE)
     with torch.inference_mode():
         assert differences(folded(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
+
+
+class ActiveNorm(nn.BatchNorm2d):
+    """Normalisation and activation in one, as timm's ``BatchNormAct2d``."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        return super().forward(input).relu()
+
+
+class HalvedConv(nn.Conv2d):
+    """Computes something else than its base from the same weights, as weight standardisation does."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        return super().forward(input) / 2
+
+
+@pytest.mark.parametrize("parts", [(nn.Conv2d, ActiveNorm), (HalvedConv, nn.BatchNorm2d)])
+def test_what_does_more_than_its_base_is_not_folded(parts: tuple[type, type]) -> None:
+    torch.manual_seed(0)
+    conv, norm = parts
+    network = nn.Sequential(conv(3, 4, 3, padding=1), norm(4), nn.Conv2d(4, 1, 1))
+    network[1].running_mean.uniform_(-0.2, 0.2)
+    network[1].running_var.uniform_(0.5, 1.5)
+    model, image = DepthNet(network, LinearHead()).eval(), torch.rand(1, 3, *SIZE)
+    with torch.inference_mode():
+        assert differences(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
 
 
 # --- runtimes -----------------------------------------------------------------------------------------------
@@ -212,6 +245,28 @@ def test_a_missing_provider_names_those_there_are(files) -> None:
     assert named.device == "cpu"
 
 
+def test_an_accelerators_fp32_is_fp32() -> None:
+    cpu, cuda, tensorrt = (f"{name}ExecutionProvider" for name in ("CPU", "CUDA", "Tensorrt"))
+    assert providers_behind(cpu, [cuda, cpu]) == [cpu]
+    assert providers_behind(cuda, [tensorrt, cuda, cpu]) == [cuda, cpu]
+    assert providers_behind(tensorrt, [tensorrt, cuda, cpu]) == [tensorrt, cuda, cpu]
+    assert providers_behind(tensorrt, [tensorrt, cpu]) == [tensorrt, cpu]
+    assert OPTIONS[cuda] == {"use_tf32": "0"}  # ONNX Runtime's own default is TF32
+
+
+def test_evaluate_runs_a_file_where_it_is_asked_to(files) -> None:
+    """Not on the CPU without a word: here no runtime has CUDA, and that is said."""
+    import onnxruntime
+
+    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        pytest.skip("CUDA is there")
+    resources = Resources(device="cuda", precision="fp32", threads=1, workers=0, cores=1)
+    words = [f"checkpoint='{files['onnx']}'", "engine=onnxruntime"]
+    with pytest.raises(ValueError, match="CUDAExecutionProvider"):
+        _open(compose("evaluate", [*words, "runtime.device=cuda"]), resources)
+    assert _open(compose("evaluate", words), resources).network.device == "cpu"
+
+
 def test_wrong_images_are_refused(files, images) -> None:
     for network in (runtimes.load(files["onnx"], name, threads=1) for name in ("onnxruntime", "openvino")):
         with pytest.raises(ValueError, match=r"this network takes \(B, 3, H, W\) float32"):
@@ -280,6 +335,15 @@ def test_frames_of_other_sizes(model, camera: tuple[int, int], tmp_path: Path) -
     assert found["median_relative"] < 2e-3
 
 
+@pytest.mark.parametrize("camera", [(64, 128), (70, 100), (32, 100), (50, 64)])
+def test_a_graph_shrinks_a_frame_as_the_data_sets_do(model, camera: tuple[int, int]) -> None:
+    """But for their rounding to whole grey levels, and where one side stays as it is, too."""
+    frame = np.random.default_rng(4).integers(0, 256, (*camera, 3), np.uint8)
+    image = torch.from_numpy(frame).permute(2, 0, 1)[None].float()
+    ours = CameraNet(model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(ours, resized(frame, SIZE), atol=0.51)
+
+
 def test_area_weights_equal_opencv() -> None:
     picture = np.random.default_rng(3).random((48, 70)).astype(np.float32)
     ours = area_weights(48, 21).numpy() @ picture @ area_weights(70, 32).numpy().T
@@ -322,6 +386,8 @@ def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     cost = measure_runtime_cost(network, SIZE)
     assert cost.batch == 2
     assert cost.throughput_img_s > 0
+    assert math.isnan(cost.latency_ms_p50)  # of one image, which this file does not take
+    assert math.isnan(cost.latency_ms_p95)
 
 
 def test_any_batch_is_not_fixed(model, files) -> None:

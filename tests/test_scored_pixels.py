@@ -176,6 +176,15 @@ def test_median_of_an_even_number_is_numpys() -> None:
     torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
 
 
+@pytest.mark.parametrize("size", [(16, 24), (19, 31), (5, 7)])
+def test_nearest_is_that_of_the_pixels_centres(size: tuple[int, int]) -> None:
+    depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96
+    protocol = EvalProtocol("p", interpolation="nearest")
+    ready = protocol.prepare(small, depth, torch.ones_like(depth, dtype=torch.bool))
+    rows, cols = ((2 * np.arange(to) + 1) * of // (2 * to) for to, of in zip(size, (8, 12), strict=True))
+    np.testing.assert_array_equal(ready[0, 0].numpy(), small[0, 0].numpy()[rows][:, cols])
+
+
 @pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
 def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
     depth = torch.full((1, 1, 16, 24), 2.0)

@@ -14,6 +14,7 @@ from eldenet.checkpoint import load_checkpoint
 from eldenet.evaluation import evaluate
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
+from eldenet.meter import LOOK_EVERY, LossMeter
 from eldenet.resources import Resources, seed_everything
 from eldenet.schedules import constant, cosine
 from eldenet.trainer import Trainer
@@ -62,6 +63,43 @@ def test_a_nan_loss_stops_with_its_step_and_keeps_the_last_good_checkpoint(tmp_p
     state = load_checkpoint(tmp_path)
     assert state["progress"]["step"] == 6
     assert all(torch.isfinite(value).all() for value in state["model"].values())
+
+
+def test_a_meter_of_an_accelerator_looks_now_and_then_and_loses_nothing():
+    eager, patient = ({}, {})
+    meters = [LossMeter(eager, eager=True), LossMeter(patient, eager=False)]
+    for step in range(LOOK_EVERY + 3):
+        for meter in meters:
+            meter.add(step, {"total": torch.tensor(float(step))})
+    assert patient["total"] < eager["total"] == sum(range(LOOK_EVERY + 3))
+    meters[1].look()  # as before every checkpoint
+    assert patient == eager
+    meters[1].add(20, {"total": torch.tensor(1.0)})
+    meters[1].add(21, {"total": torch.tensor(float("inf"))})
+    with pytest.raises(FloatingPointError, match="'total' is inf at step 21"):
+        meters[1].look()
+
+
+def test_weights_that_are_not_finite_replace_no_checkpoint(tmp_path):
+    trainer, model, _ = fit(tmp_path, epochs=1)
+    before = (tmp_path / "checkpoints" / "last.pt").read_bytes()
+    with torch.no_grad():
+        next(model.parameters()).fill_(float("nan"))
+    with pytest.raises(FloatingPointError, match="weights are not finite at step 4"):
+        trainer.state.save(tmp_path / "checkpoints" / "last.pt")
+    assert (tmp_path / "checkpoints" / "last.pt").read_bytes() == before
+
+
+@pytest.mark.parametrize("clip", [None, 1e-4])
+def test_the_gradients_norm_is_clipped(tmp_path, clip):
+    seed_everything(0)
+    start = {name: value.clone() for name, value in eldenet.load("eldenet_s").named_parameters()}
+    plain = partial(torch.optim.SGD, lr=1.0)  # so that a step is the gradient
+    options = {"optimizer": plain, "scheduler": constant, "gradient_clip": clip}
+    _, model, progress = fit(tmp_path, frames=4, epochs=1, **options)
+    assert progress.step == 1
+    moved = torch.cat([(value - start[name]).flatten() for name, value in model.named_parameters()])
+    assert (moved.norm() < 1.01e-4) == (clip == 1e-4)
 
 
 @pytest.mark.parametrize("name", ["epochs", "checkpoint_every", "evaluate_every", "gradient_clip"])

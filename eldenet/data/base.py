@@ -240,7 +240,7 @@ def resize_frame(
 
     image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
-        shrink = image.shape[0] > size[0]
+        shrink = image.shape[:2] > tuple(size)  # in height; in width where that stays
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)

@@ -24,6 +24,7 @@ class SplitCheck:
     Attributes:
         split: its name.
         names: of the frames whose files are there.
+        identities: of the same frames, see :func:`identities`.
         split_hash: of these names, as in ``run.json``.
         missing: name -> files that are not there.
         looked_at: how many frames were read.
@@ -45,6 +46,7 @@ class SplitCheck:
 
     split: str
     names: list[str] = field(default_factory=list)
+    identities: dict[str, str] = field(default_factory=dict)
     split_hash: str = ""
     missing: dict[str, str] = field(default_factory=dict)
     looked_at: int = 0
@@ -74,7 +76,7 @@ class SplitCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """For ``check.json``; the names are in the hash."""
-        return {key: value for key, value in vars(self).items() if key != "names"} | {
+        return {key: value for key, value in vars(self).items() if key not in ("names", "identities")} | {
             "frames": len(self.names),
             "faults": self.faults,
         }
@@ -108,7 +110,9 @@ def check_split(
         frames: read at most this many, evenly spread; None reads all.
         advance: called with 1 per frame, for a progress bar.
     """
-    found = SplitCheck(split, list(dataset.names), dataset.split_hash, dict(dataset.skipped))
+    found = SplitCheck(
+        split, list(dataset.names), identities(dataset), dataset.split_hash, dict(dataset.skipped)
+    )
     found.min_depth, found.max_depth = dataset.min_depth, dataset.max_depth
     sizes: Counter[str] = Counter()
     fine = np.zeros(len(_EDGES) - 1, np.int64)
@@ -152,10 +156,25 @@ def _other(depth: tuple[int, ...], image: tuple[int, ...]) -> str:
     return "" if depth == image[:2] else f" (depth {depth[0]} x {depth[1]})"
 
 
+def identities(dataset: DepthDataset) -> dict[str, str]:
+    """What tells each frame from those of other splits -> its name: two folders may hold frames of one name.
+
+    That is the name with the files that the frame is read from, where its adapter says them.
+    """
+    found = {}
+    for index, name in enumerate(dataset.names):
+        try:
+            files = dataset.frame_files(index)
+        except ValueError:
+            files = ()
+        found["\n".join([name, *map(str, files)])] = name
+    return found
+
+
 def shared_frames(checks: Sequence[SplitCheck]) -> list[str]:
     """Splits that share frames, and which ones: the first ten of each pair."""
     lines = []
     for one, other in combinations(checks, 2):
-        both = sorted(set(one.names) & set(other.names))
+        both = sorted(one.identities[key] for key in one.identities.keys() & other.identities.keys())
         lines += _listed(f"{one.split} and {other.split}", "frames are in both", both)
     return lines

@@ -169,7 +169,8 @@ def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dic
 def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted((root / folder).rglob("*")):
-        if path.suffix.lower() not in endings:
+        hidden = any(part.startswith(".") for part in path.relative_to(root / folder).parts)
+        if hidden or path.suffix.lower() not in endings:  # such as macOS's ._a.jpg beside a.jpg
             continue
         name = path.relative_to(root / folder).with_suffix("").as_posix()
         file = path.relative_to(root).as_posix()

@@ -46,7 +46,7 @@ class Teacher:
         self.network.to(image.device).to(memory_format=layout)
         size = image.shape[-2:]
         if self.input_size is not None and self.input_size != tuple(size):
-            shrink = self.input_size[0] < size[0]
+            shrink = self.input_size < tuple(size)  # in height; in width where that stays
             image = F.interpolate(
                 image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrink
             )

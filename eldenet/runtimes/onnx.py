@@ -11,6 +11,8 @@ PROVIDERS = {
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
 }
+# CUDA's would round the factors of fp32 convolutions and products to TF32's ten bits
+OPTIONS = {PROVIDERS["cuda"]: {"use_tf32": "0"}}
 PACKAGES = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu and TensorRT"}
 
 
@@ -35,16 +37,17 @@ class OnnxRuntime(Runtime):
     ) -> None:
         import onnxruntime
 
-        provider = provider_for(device, onnxruntime.get_available_providers())
+        available = onnxruntime.get_available_providers()
+        provider = provider_for(device, available)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         options.log_severity_level = 3
-        wanted = [provider] if provider == PROVIDERS["cpu"] else [provider, PROVIDERS["cpu"]]
-        if device == "tensorrt" and PROVIDERS["cuda"] in onnxruntime.get_available_providers():
-            wanted.insert(1, PROVIDERS["cuda"])
+        wanted = providers_behind(provider, available)
         try:
-            self.session = onnxruntime.InferenceSession(str(path), options, providers=wanted)
+            self.session = onnxruntime.InferenceSession(
+                str(path), options, providers=[(name, OPTIONS.get(name, {})) for name in wanted]
+            )
         except Exception as error:  # its own exception classes share no base but this
             raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
         if self.session.get_providers()[0] != provider:  # it falls back without a word
@@ -97,3 +100,9 @@ def provider_for(device: str, available: list[str]) -> str:
             f"{', '.join(available)}: {install}choose one of {', '.join(PROVIDERS)} or a provider's name"
         )
     return provider
+
+
+def providers_behind(provider: str, available: list[str]) -> list[str]:
+    """``provider``, and those that take what it leaves, in their order."""
+    cuda = [PROVIDERS["cuda"]] if provider == PROVIDERS["tensorrt"] and PROVIDERS["cuda"] in available else []
+    return list(dict.fromkeys([provider, *cuda, PROVIDERS["cpu"]]))

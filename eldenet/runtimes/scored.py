@@ -1,12 +1,12 @@
 """An exported file where a torch module is wanted: to score it as any model, and to say what it costs."""
 
-import resource
+import math
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eldenet.profiling import CostReport, median_ms, percentile_ms, time_interleaved
+from eldenet.profiling import CostReport, median_ms, peak_memory_mb, percentile_ms, time_interleaved
 from eldenet.runtimes.base import Runtime
 
 
@@ -43,7 +43,7 @@ class RuntimeNetwork(nn.Module):
 def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
     """As :func:`eldenet.profiling.measure_cost`; the counts are those that the file states.
 
-    A file of a fixed batch is timed at that batch alone.
+    A file of a fixed batch is timed at that batch alone: of another than 1 no latency of one image is known.
     """
     one, batch = network.fixed_batch or 1, network.fixed_batch or batch
     calls = {}
@@ -53,14 +53,15 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int 
     with torch.inference_mode():
         times = time_interleaved(calls, synchronise=network.synchronise)
     gmacs = float(network.metadata.get("gmacs", "nan"))
+    of_one = times["one"] if one == 1 else [math.nan]
     return CostReport(
         params=int(network.metadata.get("params", 0)),
         gmacs=gmacs,
         gflops=2 * gmacs,
-        latency_ms_p50=median_ms(times["one"]),
-        latency_ms_p95=percentile_ms(times["one"], 95),
+        latency_ms_p50=median_ms(of_one),
+        latency_ms_p95=percentile_ms(of_one, 95),
         throughput_img_s=1e3 * batch / median_ms(times["many"]),
-        peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        peak_memory_mb=peak_memory_mb(torch.device("cpu")),
         height=size[0],
         width=size[1],
         batch=batch,
