@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.record import RUN_FILE, differences
-from eldenet.sources import KEYS, fingerprint, sources_of
+from eldenet.record import RUN_FILE
+from eldenet.sources import run_differences
 from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
 
 if TYPE_CHECKING:
@@ -78,17 +78,8 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     if rate is not None:
         overrides.append(f"optimizer.lr={rate}")
     config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))
-    settings = set((row.given or {}).values())
-    given = frozenset(setting.rpartition(".")[2] for setting in settings)
-    ignored = KEYS | given | (frozenset() if rate is not None else {"lr"})
-    found = differences(cfg.plain(config), run["config"], ignored=ignored)
-    ours, theirs = sources_of(cfg.plain(config)), sources_of(run["config"])
-    for name in sorted({*ours, *theirs} - settings):
-        mine, other = ours.get(name), theirs.get(name)
-        content = None if mine is None else fingerprint(mine)
-        recorded = run.get("sources", {}).get(name)
-        if None in (mine, other):
-            found.append(f"{name}={mine} (there {other})")
-        elif None not in (content, recorded) and content != recorded:
-            found.append(f"{name}={mine} (content {content}, there {recorded})")
-    return found
+    given = frozenset((row.given or {}).values())
+    ignored = frozenset(setting.rpartition(".")[2] for setting in given)
+    if rate is None:
+        ignored |= {"lr"}
+    return run_differences(cfg.plain(config), run, ignored=ignored, elsewhere=given, by_path=False)
