@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet import config as cfg
 from eldenet.record import RUN_FILE
 from eldenet.sources import run_differences
-from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
+from eldenet.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -76,7 +76,7 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     choice = stored_choice(study, row)
     rate = choice.rate if choice is not None else row.learning_rate
     if rate is not None:
-        overrides.append(f"optimizer.lr={rate}")
+        overrides.append(f"{RATE}={rate}")
     config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))
     given = frozenset((row.given or {}).values())
     ignored = frozenset(setting.rpartition(".")[2] for setting in given)

@@ -12,6 +12,7 @@ PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
 STORED = "stored"  # results of finished runs, small enough for git
 RATE_FILE = "learning_rate.json"  # beside them: what the trials of a row chose
+RATE = "optimizer.lr"  # what `learning_rate` and `learning_rates` give
 KEPT = ("per_image.csv", "run.json")  # of each; the last one says that it is stored
 # of what a row needs, by its setting: "weights not given"; else data
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
@@ -115,7 +116,7 @@ def read_study(folder: str | Path) -> Study:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it has an entry that it should not have, or lacks rows.
+        ValueError: it has an entry that it should not have, lacks rows, or gives a learning rate twice.
     """
     folder = Path(folder)
     path = folder / PLAN
@@ -143,6 +144,8 @@ def read_study(folder: str | Path) -> Study:
         rows.append(StudyRow(str(name), **values))
     _check_kinds(path, {key: _frozen(value) for key, value in content.items()})
     study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
+    for row in study.rows:
+        _refuse_second_rate(path, study, row)
     unknown = [name for name in study.reference if name not in described]
     if unknown:
         raise ValueError(f"{path}: reference {unknown} are no rows of it")
@@ -164,6 +167,25 @@ def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
     owner = read_study(path.parent.parent / entry["from"])
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
+
+
+def _refuse_second_rate(path: Path, study: Study, row: StudyRow) -> None:
+    """Refuse a learning rate among overrides where the row's own, or the search, would take its place."""
+    searched = row.learning_rate is None and bool(study.learning_rates)
+    if row.owner is not None or not (searched or row.learning_rate is not None):
+        return
+    texts = [*study.overrides, *row.overrides]
+    if searched:
+        texts += [*study.rate_overrides, *row.rate_overrides]
+    written = next((text for text in texts if text.lstrip("+").startswith(f"{RATE}=")), None)
+    if written is not None:
+        value = written.partition("=")[2]
+        instead = "the search of learning_rates" if searched else f"learning_rate: {row.learning_rate:g}"
+        raise ValueError(
+            f"{path}: row {row.name}: {instead} would take the place of the override {written}: write "
+            f"learning_rate: {value} as an entry of the row instead, which is then not searched, or take the "
+            "override out"
+        )
 
 
 def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], where: str = "") -> None:
