@@ -1,5 +1,6 @@
 """What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -90,8 +91,8 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The folder's."""
-        return self.folder.name
+        """The folder's, also where that is given as ``.``."""
+        return _name(self.folder)
 
     def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
         """The rows of these names, all without; in the plan's order.
@@ -159,12 +160,16 @@ def read_study(folder: str | Path) -> Study:
     return study
 
 
+def _name(folder: Path) -> str:
+    return Path(os.path.abspath(folder)).name
+
+
 def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
-    if entry["from"] == path.parent.name:
+    if entry["from"] == _name(path.parent):
         raise ValueError(f"{path}: row {name} is taken from this very study: name another one")
-    owner = read_study(path.parent.parent / entry["from"])
+    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]))
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
 
