@@ -139,6 +139,36 @@ def test_rows_measured_otherwise_do_not_count(tmp_path: Path, capsys: pytest.Cap
     assert "is not among the models: no ratio_latency" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"processor": "a board's"}, "(processor a board's, here "),
+        ({"cores": 512}, "(cores 512, here "),
+        ({"versions": {"torch": "1.0"}}, "torch 1.0, here "),
+        ({"accelerator": "another card"}, None),  # the rows are a processor's
+    ],
+)
+def test_rows_of_another_machine_are_measured_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture, changes: dict[str, Any], words: str | None
+) -> None:
+    ours = ("runtimes=[torch]", "precisions=[fp32]")
+    (first,) = run(tmp_path, *ours)
+    stored = {**first, **changes, "latency_ms_p50": 1e6}
+    (tmp_path / "rows.jsonl").write_text(json.dumps(stored) + "\n")
+    capsys.readouterr()
+    (row,) = run(tmp_path, *ours)
+    said = capsys.readouterr().out
+    if words is None:
+        assert row == stored
+        assert "another machine" not in said
+        return
+    assert "1 rows there are of another machine" in said
+    assert words in said
+    assert row["latency_ms_p50"] < 1e6
+    assert [row[name] for name in changes] == [first[name] for name in changes]
+    assert run(tmp_path, *ours) == [row]  # what was measured here counts
+
+
 def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for device, precisions in (("cpu", ["fp32"]), ("cuda", []), ("gpu", [])):
