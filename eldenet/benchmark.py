@@ -27,7 +27,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     """Measure what is not there yet, write each group as it is done, then the tables of all asked for."""
-    from eldenet.benchmark_tables import write_results
+    from eldenet.benchmark_tables import read_accuracies, write_results
     from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
     from eldenet.runlog import RunLog
 
@@ -35,6 +35,7 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     models, finish = (load_models(config), None) if config.study is None else study_models(config)
     check_reference(config, list(models))
     cases = list_cases(config, list(models))
+    read_accuracies(config, models)  # refused before measuring
     log = RunLog(output)
     if str(config.reference) not in models:
         log.say(f"reference {config.reference} is not among the models: no ratio_latency (give reference=)")
