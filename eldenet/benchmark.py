@@ -27,25 +27,35 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     """Measure what is not there yet, write each group as it is done, then the tables of all asked for."""
-    from eldenet.benchmark_tables import write_results
+    from eldenet.benchmark_tables import read_accuracies, write_results
     from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
-    from eldenet.record import environment
     from eldenet.runlog import RunLog
 
     output = Path(config.output).expanduser()
     models, finish = (load_models(config), None) if config.study is None else study_models(config)
     check_reference(config, list(models))
     cases = list_cases(config, list(models))
+    read_accuracies(config, models)  # refused before measuring
     log = RunLog(output)
     if str(config.reference) not in models:
         log.say(f"reference {config.reference} is not among the models: no ratio_latency (give reference=)")
     prints = {name: fingerprint(model) for name, model in models.items()}
+    here, command = machine()
 
-    def alike(row: Mapping[str, Any]) -> bool:
+    def asked(row: Mapping[str, Any]) -> bool:
         return measured_alike(row, config, prints.get(row["model"]))
 
+    def alike(row: Mapping[str, Any]) -> bool:
+        return asked(row) and not other_machine(row, here)
+
     there = {} if config.overwrite else read_rows(output, alike)
-    facts = environment()
+    wanted = {case.key for case in cases}
+    elsewhere = [row for key, row in read_rows(output, asked).items() if key in wanted - set(there)]
+    if elsewhere and not config.overwrite:
+        log.say(
+            f"{len(elsewhere)} rows there are of another machine ({other_machine(elsewhere[0], here)}): "
+            "they are measured anew, as a table is of one"
+        )
     groups = [list(members) for _, members in itertools.groupby(cases, key=lambda case: case.group)]
     for number, group in enumerate(groups, 1):
         title = " ".join(map(str, (*group[0].group[:2], f"batch {group[0].batch}", *group[0].group[3:])))
@@ -70,10 +80,8 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
             row |= {
                 "key": list(case.key),
                 "fingerprint": prints[case.model],
-                "versions": {name: version_of(name) for name in PACKAGES},
-                "processor": facts["hardware"]["processor"],
-                "cores": facts["hardware"]["cores"],
-                "command": facts["command"],
+                **here,
+                "command": command,
                 "date": datetime.now(UTC).isoformat(timespec="seconds"),
                 "reference": str(config.reference),
                 "rounds": config.rounds,
@@ -83,7 +91,6 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
                 log.say(f"  {case.model}, {case.precision}: {row['failed']}")
         # what was measured before stays: the group ran whole, so that the missing rows took turns with it
         append_rows(output, [row for row in rows if tuple(row["key"]) not in there])
-    wanted = {case.key for case in cases}
     rows = [row for key, row in read_rows(output, alike).items() if key in wanted]
     write_results(config, rows, output, log)
     if finish is not None:
@@ -126,6 +133,27 @@ def measured_alike(row: Mapping[str, Any], config: "DictConfig", fingerprint: st
     """Whether a stored row is of the same weights, reference, rounds and seconds as now asked for."""
     asked = (fingerprint, str(config.reference), config.rounds, config.seconds)
     return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
+
+
+def machine() -> tuple[dict[str, Any], str]:
+    """What latencies of one table share: versions, processor, its cores, accelerator; and the command."""
+    from eldenet.record import environment
+
+    facts = environment()
+    shared = {name: facts["hardware"][name] for name in ("processor", "cores", "accelerator")}
+    return {"versions": {name: version_of(name) for name in PACKAGES}, **shared}, facts["command"]
+
+
+def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """What tells the machine of a stored row from this one, in words; "" for the same.
+
+    The accelerator counts for rows that may have run on it.
+    """
+    names = ["processor", "cores"] if row["device"] == "cpu" else ["processor", "cores", "accelerator"]
+    pairs = [(name, row.get(name), here[name]) for name in names]
+    stored = row.get("versions") or {}
+    pairs += [(name, stored.get(name), version) for name, version in here["versions"].items()]
+    return ", ".join(f"{name} {there}, here {ours}" for name, there, ours in pairs if there != ours)
 
 
 def load_models(config: "DictConfig") -> dict[str, "DepthNet"]:

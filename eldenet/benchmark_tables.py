@@ -1,6 +1,7 @@
 """What ``python -m eldenet.benchmark`` writes: tables, their notes, and the picture."""
 
-from collections.abc import Mapping, Sequence
+import statistics
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +75,35 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(notes + failed))
 
 
+def read_accuracies(config: "DictConfig", models: Collection[str]) -> tuple[dict[str, float], str]:
+    """Accuracy of the models whose runs ``accuracies`` holds, mean over their seeds, and what it is.
+
+    Raises:
+        FileNotFoundError: there is no run.
+        ValueError: ``accuracy`` is no metric; the runs do not compare (other frames, another protocol); or
+            runs of one name differ in more than their seed.
+    """
+    from eldenet.comparison import find_runs, group_rows, refuse_mixtures
+    from eldenet.data.roots import one_of
+    from eldenet.metrics import METRICS
+    from eldenet.tables import heading
+
+    if not config.accuracies:
+        return {}, ""
+    name = str(config.accuracy)
+    one_of("accuracy", name, METRICS)
+    runs = [run for run in find_runs(cfg.plain(config.accuracies)) if str(run["model"]) in models]
+    if not runs:
+        return {}, ""
+    try:
+        refuse_mixtures(runs, costs=False)
+        rows = {row.model: row.values("metrics", name) for row in group_rows(runs)}
+    except ValueError as error:
+        raise ValueError(f"accuracies={cfg.plain(config.accuracies)}: {error}") from error
+    title = f"{heading(name, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
+    return {model: statistics.fmean(values) for model, values in rows.items() if values}, title
+
+
 def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) -> bool:
     """Accuracy over latency where accuracies are given, else parameters over latency."""
     import matplotlib
@@ -81,12 +111,11 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from eldenet.comparison import find_runs
     from eldenet.studies.plots import name_points
 
-    runs = find_runs(cfg.plain(config.accuracies)) if config.accuracies else []
-    accuracy = {str(run["model"]): run["metrics"][config.accuracy] for run in runs}
-    shown = [row for row in rows if row["latency_ms_p50"] and (not runs or row["model"] in accuracy)]
+    accuracy, title = read_accuracies(config, {row["model"] for row in rows})
+    given = bool(config.accuracies)
+    shown = [row for row in rows if row["latency_ms_p50"] and (not given or row["model"] in accuracy)]
     if not shown:
         return False
     figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
@@ -99,7 +128,7 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
     points: dict[str, list[tuple[float, float]]] = {}  # of each model
     for label, members in series.items():
         latency = [row["latency_ms_p50"] for row in members]
-        heights = [accuracy[row["model"]] if runs else row["params"] / 1e6 for row in members]
+        heights = [accuracy[row["model"]] if given else row["params"] / 1e6 for row in members]
         axes.scatter(latency, heights, label=label, s=24)
         for row, x, y in zip(members, latency, heights, strict=True):
             points.setdefault(row["model"], []).append((x, y))
@@ -107,8 +136,8 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
     axes.set(
         xscale="log",
         xlabel=f"latency [ms], {shown[0]['processor']}",
-        ylabel=str(config.accuracy) if runs else "parameters [M]",
-        yscale="linear" if runs else "log",
+        ylabel=title if given else "parameters [M]",
+        yscale="linear" if given else "log",
     )
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=7, loc="upper left")

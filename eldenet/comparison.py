@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.metrics import METRICS, EvalProtocol
-from eldenet.record import RUN_FILE, differences, read_run
+from eldenet.record import RUN_FILE, differences, read_record, read_run
 from eldenet.sources import KEYS, sources_of
 from eldenet.tables import COLUMNS, COSTS, heading, number
 
@@ -56,20 +56,34 @@ class Row:
 
 
 def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
-    """All ``run.json`` below the given files and folders.
+    """All ``run.json`` of trainings and evaluations of depth below the given files and folders.
+
+    Other commands leave records of that name, too (a detector's training, navigation): those in folders are
+    passed by.
 
     Raises:
         FileNotFoundError: a source does not exist, or there is no run anywhere.
+        ValueError: a file that was given is the record of another command.
     """
-    files: list[Path] = []
+    files: dict[Path, None] = {}
     for source in map(Path, sources):
         if not source.exists():
             raise FileNotFoundError(f"no such file or folder: {source}")
-        files += [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
-    runs = [read_run(file) for file in dict.fromkeys(file.resolve() for file in files)]
+        below = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
+        files |= {file.resolve(): None for file in below if file == source or not _is_anothers(file)}
+    runs = {file: read_run(file) for file in files}
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
-    return [with_every_rule(run) for run in runs]
+    for file, run in runs.items():
+        if "protocol" not in run:
+            raise ValueError(f"{file} has no protocol: it was not written by eldenet's train or evaluate")
+    return [with_every_rule(run) for run in runs.values()]
+
+
+def _is_anothers(file: Path) -> bool:
+    """Whether a command that scores no depth wrote this record."""
+    record = read_record(file)
+    return "protocol" not in record and ("metrics" in record or "mode" in record)
 
 
 def with_every_rule(run: Mapping[str, Any]) -> dict[str, Any]:

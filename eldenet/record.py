@@ -63,6 +63,21 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]])
     unfinished.replace(path)
 
 
+def read_record(path: Path) -> dict[str, Any]:
+    """A ``run.json``, whichever command wrote it.
+
+    Raises:
+        ValueError: it is no JSON object.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds no JSON object: it was not written by eldenet")
+    return content
+
+
 def read_run(path: str | Path) -> dict[str, Any]:
     """Read a ``run.json`` (or the one in a run folder).
 
@@ -76,11 +91,8 @@ def read_run(path: str | Path) -> dict[str, Any]:
         raise FileNotFoundError(
             f"no {RUN_FILE} at {path}: the run has not finished, or this is not a run folder"
         )
-    try:
-        content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
-    if not isinstance(content, dict) or "metrics" not in content:
+    content = read_record(path)
+    if "metrics" not in content:
         raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
     return content
 

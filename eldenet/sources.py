@@ -70,12 +70,25 @@ def fingerprints(config: Any) -> dict[str, str | None]:
 
 
 def run_differences(
-    config: Mapping[str, Any], record: Mapping[str, Any], *, ignored: frozenset[str] = frozenset()
+    config: Mapping[str, Any],
+    record: Mapping[str, Any],
+    *,
+    ignored: frozenset[str] = frozenset(),
+    elsewhere: frozenset[str] = frozenset(),
+    by_path: bool = True,
 ) -> list[str]:
     """What tells a resolved config from that of a finished run (its ``run.json``), in words.
 
     Weights and teachers count by their content: the same ones may lie elsewhere by now, or not be here any
-    more. A run that did not record theirs counts by their path. ``ignored`` are further keys.
+    more.
+
+    Args:
+        config: resolved, plain.
+        record: contents of ``run.json``.
+        ignored: keys that do not count.
+        elsewhere: settings, dotted, whose weights or teacher ``config`` cannot name: nothing is said of them.
+        by_path: whether a source of which the run recorded no content counts by its path; False where
+            ``config`` does not know the run folders.
     """
     theirs = record.get("config", {})
     known = record.get("sources", {})
@@ -83,10 +96,13 @@ def run_differences(
     ours, there = sources_of(config), sources_of(theirs)
     for name in dict.fromkeys([*ours, *there]):
         mine, other, wanted = ours.get(name), there.get(name), known.get(name)
-        if mine == other and wanted is None:
+        if name in elsewhere:
             continue
-        here = fingerprint(mine) if mine is not None else None
-        same = mine is not None and other is not None and wanted is not None and here in (None, wanted)
-        if not same:
+        if mine is None or other is None:
+            found.append(f"{name}={mine} (there {other})")
+            continue
+        here = fingerprint(mine)
+        different = by_path and mine != other if wanted is None else here not in (None, wanted)
+        if different:
             found.append(f"{name}={mine} (content {here}; there {other}, content {wanted})")
     return found

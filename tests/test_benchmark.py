@@ -10,7 +10,7 @@ import torch
 
 import eldenet
 from eldenet.benchmark import DEFAULT_REFERENCE, benchmark, list_cases
-from eldenet.benchmark_tables import draw
+from eldenet.benchmark_tables import draw, read_accuracies
 from eldenet.benchmarking import COLUMNS, Case, _peak_precisions, read_rows
 from eldenet.config import compose
 from eldenet.folding import fold
@@ -139,6 +139,36 @@ def test_rows_measured_otherwise_do_not_count(tmp_path: Path, capsys: pytest.Cap
     assert "is not among the models: no ratio_latency" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"processor": "a board's"}, "(processor a board's, here "),
+        ({"cores": 512}, "(cores 512, here "),
+        ({"versions": {"torch": "1.0"}}, "torch 1.0, here "),
+        ({"accelerator": "another card"}, None),  # the rows are a processor's
+    ],
+)
+def test_rows_of_another_machine_are_measured_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture, changes: dict[str, Any], words: str | None
+) -> None:
+    ours = ("runtimes=[torch]", "precisions=[fp32]")
+    (first,) = run(tmp_path, *ours)
+    stored = {**first, **changes, "latency_ms_p50": 1e6}
+    (tmp_path / "rows.jsonl").write_text(json.dumps(stored) + "\n")
+    capsys.readouterr()
+    (row,) = run(tmp_path, *ours)
+    said = capsys.readouterr().out
+    if words is None:
+        assert row == stored
+        assert "another machine" not in said
+        return
+    assert "1 rows there are of another machine" in said
+    assert words in said
+    assert row["latency_ms_p50"] < 1e6
+    assert [row[name] for name in changes] == [first[name] for name in changes]
+    assert run(tmp_path, *ours) == [row]  # what was measured here counts
+
+
 def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for device, precisions in (("cpu", ["fp32"]), ("cuda", []), ("gpu", [])):
@@ -146,14 +176,41 @@ def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> No
         assert _peak_precisions({case: None}) == precisions
 
 
+def stored(folder: Path, name: str, **changes: Any) -> Path:
+    """What is read of a run's record."""
+    run = {"model": "eldenet_s", "seed": 0, "data": "rooms", "split": "test", "split_hash": "abc"}
+    run |= {"metrics": {"delta1": 0.8}, "protocol": {"name": "rooms"}}
+    (folder / name).mkdir(parents=True)
+    (folder / name / "run.json").write_text(json.dumps(run | changes))
+    return folder / name
+
+
 def test_pictures(output: Path, tmp_path: Path) -> None:
     assert (output / "results.png").stat().st_size > 5000
-    run_file = tmp_path / "run.json"
-    run_file.write_text(json.dumps({"model": "eldenet_s", "metrics": {"delta1": 0.8}, "protocol": {}}))
-    config = compose("benchmark", [f"accuracies=['{run_file}']"])
+    config = compose("benchmark", [f"accuracies=['{stored(tmp_path, 'a')}']"])
     assert draw(config, rows_of(output), tmp_path / "accuracy.png")
-    run_file.write_text(json.dumps({"model": "another", "metrics": {"delta1": 0.8}, "protocol": {}}))
+    config = compose("benchmark", [f"accuracies=['{stored(tmp_path, 'b', model='another')}']"])
     assert not draw(config, rows_of(output), tmp_path / "none.png")
+
+
+def test_accuracies_are_of_one_protocol_and_all_seeds(tmp_path: Path) -> None:
+    stored(tmp_path, "a")
+    stored(tmp_path, "b", seed=1, metrics={"delta1": 0.6})
+    stored(tmp_path, "c", model="mine", metrics={"delta1": 0.9})
+    stored(tmp_path, "d", model="not_measured", split_hash="other")
+    names = ["eldenet_s", "mine"]
+    config = compose("benchmark", [f"accuracies=['{tmp_path}']"])
+    found, title = read_accuracies(config, names)
+    assert found == pytest.approx({"eldenet_s": 0.7, "mine": 0.9})
+    assert title == "δ1 ↑, rooms, rooms/test"
+    with pytest.raises(ValueError, match="accuracy='delta'"):
+        read_accuracies(compose("benchmark", [f"accuracies=['{tmp_path}']", "accuracy=delta"]), names)
+    with pytest.raises(ValueError, match=r"accuracies=.*split_hash differs"):
+        read_accuracies(config, [*names, "not_measured"])
+    stored(tmp_path, "e", seed=2, protocol={"name": "rooms", "scale": "median"})
+    with pytest.raises(ValueError, match=r"accuracies=.*protocol differs"):
+        run(tmp_path / "out", f"accuracies=['{tmp_path}']")
+    assert not (tmp_path / "out" / "rows.jsonl").exists()  # before anything was measured
 
 
 def test_a_group_is_everything_that_compares() -> None:

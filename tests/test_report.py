@@ -174,6 +174,17 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
         find_runs([str(tmp_path)])
 
 
+@pytest.mark.parametrize("record", [{"metrics": {"5": 1}, "policy": "dwa"}, {"mode": "watch"}])
+def test_records_of_other_commands_are_no_rows(tmp_path, record):
+    """``runs=[runs]`` holds films and detectors, too."""
+    for name, content in (("depth", RUN), ("other", record)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(content))
+    assert [run["model"] for run in find_runs([str(tmp_path)])] == ["eldenet"]
+    with pytest.raises(ValueError, match="not written by eldenet's train or evaluate"):
+        find_runs([str(tmp_path / "other" / "run.json")])
+
+
 def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     old = run_with(seed=1)
     for rule in ("crop_fractions", "frame_box", "frame_anchor", "frame_size", "paste"):

@@ -108,6 +108,29 @@ def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
         read_study(other)
 
 
+def test_a_study_from_inside_its_folder(tiny, tmp_path, monkeypatch):
+    """``study=.`` is that folder by its name: the same runs, the same rows of its neighbours."""
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
+    monkeypatch.chdir(other)
+    study = read_study(".")
+    (row,) = study.rows
+    assert (study.name, row.owner.name) == ("other", "tiny")
+    assert study.stored(row, 0).resolve() == tiny / "stored" / "eldenet" / "seed0"
+    write_study_report(".")
+    assert cells(other)["scratch/eldenet"]["seeds"] == "not run"
+    text = (other / "results.md").read_text()
+    assert text.startswith("# other\n")
+    assert "study=other`" in text
+    (tmp_path / "other/deeper").mkdir()
+    monkeypatch.chdir(tmp_path / "other/deeper")
+    assert read_study("..").name == "other"
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
+    with pytest.raises(ValueError, match="this very study"):
+        read_study("..")
+
+
 def test_latencies_of_a_study(tiny, tmp_path):
     """Each different network is measured once; the table and the plot show it for every row with it."""
     plan = re.sub(r"  elsewhere:.*\n", "", (tiny / "sweep.yaml").read_text())

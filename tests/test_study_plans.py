@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from tiny_study import EXPECTED, cells
+from tiny_study import EXPECTED, cells, short
 
 from eldenet import config as cfg
 from eldenet.studies.blocks import read_expected
@@ -51,6 +51,40 @@ def test_plans_are_checked(tiny, tmp_path):
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
     with pytest.raises(ValueError, match="without its protocol and source"):
         read_expected(tiny)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        (
+            "[model=eldenet_s], seeds",
+            "[model=eldenet_s, optimizer.lr=2.0e-3], seeds",
+            "search of learning_rates",
+        ),
+        (
+            "[model=eldenet], learning",
+            "[model=eldenet, ++optimizer.lr=2.0e-3], learning",
+            "learning_rate: 0.001",
+        ),
+        ("  - trainer.epochs=1", "  - optimizer.lr=2.0e-3", "row eldenet_s"),
+        ("  - data.subset_seed=0", "  - optimizer.lr=2.0e-3", "search of learning_rates"),
+    ],
+)
+def test_a_learning_rate_that_would_not_count_is_refused(tiny, old, new, word):
+    whole = (tiny / "sweep.yaml").read_text()
+    assert old in whole
+    (tiny / "sweep.yaml").write_text(whole.replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"{word}.*optimizer\.lr=2.*write learning_rate: 2\.0e-3"):
+        read_study(tiny)
+
+
+def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
+    plan = short((tiny / "sweep.yaml").read_text())
+    (tiny / "sweep.yaml").write_text(
+        plan.replace("[model=eldenet_s],", "[model=eldenet_s, optimizer.lr=2.0e-3],")
+    )
+    row = read_study(tiny).chosen("eldenet_s")[0]
+    assert "optimizer.lr=2.0e-3" in row.overrides
 
 
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)

@@ -282,19 +282,57 @@ def test_a_rule_that_a_run_does_not_know_was_not_applied(study: Study) -> None:
     assert table(study)["large"]["seeds"] == "1 of 3"
 
 
+def choose(study: Study, name: str, delta1: dict[str, float | None]) -> None:
+    """A stored choice of a learning rate as the study's trials leave it."""
+    (row,) = study.chosen(name)
+    overrides = [*study.overrides, *row.overrides, *study.rate_overrides]
+    config = compose_run(overrides, Path("f"), Path("r"), name=name, seed=0)
+    best = max(delta1, key=lambda rate: delta1[rate] or 0)
+    content = {"learning_rate": float(best), "delta1": delta1, "sources": {}}
+    content["rule"] = {"candidates": list(study.learning_rates), "config": cfg.plain(config)}
+    (study.folder / "stored" / name / "learning_rate.json").write_text(json.dumps(content))
+
+
+SEARCHED = PLAN.replace("learning_rate: 1.0e-3", "learning_rates: [3.0e-4, 1.0e-3]")
+
+
 def test_runs_at_another_rate_than_the_chosen_one_are_outdated(study: Study, tmp_path: Path) -> None:
     store(study, "small", 0, figures(0, 0))
-    (tmp_path / "sweep.yaml").write_text(PLAN.replace("learning_rate: 1.0e-3", "learning_rates: [1.0e-3]"))
+    (tmp_path / "sweep.yaml").write_text(SEARCHED)
     study = read_study(tmp_path)
     assert table(study)["small"]["seeds"] == "1 of 3"  # nothing has chosen yet
-    choice = tmp_path / "stored" / "small" / "learning_rate.json"
-    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5, "0.003": null}}')
+    choose(study, "small", {"0.0003": 0.4, "0.001": 0.5, "0.003": None})
     assert table(study)["small"]["seeds"] == "1 of 3"
     assert not any("edge" in note for note in notes(study))
-    choice.write_text('{"learning_rate": 0.001, "delta1": {"0.0003": 0.4, "0.001": 0.5}}')
+    choose(study, "small", {"0.0003": 0.4, "0.001": 0.5})
     assert any(note.endswith("beyond: small (0.001; tried: 0.0003 to 0.001)") for note in notes(study))
-    choice.write_text('{"learning_rate": 0.0003, "delta1": {"0.0003": 0.5, "0.001": 0.4}}')
+    choose(study, "small", {"0.0003": 0.5, "0.001": 0.4})
     assert table(study)["small"]["seeds"] == "outdated: optimizer.lr=0.0003 (there 0.001)"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[3.0e-4, 1.0e-3]", "[1.0e-3, 3.0e-3]", "small (candidates=[0.001, 0.003] (there [0.0003, 0.001]))"),
+        ("rows:", "rate_overrides: [trainer.epochs=2]\nrows:", "small (trainer.epochs=2 (there 3))"),
+        ("rows:", "rate_overrides: [trainer.epochs=3]\nrows:", None),
+    ],
+)
+def test_a_search_of_an_older_plan_is_named(
+    study: Study, tmp_path: Path, old: str, new: str, words: str | None
+) -> None:
+    """The runs are what they say they are, but their rate was not found as those of the other rows."""
+    for seed, name in enumerate(("small", "large")):
+        store(study, name, 0, figures(0, seed))
+    (tmp_path / "sweep.yaml").write_text(SEARCHED)
+    choose(read_study(tmp_path), "small", {"0.0003": 0.4, "0.001": 0.5, "0.003": 0.3})
+    assert not any("trials" in note for note in notes(read_study(tmp_path)))
+    (tmp_path / "sweep.yaml").write_text(SEARCHED.replace(old, new))
+    study = read_study(tmp_path)
+    choose(study, "large", {"0.0003": 0.4, "0.001": 0.5, "0.003": 0.3})
+    found = [note for note in notes(study) if "trials" in note]
+    assert [note.partition("rerun=true: ")[2] for note in found] == ([words] if words else [])
+    assert table(study)["small"]["seeds"] == "1 of 3"
 
 
 def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from eldenet.comparison import Row, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.studies import statistics
-from eldenet.studies.composing import stored_choice
+from eldenet.studies.composing import outdated_search, stored_choice
 from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, StudyRow
 from eldenet.studies.statistics import Difference
@@ -176,7 +176,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         )
     if study.epoch == "last" and every:
         notes.append("figures of the last epoch: the kept one was chosen on these very frames")
-    notes += _edges(study, members)
+    notes += _searches(study, members)
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
@@ -216,17 +216,24 @@ def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> li
     return [*notes, latencies.line] if latencies else notes
 
 
-def _edges(study: Study, members: Sequence[Member]) -> list[str]:
-    """A note on rows whose search for a learning rate ended at its edge, if there are any."""
-    found = []
+def _searches(study: Study, members: Sequence[Member]) -> list[str]:
+    """Notes on rows whose search for a learning rate ended at its edge, or was another one than today's."""
+    edges, others = [], []
     for member in members:
         choice = stored_choice(study, member.row) if member.runs else None
-        if choice is not None and choice.at_the_edge:
+        if choice is None:
+            continue
+        if choice.at_the_edge:
             tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
-            found.append(f"{member.row.name} ({choice.rate:g}; {tried})")
-    if not found:
-        return []
-    return [f"learning rate at the edge of the search, a better one may lie beyond: {', '.join(found)}"]
+            edges.append(f"{member.row.name} ({choice.rate:g}; {tried})")
+        different = outdated_search(study, member.row, choice)
+        if different:
+            others.append(f"{member.row.name} ({'; '.join(different[:2])})")
+    found = {
+        "learning rate at the edge of the search, a better one may lie beyond": edges,
+        "learning rate chosen by other trials than sweep.yaml plans, made anew by rerun=true": others,
+    }
+    return [f"{words}: {', '.join(rows)}" for words, rows in found.items() if rows]
 
 
 def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.record import RUN_FILE, differences
-from eldenet.sources import KEYS, fingerprint, sources_of
-from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
+from eldenet.record import RUN_FILE
+from eldenet.sources import run_differences
+from eldenet.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -43,10 +43,17 @@ def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Choice:
-    """The learning rate that the trials of a row chose, and all that were tried."""
+    """The learning rate that the trials of a row chose, and all that were tried.
+
+    Attributes:
+        rate: the best one.
+        tried: in ascending order.
+        record: all that is stored of the trials.
+    """
 
     rate: float
     tried: tuple[float, ...]
+    record: Mapping[str, Any]
 
     @property
     def at_the_edge(self) -> bool:
@@ -60,8 +67,29 @@ def stored_choice(study: Study, row: StudyRow) -> Choice | None:
     file = plan.folder / STORED / row.name / RATE_FILE
     if row.learning_rate is not None or not plan.learning_rates or not file.is_file():
         return None
-    content = json.loads(file.read_text())
-    return Choice(float(content["learning_rate"]), tuple(sorted(float(rate) for rate in content["delta1"])))
+    record = json.loads(file.read_text())
+    tried = tuple(sorted(float(rate) for rate in record["delta1"]))
+    return Choice(float(record["learning_rate"]), tried, record)
+
+
+def search_differences(
+    candidates: Sequence[float], trial: Mapping[str, Any], record: Mapping[str, Any], **options: Any
+) -> list[str]:
+    """What tells a search for a learning rate from the one that led to a stored choice, in words.
+
+    Args:
+        candidates: learning rates that are tried.
+        trial: resolved config of a trial, plain.
+        record: what is stored of the choice (``learning_rate.json``).
+        options: of :func:`eldenet.sources.run_differences`.
+    """
+    theirs = record["rule"]
+    found = []
+    if list(candidates) != theirs["candidates"]:
+        found.append(f"candidates={list(candidates)} (there {theirs['candidates']})")
+    ignored = options.pop("ignored", frozenset()) | {"lr"}
+    chosen = {"config": theirs["config"], "sources": record["sources"]}
+    return found + run_differences(trial, chosen, ignored=ignored, **options)
 
 
 def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
@@ -71,24 +99,30 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     others lie, and what is given, knows the command that runs the row. The learning rate is the row's, or the
     one that is stored as its choice.
     """
-    plan, nowhere = row.owner or study, Path("unused")
-    overrides = [*plan.overrides, *row.overrides]
     choice = stored_choice(study, row)
     rate = choice.rate if choice is not None else row.learning_rate
-    if rate is not None:
-        overrides.append(f"optimizer.lr={rate}")
-    config = compose_run(overrides, nowhere, nowhere, name=row.name, seed=int(run["seed"]))
-    settings = set((row.given or {}).values())
-    given = frozenset(setting.rpartition(".")[2] for setting in settings)
-    ignored = KEYS | given | (frozenset() if rate is not None else {"lr"})
-    found = differences(cfg.plain(config), run["config"], ignored=ignored)
-    ours, theirs = sources_of(cfg.plain(config)), sources_of(run["config"])
-    for name in sorted({*ours, *theirs} - settings):
-        mine, other = ours.get(name), theirs.get(name)
-        content = None if mine is None else fingerprint(mine)
-        recorded = run.get("sources", {}).get(name)
-        if None in (mine, other):
-            found.append(f"{name}={mine} (there {other})")
-        elif None not in (content, recorded) and content != recorded:
-            found.append(f"{name}={mine} (content {content}, there {recorded})")
-    return found
+    options = _without_data(row)
+    if rate is None:
+        options["ignored"] |= {"lr"}
+    config = _composed(study, row, [] if rate is None else [f"{RATE}={rate}"], seed=int(run["seed"]))
+    return run_differences(config, run, **options)
+
+
+def outdated_search(study: Study, row: StudyRow, choice: Choice) -> list[str]:
+    """What the plan says today of the trials behind a stored choice, as :func:`outdated` of its runs."""
+    plan = row.owner or study
+    trial = _composed(study, row, [*plan.rate_overrides, *row.rate_overrides], seed=0)
+    return search_differences(plan.learning_rates, trial, choice.record, **_without_data(row))
+
+
+def _composed(study: Study, row: StudyRow, further: Sequence[str], *, seed: int) -> Any:
+    """The plan's config of a run, plain, where nobody knows the run folders."""
+    shared, nowhere = [*(row.owner or study).overrides, *row.overrides, *further], Path("unused")
+    return cfg.plain(compose_run(shared, nowhere, nowhere, name=row.name, seed=seed))
+
+
+def _without_data(row: StudyRow) -> dict[str, Any]:
+    """Options of a comparison that knows neither the run folders nor what is given on a command line."""
+    given = frozenset((row.given or {}).values())
+    ignored = frozenset(setting.rpartition(".")[2] for setting in given)
+    return {"ignored": ignored, "elsewhere": given, "by_path": False}

@@ -1,5 +1,6 @@
 """What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
 STORED = "stored"  # results of finished runs, small enough for git
 RATE_FILE = "learning_rate.json"  # beside them: what the trials of a row chose
+RATE = "optimizer.lr"  # what `learning_rate` and `learning_rates` give
 KEPT = ("per_image.csv", "run.json")  # of each; the last one says that it is stored
 # of what a row needs, by its setting: "weights not given"; else data
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
@@ -89,8 +91,8 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The folder's."""
-        return self.folder.name
+        """The folder's, also where that is given as ``.``."""
+        return _name(self.folder)
 
     def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
         """The rows of these names, all without; in the plan's order.
@@ -115,7 +117,7 @@ def read_study(folder: str | Path) -> Study:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it has an entry that it should not have, or lacks rows.
+        ValueError: it has an entry that it should not have, lacks rows, or gives a learning rate twice.
     """
     folder = Path(folder)
     path = folder / PLAN
@@ -143,6 +145,8 @@ def read_study(folder: str | Path) -> Study:
         rows.append(StudyRow(str(name), **values))
     _check_kinds(path, {key: _frozen(value) for key, value in content.items()})
     study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
+    for row in study.rows:
+        _refuse_second_rate(path, study, row)
     unknown = [name for name in study.reference if name not in described]
     if unknown:
         raise ValueError(f"{path}: reference {unknown} are no rows of it")
@@ -156,14 +160,37 @@ def read_study(folder: str | Path) -> Study:
     return study
 
 
+def _name(folder: Path) -> str:
+    return Path(os.path.abspath(folder)).name
+
+
 def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
-    if entry["from"] == path.parent.name:
+    if entry["from"] == _name(path.parent):
         raise ValueError(f"{path}: row {name} is taken from this very study: name another one")
-    owner = read_study(path.parent.parent / entry["from"])
+    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]))
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
+
+
+def _refuse_second_rate(path: Path, study: Study, row: StudyRow) -> None:
+    """Refuse a learning rate among overrides where the row's own, or the search, would take its place."""
+    searched = row.learning_rate is None and bool(study.learning_rates)
+    if row.owner is not None or not (searched or row.learning_rate is not None):
+        return
+    texts = [*study.overrides, *row.overrides]
+    if searched:
+        texts += [*study.rate_overrides, *row.rate_overrides]
+    written = next((text for text in texts if text.lstrip("+").startswith(f"{RATE}=")), None)
+    if written is not None:
+        value = written.partition("=")[2]
+        instead = "the search of learning_rates" if searched else f"learning_rate: {row.learning_rate:g}"
+        raise ValueError(
+            f"{path}: row {row.name}: {instead} would take the place of the override {written}: write "
+            f"learning_rate: {value} as an entry of the row instead, which is then not searched, or take the "
+            "override out"
+        )
 
 
 def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], where: str = "") -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 from eldenet import config as cfg
 from eldenet.record import read_run, write_json
-from eldenet.sources import fingerprints, run_differences
-from eldenet.studies.composing import compose_run, refuse_missing
-from eldenet.studies.plan import RATE_FILE, STORED, Study, StudyRow
+from eldenet.sources import fingerprints
+from eldenet.studies.composing import compose_run, refuse_missing, search_differences
+from eldenet.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
 from eldenet.train import train
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
@@ -47,7 +47,7 @@ def learning_rate(
     while waiting:
         rate = waiting.pop(0)
         say(f"{study.name}/{row.name}: trial of learning rate {rate:g}")
-        found = _try(row, [*trial, f"optimizer.lr={rate}"], rate, runs)
+        found = _try(row, [*trial, f"{RATE}={rate}"], rate, runs)
         scores[rate] = None if found is None else found["metrics"]["delta1"]
         record = found or record
         if not waiting and len(scores) < len(study.learning_rates) + FURTHER:
@@ -93,10 +93,7 @@ def kept_rate(file: Path, rule: dict[str, Any], *, rerun: bool) -> float | None:
         ValueError: other candidates, settings or weights led to it, and nobody asked to make it anew.
     """
     kept = json.loads(file.read_text())
-    theirs = kept["rule"]
-    different = [] if rule["candidates"] == theirs["candidates"] else [f"candidates={rule['candidates']}"]
-    chosen = {"config": theirs["config"], "sources": kept["sources"]}
-    different += run_differences(rule["config"], chosen, ignored=frozenset(("lr",)))
+    different = search_differences(rule["candidates"], rule["config"], kept)
     if different and not rerun:
         raise ValueError(
             f"{file} was chosen by another rule ({'; '.join(different[:5])}). Take these back, or choose and "

@@ -45,7 +45,8 @@ def write_study_report(folder: str | Path) -> list[Block]:
             references={block.name: block.reference for block in blocks},
         )
         markdown += ["![differences to the reference row, with 95 % intervals](differences.png)", ""]
-    markdown += [f"Made by `python -m eldenet.report study={study.folder.as_posix()}`.", ""]
+    place = study.folder.as_posix() if study.folder.name not in ("", "..") else study.name
+    markdown += [f"Made by `python -m eldenet.report study={place}`.", ""]
     (study.folder / "results.md").write_text("\n".join(markdown))
     (study.folder / "results.tex").write_text("\n".join(latex))
     _write_csv(study, blocks)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.studies.composing import compose_run, refuse_missing
-from eldenet.studies.plan import KEPT, Study, StudyRow
+from eldenet.studies.plan import KEPT, RATE, Study, StudyRow
 from eldenet.studies.rates import learning_rate
 from eldenet.train import finished_run, train
 
@@ -76,7 +76,7 @@ def run_row(
             return [_failed(folder / row.name, f"{row.name}/learning rate", error, say)]
         (folder / row.name / "failed.txt").unlink(missing_ok=True)
         if rate is not None:
-            shared.append(f"optimizer.lr={rate}")
+            shared.append(f"{RATE}={rate}")
         return [_run_seed(study, row, seed, shared, folder, rerun, say) for seed in chosen]
 
 

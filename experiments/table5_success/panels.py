@@ -1,37 +1,72 @@
 """A figure of panels, one per physics and sensor: what the figures of tables 5 and 6 share."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+
+Panel = tuple[str, str]  # physics, sensor
+Points = Sequence[Sequence[float]]  # obstacles, value and, where it has one, the ends of its interval
+COLUMNS = 3  # of panels
+SPREAD = 0.6  # of a number of obstacles' column on the axis: the methods lie side by side in it
+MARKERS = "osDv^P<X>*"
 
 
 def draw_panels(
-    panels: Sequence[tuple[str, str]], draw: Callable[[Any, tuple[str, str]], None], ylabel: str, path: Path
+    curves: Mapping[Panel, Mapping[str, Points]],
+    path: Path,
+    *,
+    ylabel: str,
+    ylim: tuple[float, float] | None = None,
 ) -> None:
-    """Draw every panel against density and write the figure.
+    """Draw every panel, a column for each density, and write the figure.
+
+    A method has one colour and marker in all panels, and lies beside the others: equal values hide nothing.
 
     Args:
-        panels: (physics, sensor).
-        draw: ``(axis, panel)`` -> its labelled lines.
-        ylabel: of the first panel.
+        curves: panel -> method -> its points.
         path: of the picture.
+        ylabel: of each row's first panel.
+        ylim: of all panels.
     """
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    methods = list(dict.fromkeys(method for panel in curves.values() for method in panel))
+    courses = sorted({point[0] for panel in curves.values() for points in panel.values() for point in points})
+    columns = min(len(curves), COLUMNS)
+    rows = -(-len(curves) // columns)
+    width = 7.0 if columns == 1 else 4.6
+    figure = Figure(figsize=(width * columns, (4.2 if rows == 1 else 3.2) * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    lines = {}
+    for axis, (panel, drawn) in zip(axes.flat, curves.items(), strict=False):
+        for method, points in drawn.items():
+            place = methods.index(method)
+            beside = shift(place, len(methods))
+            ends = [[abs(end - point[1]) for end in point[2:4]] for point in points]
+            lines[method] = axis.errorbar(
+                [courses.index(point[0]) + beside for point in points],
+                [point[1] for point in points],
+                yerr=list(zip(*ends, strict=True)) or None,
+                marker=MARKERS[place % len(MARKERS)],
+                color=f"C{place % 10}",
+                markersize=4.5,
+                linewidth=1.2,
+                capsize=2,
+            )
+        axis.set(title=f"{panel[1]}, {panel[0]}", xlabel="obstacles on 400 m²", ylim=ylim)
+        axis.set_xticks(range(len(courses)), [f"{course:g}" for course in courses])
+        axis.set_xlim(-0.5, len(courses) - 0.5)
+        for edge in range(1, len(courses)):
+            axis.axvline(edge - 0.5, color="0.85", linewidth=0.8)
+        axis.grid(axis="y", alpha=0.3)
+    for axis in axes.flat[len(curves) :]:
+        axis.set_visible(False)
+    for row in axes:
+        row[0].set_ylabel(ylabel)
+    shown = [method for method in methods if method in lines]
+    figure.legend([lines[method] for method in shown], shown, fontsize=8, loc="outside right center")
+    figure.savefig(path, dpi=130)
 
-    figure, axes = plt.subplots(1, len(panels), figsize=(4.6 * len(panels), 3.6), sharey=True, squeeze=False)
-    for axis, panel in zip(axes[0], panels, strict=True):
-        draw(axis, panel)
-        axis.set(title=f"{panel[1]}, {panel[0]}", xlabel="obstacles on 400 m²")
-        axis.grid(alpha=0.3)
-    axes[0][0].set_ylabel(ylabel)
-    lines: dict[str, Any] = {}  # a method may be in one panel alone
-    for axis in axes[0]:
-        handles, labels = axis.get_legend_handles_labels()
-        lines |= dict(zip(labels, handles, strict=True))
-    figure.tight_layout()
-    figure.legend(lines.values(), lines, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=130, bbox_inches="tight")
-    plt.close(figure)
+
+def shift(place: int, methods: int) -> float:
+    """How far a method's points lie beside the middle of their column."""
+    return (place - (methods - 1) / 2) * min(0.12, SPREAD / methods)

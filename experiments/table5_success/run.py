@@ -9,7 +9,9 @@ Trains what is not trained yet, crosses the frozen test arenas, keeps every row,
 
 from argparse import Namespace
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from command import all_rows, arguments, refuse_to_drop, results_name, without_nan
@@ -81,7 +83,7 @@ def write_results(tables: Tables, given: Namespace) -> None:
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "training", "course", *summarise(next(iter(tables.values()))[0])]
     write_rows(HERE / f"{name}.csv", names, cells)
-    plot(tables, HERE / f"{name}.png")
+    plot(cells, HERE / f"{name}.png")
 
 
 def cell(seeds: list[list[Crossing]]) -> str:
@@ -96,28 +98,17 @@ def cell(seeds: list[list[Crossing]]) -> str:
     )
 
 
-def plot(tables: Tables, path: Path) -> None:
-    """Success against density, one panel per physics and sensor."""
-    shares = ("success", "success_low", "success_high")
-
-    def draw(axis, panel) -> None:
-        for method in dict.fromkeys(key[2] for key in tables if key[:2] == panel):
-            points = [
-                course
-                for course in courses_of(tables)
-                if course.isdigit() and tables.get((*panel, method, course))
-            ]
-            parts = [
-                [summarise(crossings) for crossings in tables[(*panel, method, course)]] for course in points
-            ]
-            mean = np.array([[np.mean([p[name] for p in part]) for part in parts] for name in shares])
-            at, reach = [int(course) for course in points], np.abs(mean[1:] - mean[0])
-            axis.errorbar(at, mean[0], yerr=reach, marker="o", capsize=3, label=method)
-        axis.set_ylim(0, 102)
-
-    panels = list(dict.fromkeys(key[:2] for key in tables if key[3].isdigit()))
-    if panels:  # walkers have one column alone, no curve
-        draw_panels(panels, draw, "success [%]", path)
+def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
+    """Success against density, one panel per physics and sensor, of the rows of a results CSV."""
+    shares: dict = defaultdict(list)
+    for physics, sensor, method, _, course, _, *values in cells:
+        if str(course).isdigit():
+            shares[(physics, sensor), method, int(course)].append([float(value) for value in values[:3]])
+    curves: dict = defaultdict(lambda: defaultdict(list))
+    for (panel, method, course), trainings in shares.items():
+        curves[panel][method].append((course, *np.mean(trainings, axis=0)))
+    if curves:  # walkers have one column alone, no curve
+        draw_panels(curves, path, ylabel="success [%]", ylim=(0, 102))
 
 
 if __name__ == "__main__":

@@ -3,12 +3,12 @@
 python experiments/table5_success/trajectories.py                           one "val" arena of 40 and one of 80
 python experiments/table5_success/trajectories.py --worlds 80:3,80:7 --policy paper_literal=runs/table5/paper_literal-0/policy.safetensors
 
-A row per arena, a column per method; a dot is the start, a panel says how its
+A panel per method, below a line that names the arena; a dot is the start, a panel says how its
 crossing ended. Wheels physics, true ranges.
 """  # noqa: E501 - a command
 
 from argparse import ArgumentParser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +25,10 @@ from eldenet.pictures import write_picture
 from eldenet.simulation.arenas import Arena, generate_arena
 
 HERE = Path(__file__).parent
-SIDE, TITLE = 420, 24  # of a panel and its title [px]
-GAP = 6
+SIDE, TITLE = 320, 42  # of a panel and its two lines of text [px]
+GAP = 8
+COLUMNS = 4  # panels beside each other: a page shows that many at a size that can be read
+FONT = cv2.FONT_HERSHEY_SIMPLEX
 PACKAGED = "dqn_ensemble"
 
 
@@ -45,8 +47,8 @@ def main() -> None:
     for density, index in (map(int, world.split(":")) for world in given.worlds.split(",")):
         arena = generate_arena(given.split, density, index)
         panels = [panel(arena, name, make(1)) for name, make in methods.items()]
-        rows.append(np.concatenate([part for each in panels for part in (each, gap(each, 1))], axis=1))
-    write_picture(given.out, np.concatenate([part for row in rows for part in (row, gap(row, 0))], axis=0))
+        rows += [heading(f"{density} obstacles on 400 m2", panels), *lines_of(panels)]
+    write_picture(given.out, np.concatenate(rows, axis=0))
 
 
 def _load(name: str, path: str | None, robots: int) -> Policy:
@@ -67,21 +69,32 @@ def panel(arena: Arena, name: str, policy: Policy) -> np.ndarray:
         event = Event(int(events[0]))
     crossings.sense()
     scene.trail.append(tuple(crossings.poses[0]))
-    title = np.full((TITLE, SIDE, 3), 255, np.uint8)
-    text = f"{name}: {OUTCOMES[event]}, {crossings.seconds[0]:.1f} s, {crossings.travelled[0]:.1f} m"
-    colour = (0, 0, 0) if event is Event.GOAL else (190, 20, 20)
-    begun = scene.pixel(*scene.trail[0][:2])
     top = scene.top_view(crossings, 0)
-    cv2.circle(top, begun, 5, (30, 100, 220), -1, cv2.LINE_AA)
-    cv2.putText(title, text, (4, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.46, colour, 1, cv2.LINE_AA)
+    cv2.circle(top, scene.pixel(*scene.trail[0][:2]), 5, (30, 100, 220), -1, cv2.LINE_AA)
+    title = np.full((TITLE, SIDE, 3), 255, np.uint8)
+    colour = (0, 0, 0) if event is Event.GOAL else (190, 20, 20)
+    end = f"{OUTCOMES[event]}, {crossings.seconds[0]:.1f} s, {crossings.travelled[0]:.1f} m"
+    for text, line in ((name, 16), (end, 35)):
+        cv2.putText(title, text, (4, line), FONT, 0.52, colour, 1, cv2.LINE_AA)
     return np.concatenate([title, top], axis=0)
 
 
-def gap(picture: np.ndarray, axis: int) -> np.ndarray:
-    """A white strip beside or below a picture."""
-    shape = list(picture.shape)
-    shape[axis] = GAP
-    return np.full(shape, 255, np.uint8)
+def lines_of(panels: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Panels of one size beside each other, ``COLUMNS`` in a line, white where the last line has fewer."""
+    columns = min(len(panels), COLUMNS)
+    blank = np.full_like(panels[0], 255)
+    padded = [*panels, *[blank] * (-len(panels) % columns)]
+    edges = ((0, GAP), (0, GAP), (0, 0))
+    framed = [np.pad(each, edges, constant_values=255) for each in padded]
+    return [np.concatenate(framed[at : at + columns], axis=1) for at in range(0, len(framed), columns)]
+
+
+def heading(text: str, panels: Sequence[np.ndarray]) -> np.ndarray:
+    """A line of text as wide as the panels below it."""
+    width = min(len(panels), COLUMNS) * (panels[0].shape[1] + GAP)
+    line = np.full((32, width, 3), 255, np.uint8)
+    cv2.putText(line, text, (4, 22), FONT, 0.7, (0, 0, 0), 2, cv2.LINE_AA)
+    return line
 
 
 if __name__ == "__main__":

@@ -11,8 +11,9 @@ import math
 import sys
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
@@ -130,17 +131,13 @@ def ratio_to_reference(
     return ratio(np.arange(len(reference))), low, high, int(both.sum(axis=1).min())
 
 
-def plot(cells: list[list], path: Path) -> None:
-    """Time against density, one panel per physics and sensor."""
-
-    def draw(axis, panel) -> None:
-        mine = [row for row in cells if (row[0], row[1]) == panel and row[3].isdigit()]
-        for method in dict.fromkeys(row[2] for row in mine):
-            points = [(int(row[3]), row[4]) for row in mine if row[2] == method and row[4] != ""]
-            axis.plot(*np.array(points).reshape(-1, 2).T, marker="o", label=method)
-
-    panels = list(dict.fromkeys((row[0], row[1]) for row in cells))
-    draw_panels(panels, draw, "time on worlds all solved [s]", path)
+def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
+    """Time against density, one panel per physics and sensor, of the rows of a results CSV."""
+    curves: dict = defaultdict(lambda: defaultdict(list))
+    for physics, sensor, method, course, seconds, *_ in cells:
+        if str(course).isdigit() and seconds != "":
+            curves[physics, sensor][method].append((int(course), float(seconds)))
+    draw_panels(curves, path, ylabel="time on worlds all solved [s]")
 
 
 if __name__ == "__main__":
