@@ -1,5 +1,6 @@
 """``python -m eldenet.navigate``: watch a driver, evaluate, diagnose, train; measure a camera's errors."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ def main(config: "DictConfig", folder: Path) -> None:
         raise ValueError(f"density={density}, worlds={config.worlds}: give at least one of each")
     if config.mode == "watch" and len(densities) > 1:
         raise ValueError(f"density={density}: mode=watch films one arena, give one number")
+    refuse_to_replace(folder, str(config.mode))
     choose_resources(**cfg.plain(config.runtime))
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
@@ -47,12 +49,54 @@ def main(config: "DictConfig", folder: Path) -> None:
     log.close()
 
 
+def refuse_to_replace(folder: Path, mode: str) -> None:
+    """A run folder keeps the record of what made it; the same mode may be run again.
+
+    Raises:
+        ValueError: ``folder`` holds a ``run.json`` of another mode or command.
+    """
+    from eldenet.record import RUN_FILE, read_record
+
+    if mode == "train" or not (folder / RUN_FILE).is_file():  # a training's record is training.json
+        return
+    record = read_record(folder / RUN_FILE)
+    before = record.get("mode", "evaluate" if "driver" in record else "another command")
+    if before != mode:
+        raise ValueError(f"run_dir={folder} holds a {RUN_FILE} of {before}: give another run_dir")
+
+
+def write_record(config: "DictConfig", folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Write ``run.json``: what was found, with the seed, the whole config, versions and the command."""
+    from eldenet.record import RUN_FILE, environment, write_json
+
+    record = {
+        "mode": str(config.mode),
+        **found,
+        "seed": int(config.seed),
+        "config": cfg.plain(config),
+        **environment(),
+    }
+    write_json(folder / RUN_FILE, record)
+    return record
+
+
+def _who(config: "DictConfig", policy: Any) -> dict[str, Any]:
+    """The driver and what it sees by, told by content."""
+    from eldenet.navigation.identity import driver_identity, sensor_identity
+
+    return {
+        "policy": policy.name,
+        "driver": driver_identity(policy, cfg.plain(config.policy)),
+        "inputs": sensor_identity(cfg.plain(config.sensor)),
+    }
+
+
 def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Path:
-    """Film one crossing."""
+    """Film one crossing; write ``run.json``."""
     from eldenet.data.roots import one_of
     from eldenet.navigation.film import FORMATS, film_crossing
     from eldenet.robot import ROBOT
-    from eldenet.simulation.arenas import generate_arena, triangle_course
+    from eldenet.simulation.arenas import arenas_hash, generate_arena, triangle_course
 
     one_of("film", str(config.film), FORMATS)
     if config.course is not None:
@@ -67,6 +111,8 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
             arena, policy, cfg.instantiate(config.sensor), path,
             **_settings(config), advance=bar.advance,
         )  # fmt: skip
+    crossing = {"outcome": event.name.lower(), "seconds": float(seconds), "film": path.name}
+    write_record(config, folder, {**_who(config, policy), "arena": arenas_hash([arena]), **crossing})
     log.say(f"{policy.name} in {arena.name}: {event.name.lower()} after {seconds:.1f} s; film in {path}")
     return path
 
@@ -74,13 +120,11 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
     from eldenet.navigation.evaluation import as_rows, summarise
-    from eldenet.navigation.identity import driver_identity, sensor_identity
-    from eldenet.record import RUN_FILE, environment, write_json, write_rows
+    from eldenet.record import RUN_FILE, write_rows
     from eldenet.simulation.arenas import arenas_hash
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
-    policy = make_policy(robots=1)
-    name, driver = policy.name, driver_identity(policy, cfg.plain(config.policy))
+    who = _who(config, make_policy(robots=1))
     metrics, hashes, table = {}, {}, []
     for density in densities:
         arenas, rows = _cross(config, density, make_policy, sensor, log)
@@ -88,20 +132,10 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
         write_rows(folder / f"worlds_{density}.csv", *as_rows(rows))
         metrics[str(density)] = summarise(rows)
         table.append([str(density), *_cells(metrics[str(density)])])
-    record = {
-        "policy": name,
-        "driver": driver,
-        "inputs": sensor_identity(cfg.plain(config.sensor)),
-        "metrics": metrics,
-        "arenas": hashes,
-        "seed": int(config.seed),
-        "config": cfg.plain(config),
-        **environment(),
-    }
-    write_json(folder / RUN_FILE, record)
+    record = write_record(config, folder, {**who, "metrics": metrics, "arenas": hashes})
     title = (
-        f"{name}, {config.physics}, goal {config.goal}, {config.worlds} {config.split} arenas a density: "
-        f"{folder / RUN_FILE}"
+        f"{who['policy']}, {config.physics}, goal {config.goal}, {config.worlds} {config.split} arenas a "
+        f"density: {folder / RUN_FILE}"
     )
     log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
     return record
@@ -146,31 +180,36 @@ def _cells(summary: dict[str, Any]) -> list[str]:
 
 
 def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> None:
-    """Trace every failure: ``failures.csv``, and a picture of the worst."""
+    """Trace every failure: ``failures_<density>.csv``, and a picture of the worst; write ``run.json``."""
     from collections import Counter
 
     from eldenet.navigation.failures import KINDS, as_rows, draw_worst, trace
     from eldenet.pictures import write_picture
     from eldenet.record import write_rows
+    from eldenet.simulation.arenas import arenas_hash
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
+    found: dict[str, dict[str, Any]] = {}
     for density in densities:
         arenas, rows = _cross(config, density, make_policy, sensor, log)
         failures = trace(arenas, rows, lambda robots: make_policy(robots=robots), sensor, **_settings(config))
+        counts = Counter(failure.kind for failure in failures)
+        found[str(density)] = {"worlds": len(rows), "arenas": arenas_hash(arenas), "failures": dict(counts)}
         if not failures:
             log.say(f"{density} obstacles: all {len(rows)} crossings succeeded")
             continue
         write_rows(folder / f"failures_{density}.csv", *as_rows(failures))
         write_picture(folder / f"failures_{density}.png", draw_worst(failures))
-        counts = Counter(failure.kind for failure in failures)
         table = [[kind, str(counts[kind]), KINDS[kind]] for kind in KINDS if counts[kind]]
         title = f"{len(failures)} of {len(rows)} failed at {density} obstacles: {folder}"
         log.table(title, ["kind", "failures", "what happened"], table)
+    write_record(config, folder, {**_who(config, make_policy(robots=1)), "densities": found})
 
 
 def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> Path:
-    """Measure the errors of a sensor's ranges, on arenas of the "val" split, for ``sensor=noisy``."""
+    """Measure the errors of a sensor's ranges for ``sensor=noisy``, on arenas of the "val" split."""
     from eldenet.data.roots import one_of
+    from eldenet.navigation.identity import sensor_identity
     from eldenet.navigation.looks import look_along, look_near
     from eldenet.navigation.policy import Navigator
     from eldenet.navigation.range_errors import fit_errors
@@ -196,6 +235,7 @@ def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunL
     errors = fit_errors(looks, options["edges"], split="val", **note)
     path = folder / "range_errors.json"
     errors.write(path)
+    write_record(config, folder, {"inputs": sensor_identity(cfg.plain(config.sensor)), "errors": path.name})
     names = ("bias", "spread", "missed", "ghost")
     table = []
     for row, bias in zip(errors.sectors, errors.bias, strict=True):

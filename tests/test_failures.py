@@ -1,6 +1,7 @@
 """Why crossings fail: arenas in which the reason is known."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -129,4 +130,8 @@ def test_the_command_writes_a_table_and_a_picture(run_command, tmp_path):
     assert rows
     assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
     assert cv2.imread(str(tmp_path / "run" / "failures_60.png")).shape[0] % 480 == 0
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (run["mode"], run["policy"], run["config"]["split"]) == ("diagnose", "straight", "val")
+    assert run["densities"]["60"]["worlds"] == 4
+    assert sum(run["densities"]["60"]["failures"].values()) == len(rows)
     assert generate_arena("val", 60, 0).name in {f"val-60-{number}" for number in range(4)}

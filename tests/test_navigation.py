@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from eldenet.navigate import refuse_to_replace
 from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarise
 from eldenet.navigation.noise import NoisyRanges
 from eldenet.navigation.observer import Senses
@@ -213,6 +214,7 @@ def test_evaluate_writes_rows_and_a_record(run_command, tmp_path):
     run = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run["metrics"]["5"]["worlds"] == 3
     assert set(run["arenas"]) == {"5", "20"}
+    assert run["mode"] == "evaluate"
     assert (tmp_path / "run" / "worlds_20.csv").read_text().count("\n") == 4
     assert "success [%]" in finished.stdout
 
@@ -228,6 +230,24 @@ def test_watch_films_without_a_display(run_command, tmp_path):
     with Image.open(film) as picture:
         assert picture.n_frames >= 10
         assert picture.size[1] == 500
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (run["mode"], run["film"], run["config"]["time_limit"]) == ("watch", film.name, 2)
+    assert run["outcome"] in ("goal", "collision", "timeout")
+    assert run["policy"] == "dqn"
+    assert len(run["driver"]["files"][0]["sha256"]) == 64
+    assert "film=gif" in run["command"]
+    assert run["versions"]["torch"]
+
+
+@pytest.mark.parametrize("record", [{"mode": "evaluate"}, {"driver": None}, {"model": "eldenet"}])
+def test_no_mode_replaces_the_record_of_another(tmp_path, record):
+    refuse_to_replace(tmp_path, "watch")
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"holds a run\.json of (evaluate|another command): give another"):
+        refuse_to_replace(tmp_path, "watch")
+    refuse_to_replace(tmp_path, "train")  # it writes none
+    (tmp_path / "run.json").write_text('{"mode": "watch"}')
+    refuse_to_replace(tmp_path, "watch")
 
 
 def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):

@@ -289,6 +289,8 @@ def test_the_command_measures_and_noisy_reads_it(run_command, tmp_path):
     assert abs(errors.bias[2]) < 0.05  # of the renderer's own depth
     assert max(errors.miss[:4]) < 0.02
     assert "bias" in finished.stdout
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (run["mode"], run["errors"], run["config"]["worlds"]) == ("measure", "range_errors.json", 2)
     NoisyRanges(errors=str(tmp_path / "run" / "range_errors.json"))
 
 
