@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,10 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 if sweep:
                     raise  # Hydra notes it, runs the other jobs and fails at the end
                 raise SystemExit(1) from None
+            finally:
+                if not sweep and "run_dir" not in given_settings() and folder != Path.cwd():
+                    with suppress(OSError):
+                        folder.rmdir()  # Hydra made it; a mistake leaves it empty
 
         return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
 

@@ -55,7 +55,7 @@ def export(config: "DictConfig") -> Path:
     if str(config.checkpoint) in eldenet.list_models():
         log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
     pictures = read_pictures(config.pictures, max(config.checks, 1), "test")
-    facts = describe(model, job.name, job.size, camera_size=job.camera_size, licence=str(config.licence))
+    facts = describe(model, job.name, job.size, camera_size=job.camera_size, licence=config.licence)
     facts["precision"] = job.precision
     with tempfile.TemporaryDirectory() as temporary:
         # the fp32 graph is what everything else is made from

@@ -23,7 +23,6 @@ from eldenet.profiling import count_macs, count_params
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 METADATA_PREFIX = "eldenet."
-LICENCE = "Apache-2.0"
 
 
 class CameraNet(nn.Module):
@@ -94,9 +93,12 @@ def describe(
     size: tuple[int, int],
     *,
     camera_size: tuple[int, int] | None = None,
-    licence: str = LICENCE,
+    licence: str | None = None,
 ) -> dict[str, str]:
-    """What a file says of itself: model, units, licence, input, and what its weights were trained on."""
+    """What a file says of itself: model, units, licence, input, and what its weights were trained on.
+
+    ``licence`` is of the weights; None: what the model's ``info`` says, for nothing is known of its data's.
+    """
     height, width = camera_size or size
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     facts = {
@@ -106,7 +108,7 @@ def describe(
         "units": "metres",
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
-        "licence": licence,
+        "licence": licence or str(model.info.get("licence", "not stated")),
         "input": f"{takes}, H = {height}, W = {width}; normalisation is inside",
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),

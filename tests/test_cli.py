@@ -150,6 +150,16 @@ def test_frames_that_cannot_be_scored_show_before_the_first_epoch(tmp_path, rule
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 
+def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
+    assert run_command("train", "trainer.monitor=accuracy").returncode == 1
+    assert not list(tmp_path.glob("runs/*"))
+    (tmp_path / "mine").mkdir()
+    assert run_command("train", "trainer.monitor=accuracy", "run_dir=mine").returncode == 1
+    assert (tmp_path / "mine").is_dir()  # named by the user
+    assert run_command("report", "runs=[nowhere]", cwd=tmp_path / "mine").returncode == 1
+    assert (tmp_path / "mine").is_dir()  # where a command without a run folder was typed
+
+
 def test_a_run_folder_holds_one_run(trained, run_command):
     for command, message in (
         (("train", *TINY), "holds another run already (run.json)"),

@@ -283,7 +283,7 @@ def test_files_say_what_they_are(files) -> None:
         facts = read_metadata(files[name])
         assert facts["model"] == "eldenet_s"
         assert facts["units"] == "metres"
-        assert facts["licence"] == "Apache-2.0"
+        assert facts["licence"] == "not stated"
         assert facts["eldenet_version"] == eldenet.__version__
         assert facts["input_size"] == "[32, 64]"
         assert facts["mean"] == "[0.485, 0.456, 0.406]"
@@ -292,6 +292,12 @@ def test_files_say_what_they_are(files) -> None:
         assert facts["protocol"] == "not stated"
         assert "(B, 3, H, W) in [0, 1]" in facts["input"]
     assert "uint8 RGB frame (B, H, W, 3)" in read_metadata(files["frames"])["input"]
+
+
+def test_a_licence_is_what_somebody_stated(model: DepthNet) -> None:
+    assert describe(model, "m", SIZE, licence="CC-BY-4.0")["licence"] == "CC-BY-4.0"
+    packaged = eldenet.load("eldenet_rooms")
+    assert describe(packaged, "m", SIZE)["licence"] == packaged.info["licence"] != "not stated"
 
 
 def test_nothing_runs_twice_in_the_graph(files) -> None:
