@@ -1,5 +1,6 @@
 """Runs side by side: seeds share a row, and what does not compare shares no table."""
 
+import re
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -123,7 +124,8 @@ def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]
     places = [sources_of(run.get("config", {})) for run in members]
     for name in set().union(*found):
         owned = (
-            f"seed{run.get('seed')}" in at.get(name, "") for run, at in zip(members, places, strict=True)
+            re.search(rf"seed{run.get('seed')}(?!\d)", at.get(name, ""))
+            for run, at in zip(members, places, strict=True)
         )
         if all(owned):
             for content in found:

@@ -1,5 +1,6 @@
 """How a table looks: numbers, titles, the lines that make it believable, Markdown and LaTeX."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ def number(name: str, value: float | None) -> str:
     if name == "params":
         return f"{value / 1e6:.3f} M"
     if name in ("latency_ms_p50", "latency_ms_p95"):
-        return f"{value:.2f}"
+        return "-" if math.isnan(value) else f"{value:.2f}"  # a file of a fixed batch has none
     if name == "throughput_img_s":
         return f"{value:.0f}"
     return f"{value:.3f}"

@@ -135,6 +135,8 @@ def started(seed: int, place: str, content: str) -> dict:
 def test_seeds_start_from_the_same_weights_or_each_from_its_own() -> None:
     group_rows([started(seed, "runs/start/seed0", "0a") for seed in (0, 1)])
     group_rows([started(seed, f"runs/start/seed{seed}", f"{seed}a") for seed in (0, 1)])
+    with pytest.raises(ValueError, match="sources differs"):  # seed10's is not seed 1's own
+        group_rows([started(seed, f"runs/start/seed{seed}0", f"{seed}a") for seed in (0, 1)])
     with pytest.raises(ValueError, match=r"sources differs.*weights=0a \(there 1a\)"):
         group_rows([started(seed, "runs/start/seed0", f"{seed}a") for seed in (0, 1)])
 
