@@ -17,57 +17,85 @@ if TYPE_CHECKING:
     from eldenet.predictor import DepthPredictor
     from eldenet.resources import Resources
     from eldenet.runlog import RunLog
+    from eldenet.stopping import StopWish
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
-
-VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
-RANGE_MEMORY = 0.9  # of a video's colours: the share of the range that the frame before decides
 
 
 @cfg.entry_point("predict")
 def main(config: "DictConfig", folder: Path) -> None:
     """Predict and write; ``folder`` is not used, results go to ``output``."""
-    predict(config)
+    try:
+        predict(config)
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None  # as shells count it
 
 
 def predict(config: "DictConfig") -> "Results":
-    """Check everything that can be checked, load the network, predict, write, say what was done."""
-    import eldenet
+    """Check everything that can be checked, load the network, predict, write, say what was done.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C ended it, after the picture in work was finished; a camera ends so without.
+        OSError: the source broke off; what came before it is written.
+    """
     from eldenet.predict_boxes import Timed, box_results
-    from eldenet.predictions import name_results
+    from eldenet.predict_videos import predict_video
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.runtimes.stream import is_live, without_password
+    from eldenet.stopping import stop_wish
+    from eldenet.written import Written
 
-    live = is_live(str(config.source))
-    source = Path(str(config.source)).expanduser()
-    is_video = live or (source.is_file() and source.suffix.lower() in VIDEO_ENDINGS)
+    given = str(config.source)
+    live, source = is_live(given), Path(given).expanduser()
+    kind = kind_of(source, live=live)
+    is_video = kind == "video"
     results = read_settings(config, is_video=is_video)
-    if live:
-        names = {source: re.sub(r"\W+", "_", without_password(str(config.source))).strip("_")}
-    else:
-        names = {source: source.stem} if is_video else name_results(source, results.folder)
-    files = [file for name in names.values() for file in results.files(name, is_video=is_video)]
+    names = name_sources(source, kind, given if live else "", results.folder)
+    named = list(names.values())
+    files = [file for name in named for file in results.files(name, is_video=is_video)]
     results.refuse_to_overwrite(list(names), files)
     resources = choose_resources(**cfg.plain(config.runtime))
     log = RunLog(results.folder)
-    predictor = open_predictor(config, resources, log)
-    if str(config.checkpoint) in eldenet.list_models():
-        log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
-    elif predictor.input_size is None:
-        log.say(
-            f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
-            f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
-        )
-    timed = Timed(predictor)
-    named = list(names.values())
-    with box_results(config, results, named, log, timed.seconds, is_video=is_video) as results.also:
-        if is_video:
-            stream = str(config.source) if live else source
-            predict_video(stream, names[source], timed, results, log, frames=config.frames)
-        else:
-            predict_pictures(names, timed, results, log, skip=config.on_error == "skip")
+    predictor = Timed(open_predictor(config, resources, log))
+    about = {"source": without_password(given), "checkpoint": str(config.checkpoint)}
+    results.video, broken = named[0] if is_video else "", ""
+    with Written(results.folder, kind, names, about) as results.written, stop_wish() as stop:
+        with box_results(config, results, named, log, predictor.seconds, is_video=is_video) as results.also:
+            if is_video:
+                stream = given if live else source
+                broken = predict_video(stream, named[0], predictor, results, log, stop, frames=config.frames)
+            else:
+                predict_pictures(names, predictor, results, log, stop, skip=config.on_error == "skip")
+        results.written.ended = {"ended": str(stop) or broken or "complete", "images": results.images}
+    if broken:
+        raise OSError(f"{broken}; what came before that is in {results.folder}")
+    if not live:
+        stop.obey()
     return results
+
+
+def kind_of(source: Path, *, live: bool) -> str:
+    """Whether it is a "video" (or a camera), a "folder" or a "picture".
+
+    Raises:
+        ValueError: a file that is neither a picture nor a video.
+    """
+    from eldenet.runtimes.videofile import is_video_file
+
+    if live or (source.is_file() and is_video_file(source)):
+        return "video"
+    return "folder" if source.is_dir() else "picture"
+
+
+def name_sources(source: Path, kind: str, address: str, output: Path) -> dict[Path, str]:
+    """Results' names by what they are of; ``address`` is a camera's or a stream's."""
+    from eldenet.predictions import name_results
+    from eldenet.runtimes.stream import without_password
+
+    if kind != "video":
+        return name_results(source, output)
+    return {source: re.sub(r"\W+", "_", without_password(address)).strip("_") if address else source.stem}
 
 
 def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") -> "DepthPredictor":
@@ -91,15 +119,29 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
     if is_file:
         network = runtimes.load(str(config.checkpoint), engine, threads=resources.threads, device=device)
         log.say(f"{config.checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
-        return DepthPredictor(network, size, max_side=config.max_side)
-    model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
-    if engine in ("auto", "torch"):
-        return DepthPredictor(model, size, max_side=config.max_side, device=device)
-    return DepthPredictor(
-        runtimes.load(model, engine, threads=resources.threads, device=device, size=size),
-        size,
-        max_side=config.max_side,
-    )
+        predictor = DepthPredictor(network, size, max_side=config.max_side)
+    else:
+        model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
+        if engine in ("auto", "torch"):
+            predictor = DepthPredictor(model, size, max_side=config.max_side, device=device)
+        else:
+            network = runtimes.load(model, engine, threads=resources.threads, device=device, size=size)
+            predictor = DepthPredictor(network, size, max_side=config.max_side)
+    say_what_is_doubtful(config, predictor, log)
+    return predictor
+
+
+def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log: "RunLog") -> None:
+    """Say why this network's depth may mean nothing, or less than it could."""
+    import eldenet
+
+    if str(config.checkpoint) in eldenet.list_models():
+        log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
+    elif predictor.input_size is None:
+        log.say(
+            f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
+            f"own (longer side at most {config.max_side} px): if the depth looks wrong, give input_size=[h,w]"
+        )
 
 
 def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
@@ -140,99 +182,38 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
 
 
 def predict_pictures(
-    pictures: dict[Path, str], predictor: "Predictor", results: "Results", log: "RunLog", *, skip: bool
+    pictures: dict[Path, str],
+    predictor: "Predictor",
+    results: "Results",
+    log: "RunLog",
+    stop: "StopWish",
+    *,
+    skip: bool,
 ) -> None:
     """Predict every picture; with ``skip``, those that cannot be read are listed instead."""
     from eldenet.data.io import read_image
 
     with log.bar("predicting", len(pictures)) as bar:
         for path, name in pictures.items():
+            if stop:
+                break
             try:
                 photo = read_image(path, upright=True)
-            except (ValueError, FileNotFoundError) as error:
+            except (ValueError, OSError) as error:
+                if not skip and len(pictures) > 1:
+                    done = f"{results.images} of {len(pictures)} pictures are done"
+                    raise ValueError(f"{error} ({done}; on_error=skip goes past such files)") from error
                 if not skip:
                     raise
                 results.skipped.append(str(error))
             else:
                 results.write(name, photo, predictor(photo), results.formats)
-                results.images += 1
             bar.advance(1)
-        rate = results.images / max(len(pictures), 1) * bar.rate
-    if not results.images:
+        rate = results.images / max(bar.done, 1) * bar.rate
+    if not results.images and not stop:
         raise ValueError(f"none of {len(pictures)} pictures could be read, such as: {results.skipped[0]}")
-    say_what_was_done(log, results, f"{results.images} picture{'s' * (results.images != 1)}", rate)
-
-
-def predict_video(
-    source: Path | str,
-    name: str,
-    predictor: "Predictor",
-    results: "Results",
-    log: "RunLog",
-    *,
-    frames: int | None = None,
-) -> None:
-    """Predict the frames of a video, or those of a camera that there is time for.
-
-    Colour becomes one .mp4, which shows each frame as long as it lasted; the others one file a frame. A
-    camera runs until ``frames`` or Ctrl-C.
-    """
-    from eldenet.legend import photo_beside_depth, visible_range
-    from eldenet.predictions import in_time, open_video
-    from eldenet.runtimes.stream import DepthStream, without_password
-
-    shown = without_password(str(source))
-    file = results.folder / f"{name}_depth.mp4"
-    per_frame = [kind for kind in results.formats if kind != "colour"]
-    span = results.depth_range
-    with DepthStream(source, predictor) as stream:
-        total = frames or stream.announced
-        rate = results.frames_per_second = stream.frames_per_second
-        with log.bar("predicting", total) as bar, open_video(file, rate) as film:
-            add = in_time(film, rate)
-            try:
-                for _, photo, depth, taken in stream:
-                    results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
-                    if "colour" in results.formats:
-                        span = results.depth_range or _follow(span, visible_range(depth))
-                        add(photo_beside_depth(photo, depth, *span), taken)
-                    results.images += 1
-                    lost = f", {stream.dropped} dropped" if stream.drop else ""
-                    bar.advance(1, f"now {stream.fps:.0f} frames/s{lost}")
-                    if results.images == frames:
-                        break
-            except KeyboardInterrupt:
-                if not stream.drop:
-                    raise
-            if not results.images and stream.drop:
-                raise ValueError(f"{shown} gave no frame: in use elsewhere, or nothing sends there")
-            if not results.images:
-                raise ValueError(f"{shown} holds no frame that can be read: it is cut, damaged or no video")
-            speed, too_soon = bar.rate, stream.ended_too_soon
-    origin = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
-    say_what_was_done(log, results, f"{results.images} frame{'s' * (results.images != 1)}{origin}", speed)
-    if too_soon and results.images != frames:
-        log.say(f"{shown} {too_soon}")
-
-
-def say_what_was_done(log: "RunLog", results: "Results", what: str, rate: float) -> None:
-    """Say what was written, how fast, where, and what was not."""
-    written = " + ".join(results.formats)
-    log.say(f"{what}: {written} in {results.folder} ({rate:.1f} images/s, reading and writing included)")
-    if results.skipped:
-        log.say(f"skipped {len(results.skipped)}:")
-        for line in results.skipped:
-            log.say(f"  {line}")
-    if results.too_far:
-        log.say(f"{results.too_far} pixels are farther than 65.535 m: 0 (unknown) in the depth files")
-
-
-def _follow(span: tuple[float, float] | None, now: tuple[float, float]) -> tuple[float, float]:
-    """The colours' range, moving slowly, so that a video does not flicker."""
-    if span is None:
-        return now
-    near, far = (RANGE_MEMORY * old + (1 - RANGE_MEMORY) * new for old, new in zip(span, now, strict=True))
-    return near, far
+    of = f" of {len(pictures)}" if stop else ""
+    results.say(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)
 
 
 def _numbers(config: "DictConfig", name: str, count: int) -> list[float] | None:

@@ -52,7 +52,7 @@ def box_results(
         yield None
         return
     perception = build_perception(config, results.intrinsics, tracked=is_video)
-    endings = ("_boxes.mp4",) if is_video else ("_boxes.png", "_boxes.txt")
+    endings = ("_boxes.mp4", "") if is_video else ("_boxes.png", "_boxes.txt")  # "": the folder of its frames
     results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])
     spent: dict[str, deque[float]] = {}
     with ExitStack() as stack:
@@ -70,15 +70,20 @@ def box_results(
                 spent.setdefault(stage, deque(maxlen=REMEMBERED)).append(seconds)
             if taken is not None:
                 if show is None:  # a camera's rate is known by now
-                    film = open_video(results.folder / f"{names[0]}_boxes.mp4", rate)
+                    path = results.folder / f"{names[0]}_boxes.mp4"
+                    film = open_video(path, rate, lambda path: results.note(path, name))
                     show = in_time(stack.enter_context(film), rate)
                 wanted = bev_reach(scene.boxes, scene.bev_size)
                 # a video's view from above follows slowly: a grid that jumps can't be read
                 reach = wanted if reach is None else max(reach + (wanted - reach) / FOLLOWED, wanted / 2)
                 show(scene.picture(reach), taken)
             else:
-                write_picture(results.folder / f"{name}_boxes.png", scene.picture())
-            scene.write_kitti(results.folder / f"{name}_boxes.txt")
+                path = results.folder / f"{name}_boxes.png"
+                write_picture(path, scene.picture())
+                results.note(path, name)
+            path = results.folder / f"{name}_boxes.txt"
+            scene.write_kitti(path)
+            results.note(path, name)
 
         yield add
     spent["depth"] = deque(depth_seconds)  # it came with each picture

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,11 @@ from eldenet.legend import photo_beside_depth, visible_range
 from eldenet.pictures import write_picture
 from eldenet.pointcloud import write_ply
 from eldenet.predictor import to_millimetres
+from eldenet.written import Written
+
+if TYPE_CHECKING:
+    from eldenet.runlog import RunLog
+    from eldenet.stopping import StopWish
 
 ENDING = {"depth": "_depth.png", "colour": "_colour.png", "ply": ".ply"}
 
@@ -33,7 +39,11 @@ class Results:
         too_far: pixels beyond what 16 bits of millimetres hold.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
+        video: its results' name; empty for pictures.
         also: is given the name, photo, depth and time of each picture too.
+        written: the list of what was written; with ``overwrite``, what earlier calls' lists name goes first.
+        removed: files of earlier calls that went.
+        changed: files of earlier calls that somebody changed since: they stay.
     """
 
     folder: Path
@@ -46,7 +56,11 @@ class Results:
     too_far: int = 0
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
+    video: str = ""
     also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
+    written: Written | None = None
+    removed: int = 0
+    changed: list[Path] = field(default_factory=list)
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
@@ -93,25 +107,60 @@ class Results:
             )
         if self.intrinsics is not None:
             check_intrinsics(self.intrinsics, self.size)
+        if not self.images and self.overwrite and self.written is not None:
+            self.removed, self.changed = self.written.remove_earlier()
+        place = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
         if "ply" in formats and self.intrinsics is not None:
-            write_ply(self.folder / f"{name}.ply", back_project(depth, self.intrinsics), photo)
+            write_ply(place["ply"], back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
             steps = to_millimetres(depth)
             self.too_far += int(((steps == 0) & (depth > 1)).sum())
-            _write_png(self.folder / f"{name}_depth.png", steps)
+            _write_png(place["depth"], steps)
         if "colour" in formats:
             near, far = self.depth_range or visible_range(depth)
-            write_picture(self.folder / f"{name}_colour.png", photo_beside_depth(photo, depth, near, far))
+            write_picture(place["colour"], photo_beside_depth(photo, depth, near, far))
+        for file in place.values():
+            self.note(file, name)
         if self.also is not None:
             self.also(name, photo, depth, time)
+        self.images += 1
+
+    def note(self, file: Path, name: str) -> None:
+        """Put a file that was written, of the picture or frame ``name``, on the list."""
+        if self.written is not None:
+            self.written.add(file, self.video or name)
+
+    def say(self, log: "RunLog", what: str, rate: float, stop: "StopWish") -> None:
+        """Say what was written, how fast, where, and what was not."""
+        if stop and not self.images:
+            log.say(f"stopped by {stop} before the first result: nothing is written")
+            return
+        ended = f"stopped by {stop}: " if stop else ""
+        written = " + ".join(self.formats)
+        log.say(
+            f"{ended}{what}: {written} in {self.folder} ({rate:.1f} images/s, reading and writing included)"
+        )
+        if self.skipped:
+            log.say(f"skipped {len(self.skipped)}:")
+            for line in self.skipped:
+                log.say(f"  {line}")
+        if self.too_far:
+            log.say(f"{self.too_far} pixels are farther than 65.535 m: 0 (unknown) in the depth files")
+        if self.removed:
+            log.say(f"removed {self.removed} file{'s' * (self.removed != 1)} of earlier calls")
+        if self.changed:
+            others = f" and {len(self.changed) - 1} others" if self.changed[1:] else ""
+            log.say(f"kept, as it was changed since an earlier call wrote it: {self.changed[0]}{others}")
 
 
 @contextmanager
-def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
+def open_video(
+    path: Path, per_second: float, finished: Callable[[Path], None] = lambda path: None
+) -> Iterator[Callable[[np.ndarray], None]]:
     """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the file appears at the end.
 
-    So it does where an error ends it, for what a camera showed does not come again; Ctrl-C leaves no file,
-    nor does a film without a frame.
+    So it does where an error or Ctrl-C ends it, for what a camera showed does not come again; a film without
+    a frame leaves no file. ``finished`` is told of the file.
 
     Raises:
         ValueError: the film cannot be begun, or a frame is of another size than those before it.
@@ -148,17 +197,13 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             unfinished.unlink(missing_ok=True)
             raise OSError(f"{path} would hold {written} of {count} frames: is the disk full?")
         unfinished.replace(path)
+        finished(path)
 
     try:
         yield add
-    except Exception:
+    except BaseException:
         with suppress(OSError):
             finish()
-        raise
-    except BaseException:
-        if writer is not None:
-            writer.release()
-            unfinished.unlink(missing_ok=True)
         raise
     finish()
 

@@ -81,7 +81,7 @@ class RunLog:
 
     @contextmanager
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> Iterator["Bar"]:
-        """A progress bar over ``total`` images (or what ``unit`` says), of which ``done`` are behind us."""
+        """A progress bar over ``total`` images (``unit``; 0: unknown), of which ``done`` are behind us."""
         if self.quiet or not self.console.is_terminal:
             yield Bar(self, title, total, done, None, unit)
             return
@@ -112,7 +112,9 @@ class Bar:
         self.started = self.last_line = time.monotonic()
         self.first = done
         self.task = (
-            None if progress is None else progress.add_task(title, total=total, completed=done, note="")
+            None
+            if progress is None
+            else progress.add_task(title, total=total or None, completed=done, note="")
         )
 
     @property
@@ -129,5 +131,7 @@ class Bar:
             self.progress.update(self.task, completed=self.done, note=text)
         elif time.monotonic() - self.last_line > LINE_EVERY_S:
             self.last_line = time.monotonic()
-            left = (self.total - self.done) / max(self.rate, 1e-9)
-            self.log.say(f"{self.title}: {self.done}/{self.total}  {text}  {left:.0f} s left")
+            of, left = f"/{self.total}" if self.total else "", ""
+            if self.total > self.done:  # a camera has no end, and a video may say too little
+                left = f"  {(self.total - self.done) / max(self.rate, 1e-9):.0f} s left"
+            self.log.say(f"{self.title}: {self.done}{of}  {text}{left}")

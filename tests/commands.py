@@ -41,9 +41,18 @@ class CommandServer:
         )
 
     def run(
-        self, command: str, arguments: tuple[str, ...], cwd: Path, environment: dict[str, str], timeout: float
+        self,
+        command: str,
+        arguments: tuple[str, ...],
+        cwd: Path,
+        environment: dict[str, str],
+        timeout: float,
+        interrupt_at: str | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """Like :func:`subprocess.run` with its output captured; a command that takes too long is killed."""
+        """Like :func:`subprocess.run` with its output captured; a command that takes too long is killed.
+
+        Ctrl-C comes as soon as the file ``interrupt_at`` is there.
+        """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         with tempfile.TemporaryDirectory() as folder:
@@ -55,6 +64,7 @@ class CommandServer:
                 "environment": environment,
                 "outputs": [str(path) for path in outputs],
                 "timeout": timeout,
+                "interrupt_at": None if interrupt_at is None else str(cwd / interrupt_at),
             }
             self.process.stdin.write(json.dumps(job) + "\n")
             self.process.stdin.flush()
@@ -80,7 +90,11 @@ def serve() -> None:
         if not child:
             _become(job)
         deadline = time.monotonic() + job["timeout"]
+        interrupt_at = job["interrupt_at"]
         while not (ended := os.waitpid(child, os.WNOHANG))[0] and time.monotonic() < deadline:
+            if interrupt_at and os.path.exists(interrupt_at):
+                os.kill(child, signal.SIGINT)
+                interrupt_at = None
             time.sleep(0.01)
         if not ended[0]:
             os.killpg(child, signal.SIGKILL)

@@ -54,8 +54,14 @@ def command_server(cache: str):
 def run_command(tmp_path: Path, command_server):
     """Run ``python -m eldenet.<command>`` from another folder; returns the finished process."""
 
-    def run(command: str, *arguments: str, cwd: Path | None = None, **environment: str):
-        return command_server.run(command, arguments, cwd or tmp_path, environment, timeout=240)
+    def run(
+        command: str,
+        *arguments: str,
+        cwd: Path | None = None,
+        interrupt_at: str | None = None,
+        **environment: str,
+    ):
+        return command_server.run(command, arguments, cwd or tmp_path, environment, 240, interrupt_at)
 
     return run
 

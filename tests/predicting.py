@@ -23,6 +23,11 @@ def save(path: Path, picture: np.ndarray) -> Path:
     return path
 
 
+def listed(folder: Path) -> list[str]:
+    """Names of what people see in a folder."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
 def small_model(folder: Path) -> Path:
     torch.manual_seed(0)
     eldenet.load("eldenet_s").save_pretrained(folder, info={"input_size": [32, 64]})

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from eldenet.boxes import Detections2D
@@ -284,6 +285,39 @@ def test_torchvision_networks_are_taken():
     found = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)(FRAME)
     assert set(found.classes) <= {"car", "dog"}
     assert (found.xyxy >= -0.5).all()
+
+
+def test_a_torchvision_network_sees_its_own_precision():
+    from torchvision.models.detection import ssdlite320_mobilenet_v3_large
+
+    torch.manual_seed(0)
+    model = ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
+    detector = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)
+    single = detector(FRAME)
+    model.double()
+    double = detector(FRAME)
+    assert len(double) > 0
+    assert (double.xyxy.dtype, double.score.dtype) == (single.xyxy.dtype, single.score.dtype)
+
+
+def test_a_torchvision_network_may_answer_in_bfloat16():
+    class Halved(torch.nn.Module):
+        """The interface; torchvision's own networks have no such arithmetic on a CPU."""
+
+        def __init__(self):
+            super().__init__()
+            self.layer = torch.nn.Conv2d(3, 1, 1, dtype=torch.bfloat16)
+
+        def forward(self, images):
+            (image,) = images
+            assert self.layer(image).shape == (1, *FRAME.shape[:2])
+            boxes = torch.from_numpy(WANTED).to(image)
+            score = torch.tensor([0.5, 0.25]).to(image)
+            return [{"boxes": boxes, "scores": score, "labels": torch.tensor([1, 2]), "masks": None}]
+
+    found = TorchvisionDetector(Halved(), ("nothing", "car", "dog"))(FRAME)
+    np.testing.assert_array_equal(found.xyxy, WANTED[:1] - 0.5)
+    assert (found.classes, found.score.tolist()) == (["car"], [0.5])
 
 
 def test_a_person_on_a_bicycle_is_a_cyclist():

@@ -20,19 +20,19 @@ LONGEST_FILE = 320  # lines
 
 # A file or package may import from its own layer and from those below it; in layer 2 from those below alone.
 LAYERS = {
-    0: "types configurable robot bootstrap",
+    0: "types configurable robot bootstrap stopping",
     1: "boxes layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
     4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalisation "
     "pictures pointcloud predictions predictor profiling quantisation record runlog runtimes schedules "
-    "sources tables",
+    "sources tables written",
     5: "trainer",
     6: "perception",
     7: "navigation",
     8: "config zoo scoring report "  # these, and the entry points, see everything
-    "studies study train evaluate benchmark benchmark_tables predict predict_boxes export check_data "
-    "train_detector navigate",
+    "studies study train evaluate benchmark benchmark_tables predict predict_boxes predict_videos export "
+    "check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
 # the rendered data sets; whole networks share helpers with the parts

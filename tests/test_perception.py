@@ -351,6 +351,10 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
     capture = cv2.VideoCapture(str(tmp_path / "out/walk_boxes.mp4"))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 4
     assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
+    for name in ("walk_boxes.mp4", "walk_depth.mp4"):
+        (tmp_path / "out" / name).rename(tmp_path / name)
+    with pytest.raises(ValueError, match=r"there already .*out/walk\)"):  # the text files
+        run(model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'")
 
 
 def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from predicting import photo, read_ply, run, save
+from predicting import listed, photo, read_ply, run, save
 
 import eldenet
 from eldenet.config import compose
@@ -25,9 +25,7 @@ def test_one_picture(model_folder: Path, model: DepthNet, tmp_path: Path) -> Non
     source = save(tmp_path / "in/kitchen.png", photo())
     camera = "intrinsics=[" + ",".join(map(str, CAMERA)) + "]"
     results = run(model_folder, source, tmp_path / "out", camera)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("kitchen.ply", "kitchen_colour.png", "kitchen_depth.png")
-    ]
+    assert listed(tmp_path / "out") == ["kitchen.ply", "kitchen_colour.png", "kitchen_depth.png"]
     assert (results.images, results.skipped, results.too_far) == (1, [], 0)
     depth = DepthPredictor(model)(photo())
     written = cv2.imread(str(tmp_path / "out/kitchen_depth.png"), cv2.IMREAD_UNCHANGED)
@@ -106,7 +104,9 @@ def test_a_bad_picture_stops_or_is_listed(
     save(tmp_path / "in/a.png", photo())
     bad = save(tmp_path / "in/b.png", photo())
     bad.write_bytes(bad.read_bytes()[:200])
-    with pytest.raises(ValueError, match=r"b\.png is cut or damaged"):
+    with pytest.raises(
+        ValueError, match=r"b\.png is cut or damaged .*1 of 2 pictures are done; on_error=skip"
+    ):
         run(model_folder, tmp_path / "in", tmp_path / "strict")
     results = run(model_folder, tmp_path / "in", tmp_path / "out", "on_error=skip")
     assert results.images == 1
@@ -119,6 +119,15 @@ def test_a_bad_picture_stops_or_is_listed(
     (tmp_path / "in/a.png").unlink()
     with pytest.raises(ValueError, match="none of 1 pictures could be read"):
         run(model_folder, tmp_path / "in", tmp_path / "none", "on_error=skip")
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that fails like a worn card")
+def test_a_card_that_fails_is_one_bad_picture(model_folder: Path, tmp_path: Path) -> None:
+    save(tmp_path / "in/a.png", photo())
+    (tmp_path / "in/b.png").symlink_to("/proc/self/mem")
+    results = run(model_folder, tmp_path / "in", tmp_path / "out", "on_error=skip")
+    assert (results.images, len(results.skipped)) == (1, 1)
+    assert "Input/output error" in results.skipped[0]
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.99])
@@ -209,7 +218,7 @@ def test_command(model_folder: Path, tmp_path: Path, run_command) -> None:
     done = run_command("predict", f"checkpoint={model_folder.parent}", "source=in", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (output,) = (tmp_path / "runs").glob("predict-*")
-    assert sorted(path.name for path in output.iterdir()) == ["a_colour.png", "a_depth.png"]
+    assert listed(output) == ["a_colour.png", "a_depth.png"]
     assert f"1 picture: depth + colour in runs/{output.name}" in done.stdout
     failed = run_command("predict", f"checkpoint={model_folder}", "source=nothing.jpg", cwd=tmp_path)
     assert failed.returncode == 1

@@ -6,7 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from predicting import photo, run, save
+from films import read_video, write_video
+from predicting import listed, photo, run, save
 
 from eldenet.config import compose
 from eldenet.legend import photo_beside_depth, visible_range
@@ -14,32 +15,14 @@ from eldenet.model import DepthNet
 from eldenet.predict import predict
 from eldenet.predictions import in_time, open_video
 from eldenet.predictor import DepthPredictor, to_millimetres
+from eldenet.runlog import RunLog
 from eldenet.runtimes.stream import DepthStream, StreamFrame, without_password
 
 
-def video(path: Path, frames: int = 5) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 12.0, (64, 48))
-    if not writer.isOpened():
-        pytest.skip("this OpenCV writes no mp4v")
-    for i in range(frames):
-        writer.write(np.roll(photo(), 3 * i, axis=1)[..., ::-1].copy())
-    writer.release()
-    return path
-
-
-def read_video(path: Path) -> tuple[list[np.ndarray], float]:
-    capture, frames = cv2.VideoCapture(str(path)), []
-    while True:
-        complete, frame = capture.read()
-        if not complete:
-            return frames, capture.get(cv2.CAP_PROP_FPS)
-        frames.append(frame)
-
-
 def test_a_video_becomes_a_video(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:
-    source = video(tmp_path / "walk.mp4")
+    source = write_video(tmp_path / "walk.mp4")
     results = run(model_folder, source, tmp_path / "out")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["walk_depth.mp4"]
+    assert listed(tmp_path / "out") == ["walk_depth.mp4"]
     frames, rate = read_video(tmp_path / "out/walk_depth.mp4")
     assert (len(frames), results.images, rate) == (5, 5, 12.0)
     first = cv2.cvtColor(read_video(source)[0][0], cv2.COLOR_BGR2RGB)
@@ -52,10 +35,12 @@ def test_a_video_becomes_a_video(model_folder: Path, model: DepthNet, tmp_path: 
 
 
 def test_depth_files_of_a_video_when_asked_for(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:
-    source = video(tmp_path / "walk.mp4", frames=2)
+    source = write_video(tmp_path / "walk.mp4", frames=2)
     run(model_folder, source, tmp_path / "out", "formats=[depth,ply]", "intrinsics=[50,50,32,24]")
-    names = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*"))
-    assert names == [f"walk/00000{i}{end}" for i in range(2) for end in (".ply", "_depth.png")]
+    assert listed(tmp_path / "out") == ["walk"]
+    assert listed(tmp_path / "out/walk") == [
+        f"00000{i}{end}" for i in range(2) for end in (".ply", "_depth.png")
+    ]
     frame = cv2.cvtColor(read_video(source)[0][1], cv2.COLOR_BGR2RGB)
     written = cv2.imread(str(tmp_path / "out/walk/000001_depth.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(written, to_millimetres(DepthPredictor(model)(frame)))
@@ -69,7 +54,7 @@ def exported(model: DepthNet, path: Path) -> Path:
 
 
 def test_an_exported_file_predicts_a_video(model: DepthNet, tmp_path: Path, capsys) -> None:
-    source, file = video(tmp_path / "walk.mp4"), exported(model, tmp_path / "small.onnx")
+    source, file = write_video(tmp_path / "walk.mp4"), exported(model, tmp_path / "small.onnx")
     results = run(file, source, tmp_path / "out", "formats=[depth]", "frames=3", "engine=onnxruntime")
     assert results.images == 3
     said = capsys.readouterr().out
@@ -92,7 +77,7 @@ def test_a_model_under_another_runtime(model_folder: Path, model: DepthNet, tmp_
 
 
 def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, capsys) -> None:
-    source = video(tmp_path / "walk.mp4")  # an address of a file: read without waiting for the network
+    source = write_video(tmp_path / "walk.mp4")  # an address of a file: read without waiting for the network
     results = predict(
         compose(
             "predict",
@@ -103,9 +88,9 @@ def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, caps
     said = capsys.readouterr().out
     assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
     assert "broke off" not in said  # it announces its five frames
-    (file,) = (tmp_path / "out").iterdir()
-    assert file.name.endswith("walk_mp4_depth.mp4")
-    assert read_video(file)[1] == 12.0
+    (name,) = listed(tmp_path / "out")
+    assert name.endswith("walk_mp4_depth.mp4")
+    assert read_video(tmp_path / "out" / name)[1] == 12.0
     with pytest.raises(ValueError, match=r"source=camera:99 cannot be opened"):
         run(model_folder, "camera:99", tmp_path / "none")  # type: ignore[arg-type]
 
@@ -124,6 +109,9 @@ class SlowCamera(DepthStream):
             frame = np.roll(photo(), 3 * number, axis=1)
             yield StreamFrame(number, frame, self.predictor(frame), 77.0 + number / 10)
 
+    def stop(self) -> None:
+        pass
+
     def close(self) -> None:
         pass
 
@@ -132,19 +120,31 @@ def test_a_film_of_a_camera_keeps_time(
     model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr("eldenet.runtimes.stream.DepthStream", SlowCamera)
-    run(model_folder, "rtsp://me:se@cret@host/street", tmp_path / "out", "depth_range=[0.1,10]")  # type: ignore[arg-type]
-    (file,) = (tmp_path / "out").iterdir()
-    assert file.name == "rtsp_host_street_depth.mp4"
-    frames, rate = read_video(file)
+    with pytest.raises(OSError, match=r"rtsp://host/street broke off after 8 frames; what came before that"):
+        run(model_folder, "rtsp://me:se@cret@host/street", tmp_path / "out", "depth_range=[0.1,10]")  # type: ignore[arg-type]
+    assert listed(tmp_path / "out") == ["rtsp_host_street_depth.mp4"]
+    frames, rate = read_video(tmp_path / "out/rtsp_host_street_depth.mp4")
     assert (len(frames), rate) == (8, 10.0)  # 0.7 s, and the last frame
     steps = [np.abs(b.astype(float) - a).mean() for a, b in pairwise(frames)]
     assert sorted(np.argsort(steps)[-2:] + 1) == [5, 7]  # where the picture changes
     said = capsys.readouterr().out
     assert "3 frames of street (5 dropped)" in said
-    assert "rtsp://host/street broke off after 8 frames" in said
-    assert "cret" not in said
-    run(model_folder, "rtsp://host/street", tmp_path / "three", "frames=3")  # type: ignore[arg-type]
-    assert "broke off" not in capsys.readouterr().out
+    (list_of_files,) = (tmp_path / "out/.predict").iterdir()
+    assert "cret" not in said + list_of_files.read_text()
+    assert run(model_folder, "rtsp://host/street", tmp_path / "three", "frames=3").images == 3  # type: ignore[arg-type]
+
+
+def test_nobody_says_how_long_a_camera_will_run(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("eldenet.runlog.LINE_EVERY_S", 0.0)
+    for total in (0, 1, 3):  # a camera; a video of two frames that announces one; one that goes on
+        with RunLog(tmp_path).bar("predicting", total) as bar:
+            bar.advance(1)
+            bar.advance(1)
+    camera, short, long = capsys.readouterr().out.splitlines()[1::2]
+    assert camera.startswith("predicting: 2  ")
+    assert short.startswith("predicting: 2/1  ")
+    assert long.startswith("predicting: 2/3  ")
+    assert [" s left" in line for line in (camera, short, long)] == [False, False, True]
 
 
 def film_of(path: Path, pictures: list[np.ndarray], error: BaseException | None = None) -> None:
@@ -163,8 +163,11 @@ def test_an_error_leaves_the_film_up_to_it(tmp_path: Path) -> None:
         film_of(tmp_path / "b.mp4", [*grey, np.zeros((50, 64, 3), np.uint8)])
     with pytest.raises(KeyboardInterrupt):
         film_of(tmp_path / "c.mp4", grey, KeyboardInterrupt())
-    assert [len(read_video(tmp_path / name)[0]) for name in ("a.mp4", "b.mp4")] == [4, 4]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+    with pytest.raises(KeyboardInterrupt):
+        film_of(tmp_path / "d.mp4", [], KeyboardInterrupt())
+    names = ["a.mp4", "b.mp4", "c.mp4"]
+    assert [len(read_video(tmp_path / name)[0]) for name in names] == [4, 4, 4]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
 def test_a_film_that_does_not_fit_the_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

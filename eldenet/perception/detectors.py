@@ -96,9 +96,12 @@ class CallableDetector:
 class TorchvisionDetector:
     """A detection network of torchvision (or of its interface) with its weights.
 
+    Frames go to the device, and into the precision, that the model's parameters have at each call.
+
     Args:
         model: ``images -> [{"boxes", "scores", "labels"}]``, such as
-            ``torchvision.models.detection.ssdlite320_mobilenet_v3_large(weights="DEFAULT")``.
+            ``torchvision.models.detection.ssdlite320_mobilenet_v3_large(weights="DEFAULT")``, put into eval
+            mode.
         names: of its classes; torchvision's weights carry theirs in ``weights.meta["categories"]``.
         threshold: detections below this score are dropped.
         box_style: how its boxes lie around objects.
@@ -119,13 +122,15 @@ class TorchvisionDetector:
         import torch
 
         check_frame(frame)
-        image = torch.from_numpy(np.ascontiguousarray(frame.transpose(2, 0, 1))).float() / 255
+        weight = next((part for part in self.model.parameters() if part.is_floating_point()), torch.empty(0))
+        image = torch.from_numpy(np.ascontiguousarray(frame.transpose(2, 0, 1)))
         with torch.inference_mode():
-            found = {name: value.cpu().numpy() for name, value in self.model([image])[0].items()}
-        kept = found["scores"] >= self.threshold
-        label = found["labels"][kept].astype(np.int64)
-        xyxy = from_corner(found["boxes"][kept])
-        return Detections2D(xyxy, found["scores"][kept], label, self.names, self.box_style)
+            found = self.model([(image.to(weight.device).float() / 255).to(weight.dtype)])[0]
+        # the three that are used alone: masks are large; numpy knows no bfloat16
+        boxes, score = (found[name].float().cpu().numpy() for name in ("boxes", "scores"))
+        label = found["labels"].cpu().numpy().astype(np.int64)
+        kept = score >= self.threshold
+        return Detections2D(from_corner(boxes[kept]), score[kept], label[kept], self.names, self.box_style)
 
 
 def only(detections: Detections2D, names: Iterable[str]) -> Detections2D:

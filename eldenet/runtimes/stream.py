@@ -10,10 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
+from eldenet.runtimes.videofile import is_cut, mp4_seconds
+
 if TYPE_CHECKING:
     import cv2
 
 RATE_OVER = 30  # frames that the live rate looks back on
+LONGEST_STILL = 60.0  # [s]: a file whose time leaps farther from one frame to the next was joined of several
+SLACK = 1.0  # [s] by which a film may end before its file does: sound outlasts pictures
 
 
 class StreamFrame(NamedTuple):
@@ -54,7 +58,8 @@ class DepthStream:
     Attributes:
         dropped: frames that were not predicted.
         frames_per_second: that the source announces, 30 where it does not.
-        announced: frames that the source announces; 0 where it has no end of its own, or does not say.
+        announced: frames that the source announces; 0 where it has no end of its own, or does not say. Many
+            formats reckon them from the film's length, so there may be fewer.
         ended_too_soon: why the source's end is none, in words ("broke off after 90 frames: ..."); empty while
             it goes on, and where it ended as it should.
 
@@ -75,6 +80,8 @@ class DepthStream:
         self.predictor, self.queue_size = predictor, queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
+        self._file: Path | None = None
+        self._counted, self._seconds = 0, 0.0  # frames that the source counts, and its length [s]
         # what comes at its own pace has the clock's times; a file is read faster or slower than it plays
         if isinstance(source, str | Path):
             self._endless = self._by_clock = is_live(source)
@@ -85,6 +92,7 @@ class DepthStream:
             self.drop = bool(drop)
             frames = iter(source)
         self._position: float | None = None  # in a file [s], of the newest frame
+        self._told = self._leapt = 0.0  # what a file says of it at most, and what is taken off that [s]
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
@@ -114,11 +122,15 @@ class DepthStream:
         if self._error is not None:
             raise self._error
 
-    def close(self) -> None:
-        """Stop reading; the source is released."""
+    def stop(self) -> None:
+        """End the iteration after the frame that is being predicted; a signal handler may call it."""
         with self._changed:
             self._stop = True
             self._changed.notify_all()
+
+    def close(self) -> None:
+        """Stop reading; the source is released."""
+        self.stop()
         self._reader.join(timeout=5)
 
     def __enter__(self) -> Self:
@@ -163,10 +175,19 @@ class DepthStream:
             return not self._stop
 
     def _fault(self, came: int) -> str:
-        """What is wrong with an end after so many frames."""
-        if came < self.announced:
-            return f"announces {self.announced} frames, {came} could be read: may be cut"
-        if self._endless and not self.announced:
+        """What is wrong with an end after so many frames.
+
+        Fewer frames than announced are no fault by themselves: their number is often reckoned from the length
+        and an even rate, and what was trimmed from a film may still be counted.
+        """
+        if came < self._counted:
+            what = f"announces {self._counted} frames, {came} could be read"
+            if self._file is not None and is_cut(self._file):
+                return f"is cut: it {what}"
+            frame = 1 / self.frames_per_second
+            if self._told + frame + max(SLACK, 3 * frame) < self._seconds:
+                return f"{what}, the last of {self._told:.1f} s (of {self._seconds:.1f} s): cut or damaged"
+        elif self._endless and not self._counted:
             return f"broke off after {came} frames: the camera or its connection is lost"
         return ""
 
@@ -187,8 +208,14 @@ class DepthStream:
                 raise ValueError(f"source={name} does not exist: give a video, or a camera such as camera:0")
             raise ValueError(f"{name} holds no frame that can be read: it is cut, damaged or no video")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
-        self.frames_per_second = rate if 0 < rate <= 1000 else 30.0
-        self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
+        plausible = 0 < rate <= 1000  # not a clock's 90000
+        self.frames_per_second = rate if plausible else 30.0
+        self._file = Path(name) if not is_live(name) and Path(name).is_file() else None
+        self._counted = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
+        self._seconds = self._counted / rate if rate > 0 else 0.0
+        if self._file is not None and (shown := mp4_seconds(self._file)):
+            self._seconds = min(self._seconds, shown)
+        self.announced = self._counted if plausible else round(self._seconds * self.frames_per_second)
         return self._frames_of(capture)
 
     def _frames_of(self, capture: "cv2.VideoCapture") -> Iterator[np.ndarray]:
@@ -200,18 +227,25 @@ class DepthStream:
                 if not complete:
                     return
                 # phones and loggers write frames at uneven times; not every format says them, or to the end
-                at, before = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, self._position
-                if before is not None and at <= before:
-                    at = before + 1 / self.frames_per_second
-                self._position = at
+                told = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                at, before = told - self._leapt, self._position
+                if before is not None and not before < at <= before + LONGEST_STILL:
+                    usual = 1 / self.frames_per_second
+                    self._leapt += max(0.0, at - before - usual)
+                    at = before + usual
+                self._position, self._told = at, max(self._told, told)
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
         finally:
             capture.release()
 
 
 def is_live(source: str | Path) -> bool:
-    """Whether frames come whether or not anybody reads them: a camera, or an address."""
-    return str(source).startswith(("camera:", "/dev/video")) or "://" in str(source)
+    """Whether frames come whether or not anybody reads them: a camera, or an address.
+
+    A camera goes by any name of its device, such as ``/dev/v4l/by-id/usb-...``.
+    """
+    name = str(source)
+    return name.startswith(("camera:", "/dev/video")) or "://" in name or Path(name).is_char_device()
 
 
 def without_password(source: str) -> str:
