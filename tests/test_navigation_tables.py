@@ -1,36 +1,22 @@
 """Tables 5 and 6: rows are kept, and made anew when anything that they depend on has changed."""
 
 import dataclasses
-import importlib
 import json
 import shutil
-import sys
-from argparse import Namespace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.axes import Axes
+from table5 import FOLDER, given, modules_of_table5
 
 from eldenet.navigation import sources
-from eldenet.navigation.evaluation import Crossing
 from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash
 
-MODULES = ("rows", "command", "methods", "panels", "inputs", "comparisons", "run", "trajectories")
-FOLDER = Path(__file__).parents[1] / "experiments" / "table5_success"
-
 
 @pytest.fixture
 def study(monkeypatch):
-    """Its modules by their names: other studies have some of the same name."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    for name in MODULES:
-        sys.modules.pop(name, None)
-    yield importlib.import_module
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    yield from modules_of_table5(monkeypatch)
 
 
 @pytest.fixture
@@ -46,16 +32,6 @@ def command(study):
 @pytest.fixture
 def methods(study):
     return study("methods")
-
-
-def given(tmp_path: Path, **options) -> Namespace:
-    settings = {
-        "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
-        "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged",
-        "goal": "known", "any_sources": False, "recheck": 0, "out": None, "runs": tmp_path / "runs",
-        "rows": tmp_path / "rows",
-    }  # fmt: skip
-    return Namespace(**(settings | options))
 
 
 def test_rows_are_read_until_something_changes(rows, command, tmp_path, monkeypatch, capsys):
@@ -178,59 +154,6 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
     assert configs["dqn_quantile"].learner.quantiles == 16
 
 
-def test_ways_are_drawn_with_their_end(study, methods):
-    trajectories = study("trajectories")
-    (arena,) = frozen_arenas(40, 1, split="val")
-    picture = trajectories.panel(arena, "straight", methods.PLANNERS["straight"](1))
-    assert picture.shape == (trajectories.TITLE + trajectories.SIDE, trajectories.SIDE, 3)
-    scene = trajectories.Scene(arena, trajectories.SIDE)
-    column, row = scene.pixel(*arena.start[:2])
-    assert picture[row + trajectories.TITLE, column].tolist() == [30, 100, 220]  # the dot at the start
-    assert (picture[: trajectories.TITLE] < 255).any()
-
-
-def test_panels_of_ways_fit_a_page(study):
-    trajectories = study("trajectories")
-    panels = [np.full((5, 4, 3), shade, np.uint8) for shade in range(7)]
-    lines = trajectories.lines_of(panels)
-    side = trajectories.GAP + 4
-    assert [line.shape for line in lines] == [(5 + trajectories.GAP, trajectories.COLUMNS * side, 3)] * 2
-    assert [int(lines[1][0, at * side, 0]) for at in range(4)] == [4, 5, 6, 255]
-    assert trajectories.heading("arena", panels).shape[1] == lines[0].shape[1]
-
-
-def test_no_method_hides_another_in_the_figures(study, tmp_path, monkeypatch):
-    """Equal values stand side by side, in one colour per method in all panels, whichever a panel has."""
-    panels, drawn = study("panels"), []
-    errorbar = Axes.errorbar
-
-    def noted(axis, at, values, **options):
-        drawn.append((axis.get_subplotspec().num1, options["color"], list(at)))
-        return errorbar(axis, at, values, **options)
-
-    monkeypatch.setattr(Axes, "errorbar", noted)
-    points = [(5, 90.0, 80.0, 95.0), (80, 50.0, 40.0, 60.0)]
-    curves = {("wheels", sensor): {"a": points, "b": points} for sensor in ("one", "two", "three")}
-    curves["wheels", "four"] = {"b": points[:1]}
-    panels.draw_panels(curves, tmp_path / "figure.png", ylabel="success [%]")
-    assert (tmp_path / "figure.png").stat().st_size > 1000
-    assert len({tuple(at) for _, _, at in drawn[:2]}) == 2
-    assert drawn[-1][:2] == (3, drawn[1][1])
-    assert drawn[-1][2] == drawn[1][2][:1]
-
-
-def test_the_figure_of_the_success_is_that_of_its_csv(study, tmp_path, monkeypatch):
-    """From the rows as they are written and as they are read: what is stored can be drawn again."""
-    run, drawn = study("run"), []
-    monkeypatch.setattr(run, "draw_panels", lambda curves, path, **options: drawn.append(curves))
-    rows = [["wheels", "ranges", "dqn", seed, "80", 500, share, share - 1, share + 1] for seed, share in
-            ((0, 90.0), (1, 92.0))]  # fmt: skip
-    rows.append(["wheels", "ranges", "dqn", 0, "20+10", 500, 50.0, 40.0, 60.0])  # walkers: no density
-    for cells in (rows, [[str(value) for value in row] for row in rows]):
-        run.plot(cells, tmp_path / "figure.png")
-    assert drawn[0] == drawn[1] == {("wheels", "ranges"): {"dqn": [(80, 91.0, 90.0, 92.0)]}}
-
-
 def test_the_moving_arenas_are_frozen_too():
     frozen = json.loads((FOLDER / "arenas.json").read_text())
     assert set(frozen["100"]) == set(frozen["300"]) == set(frozen["500"]) == {"5", "20", "40", "80", "20+10"}
@@ -311,71 +234,6 @@ def test_a_part_does_not_replace_the_whole_table(command, tmp_path):
     command.refuse_to_drop(table, [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
     with pytest.raises(ValueError, match="such as wheels, dqn"):
         command.refuse_to_drop(table, [("wheels", "dwa")])
-
-
-def crossings(solved: list[bool], seconds: float = 10.0) -> list[Crossing]:
-    return [Crossing(f"w{k}", 5, "success" if ok else "timeout", seconds + k, 9.0, 8.0)
-            for k, ok in enumerate(solved)]  # fmt: skip
-
-
-def test_a_sensor_s_loss_is_tested_in_pairs(study):
-    comparisons = study("comparisons")
-    true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
-    tables = {
-        ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
-        ("wheels", "ranges", "dqn_mixed", "5"): [crossings(true)],
-        ("wheels", "noisy", "dqn_mixed", "5"): [crossings(seen)],
-    }
-    lines = comparisons.loss(tables, "wheels", "noisy")
-    own, default = (line.split(" | ") for line in lines[2:])
-    assert own[1:3] == ["dqn_mixed", "5"]
-    assert own[3].startswith("5.0 [")
-    assert own[4:6] == ["10", "5"]
-    assert default[1] == "dqn"
-    assert default[3].startswith("15.0 [")
-    # the paired interval, against the normal one of the differences
-    low, high = (float(value) for value in own[3][len("5.0 [") : -1].split(", "))
-    half = 1.96 * 100 * ((0.15 - 0.05**2) / 100) ** 0.5
-    assert (low, high) == pytest.approx((5 - half, 5 + half), abs=1.1)
-    assert comparisons.loss(tables, "wheels", "ranges") == []
-
-
-def test_the_default_is_compared_with_all_others(study):
-    comparisons = study("comparisons")
-    tables = {
-        ("wheels", "ranges", "dqn", "5"): [crossings([True] * 6 + [False] * 4)],
-        ("wheels", "ranges", "dwa", "5"): [crossings([False] * 10)],
-    }
-    assert comparisons.paired(tables, "wheels", "ranges")[0].startswith("| dqn against")
-    assert [line[:19] for line in comparisons.paired(tables, "wheels", "ranges")[2:]] == [
-        "| dwa | 5 | 6 | 0 |"
-    ]
-    tables["wheels", "ranges", "dqn_ensemble", "5"] = [crossings([True] * 9 + [False])]
-    lines = comparisons.paired(tables, "wheels", "ranges")
-    assert [line.split(" | ")[:4] for line in lines[2:]] == [
-        ["| dqn", "5", "3", "0"],
-        ["| dwa", "5", "9", "0"],
-    ]
-
-
-def test_time_is_compared_over_all_trainings_in_pairs(study, monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER.parent / "table6_time"))
-    sys.modules.pop("run", None)
-    run = study("run")
-    ok = [True] * 40
-    made = {
-        "astar_dwa": [crossings(ok)],
-        "dqn": [crossings(ok, 11.0), crossings([True] * 39 + [False], 13.0)],
-    }
-    ratio, low, high, both = run.ratio_to_reference(made, "dqn")
-    first = sum(11 + k for k in range(40)) / sum(10 + k for k in range(40))
-    second = sum(13 + k for k in range(39)) / sum(10 + k for k in range(39))
-    assert ratio == pytest.approx((first + second) / 2)
-    assert low < ratio < high
-    assert high - low < 0.03  # far less than that of times unpaired
-    assert both == 39
-    assert run.ratio_to_reference(made, "astar_dwa")[:3] == (1.0, 1.0, 1.0)
-    assert run.cell(float("nan"), float("nan"), 0.0, 0.0) == "-"
 
 
 def test_the_whole_command_writes_headings_with_what_fed_them(study, tmp_path, monkeypatch):
