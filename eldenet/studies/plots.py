@@ -35,12 +35,14 @@ def pareto_plot(
     from matplotlib import pyplot
     from matplotlib.ticker import LogLocator
 
-    figure, axes = pyplot.subplots(figsize=(7, 4.5))
+    figure, axes = pyplot.subplots(figsize=(8, 5))
+    colors = {}
     for block, rows in blocks.items():
         points = [(row[1], row[2]) for row in rows]
         front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
         line = axes.plot(*zip(*front, strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
+        colors |= dict.fromkeys((row[0] for row in rows), line.get_color())
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.1)  # names stand to the right of their points
     axes.xaxis.set_major_formatter("{x:g}")
@@ -51,12 +53,16 @@ def pareto_plot(
     axes.legend(fontsize=8, loc="best")  # clear of the points
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
-    name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows})
+    name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows}, colors)
     figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
     pyplot.close(figure)
 
 
-def name_points(axes: Any, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+def name_points(
+    axes: Any,
+    points: Mapping[str, Sequence[tuple[float, float]]],
+    colors: Mapping[str, str] | None = None,
+) -> None:
     """Write each name beside its points ``(x, y)``, which lie on about one height, the highest first.
 
     It goes right of the last or left of the first of them, within the axes and clear of other names,
@@ -71,7 +77,13 @@ def name_points(axes: Any, points: Mapping[str, Sequence[tuple[float, float]]]) 
         for right, up in ((4, 4), (4, -9), (6, -2), (-4, 4), (-4, -9), (-6, -2)):
             place, side = (max(own), "left") if right > 0 else (min(own), "right")
             note = axes.annotate(
-                name, place, xytext=(right, up), textcoords="offset points", fontsize=7, ha=side
+                name,
+                place,
+                xytext=(right, up),
+                textcoords="offset points",
+                fontsize=7,
+                ha=side,
+                color=(colors or {}).get(name, "black"),
             )
             box = note.get_window_extent()
             within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0
