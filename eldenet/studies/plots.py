@@ -36,7 +36,7 @@ def pareto_plot(
     from matplotlib.ticker import LogLocator
 
     figure, axes = pyplot.subplots(figsize=(8, 5))
-    colors = {}
+    colors: dict[str, str] = {}
     for block, rows in blocks.items():
         points = [(row[1], row[2]) for row in rows]
         front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
