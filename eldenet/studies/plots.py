@@ -36,13 +36,13 @@ def pareto_plot(
     from matplotlib.ticker import LogLocator
 
     figure, axes = pyplot.subplots(figsize=(8, 5))
-    colors: dict[str, str] = {}
+    colors: dict[str, Any] = {}
     for block, rows in blocks.items():
         points = [(row[1], row[2]) for row in rows]
         front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
         line = axes.plot(*zip(*front, strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
-        colors |= dict.fromkeys((row[0] for row in rows), line.get_color())
+        colors |= {row[0]: line.get_color() for row in rows}
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.1)  # names stand to the right of their points
     axes.xaxis.set_major_formatter("{x:g}")
@@ -61,7 +61,7 @@ def pareto_plot(
 def name_points(
     axes: Any,
     points: Mapping[str, Sequence[tuple[float, float]]],
-    colors: Mapping[str, str] | None = None,
+    colors: Mapping[str, Any] | None = None,
 ) -> None:
     """Write each name beside its points ``(x, y)``, which lie on about one height, the highest first.
 
