@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from eldenet import config as cfg
 from eldenet.comparison import find_runs, group_rows, table_of
 from eldenet.metrics import EvalProtocol
 from eldenet.runlog import RunLog
@@ -197,10 +198,24 @@ def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     assert table_of(find_runs([str(tmp_path)]), COLUMNS)[1][0][1] == "2"
 
 
-def test_the_protocol_line_names_the_crop():
-    fractions = EvalProtocol(
-        "k", frame_crop=(352, 1216), frame_anchor="bottom", paste=True, crop_fractions=(0.4, 1.0, 0.0, 1.0)
-    )
-    line = protocol_line(run_with(protocol=fractions.as_dict()))
-    assert "crop (0.4, 1.0, 0.0, 1.0) of height and width, predicted from bottom (352, 1216)" in line
-    assert "no crop" in protocol_line(RUN)
+@pytest.mark.parametrize(
+    ("name", "scored"),
+    [
+        ("rooms", "10 m, no crop, mean"),
+        ("nyu_bts", "10 m, crop (45, 471, 41, 601), mean"),
+        ("nyu_paper", "frame resized by 0.5, then cut to (228, 304) at the center, all of it scored"),
+        ("cityscapes_paper", "frame resized to (128, 256), all of it scored"),
+        ("kitti_depth", "frame cut to (352, 1216) at the bottom, all of it scored"),
+        ("kitti_paper", "cut to (352, 1216) at the bottom, then resized to (228, 912), all of it scored"),
+        ("kitti_s2d_912x228", "cut to (130, 370, 10, 1210), then cut to (228, 912) at the center, all"),
+        (
+            "kitti_eigen_garg_improved",
+            "80 m, crop (0.4081, 0.9919, 0.0359, 0.9641) of height and width, scored where predicted: "
+            "(352, 1216) at the bottom, mean",
+        ),
+    ],
+)
+def test_the_protocol_line_says_what_of_the_frame_is_scored(name, scored):
+    rules = cfg.instantiate(cfg.compose("train", [f"protocol={name}"]).protocol).as_dict()
+    rules = json.loads(json.dumps(rules))  # as a run.json holds them
+    assert scored in protocol_line(run_with(protocol=rules))
