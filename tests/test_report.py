@@ -59,6 +59,18 @@ def test_seeds_share_a_row_with_mean_and_sample_deviation():
     assert rows[1][:5] == ["constant predictor", "-", "0.400", "1.000", "0.400"]
 
 
+def test_constant_predictors_of_other_training_frames_are_told_apart():
+    runs = [run_with(model=name) for name in ("a", "b", "c", "d")]
+    runs += [run_with(model="near", constant_predictor__rmse=2.0), run_with(model="bare")]
+    runs[-1]["constant_predictor"] = None
+    rows = [row[:4] for row in table_of(runs, COLUMNS)[1]][len(runs) :]
+    assert rows == [
+        ["constant predictor of a, b, c and 1 more", "-", "0.400", "1.000"],
+        ["constant predictor of near", "-", "0.400", "2.000"],
+    ]
+    assert len(table_of(runs[-1:], COLUMNS)[1]) == 1  # nobody's is shown as another's
+
+
 def test_models_keep_their_order():
     runs = [run_with(model=name) for name in ("b", "a", "c")]
     assert [row.model for row in group_rows(runs)] == ["b", "a", "c"]
@@ -143,7 +155,8 @@ def test_seeds_start_from_the_same_weights_or_each_from_its_own() -> None:
 
 
 def test_a_missing_value_is_shown_as_missing():
-    runs = [RUN, run_with(seed=1, metrics__rmse=None, constant_predictor__rmse=None)]
+    runs = [run_with(seed=seed, constant_predictor__rmse=None) for seed in (0, 1)]
+    runs[1]["metrics"]["rmse"] = None
     _, rows = table_of(runs[::-1], COLUMNS)
     assert [row[3] for row in rows] == ["-", "-"]
     with pytest.raises(ValueError, match=r"columns=\['absrel'\]"):

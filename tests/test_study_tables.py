@@ -146,6 +146,16 @@ def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
         build_blocks(study)
 
 
+def test_constant_predictors_of_other_training_frames_are_told_apart(study: Study) -> None:
+    for name, rmse in (("small", 1.0), ("large", 1.5)):
+        store(study, name, 0, figures(0.0, 0), constant_predictor={"rmse": rmse, "delta1": 0.4})
+    rows = table(study)
+    assert rows["constant predictor of small"]["RMSE [m] ↓"] == "1.000"
+    assert rows["constant predictor of large"]["RMSE [m] ↓"] == "1.500"
+    store(study, "large", 0, figures(0.0, 0), constant_predictor={"rmse": 1.0, "delta1": 0.4})
+    assert table(study)["constant predictor"]["δ1 ↑"] == "0.400"
+
+
 def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path) -> None:
     store(study, "small", 0, figures(0, 0))
     (tmp_path / "sweep.yaml").write_text(PLAN + "latency: benchmark.csv\n")
