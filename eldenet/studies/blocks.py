@@ -148,7 +148,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     latencies = Latencies.read(study)
     for member in members:
         if latencies and member.runs:
-            latencies.check(member.row.name, member.runs[0]["cost"]["params"])
+            latencies.check(member.row, member.runs[0])
     every = [run for member in members for run in member.runs]
     notes = _notes(every, latencies)
     columns: list[tuple[str, Callable[[Member], str]]] = [
