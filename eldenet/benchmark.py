@@ -104,7 +104,8 @@ def study_models(
     """The networks of a study's rows, and what writes their latencies into its folder.
 
     Raises:
-        ValueError: more than one measurement of each is asked for: refused before measuring.
+        ValueError: more than one measurement of each is asked for, or at a size that no row sees: refused
+            before measuring.
     """
     from eldenet.studies.costs import row_networks, write_costs
     from eldenet.studies.plan import read_study
@@ -115,8 +116,8 @@ def study_models(
     if several:
         raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
     study = read_study(config.study)
-    networks, network_of = row_networks(study)
-    return networks, lambda rows: write_costs(study, rows, network_of)
+    found = row_networks(study, cfg.plain(config.sizes)[0])
+    return found.networks, lambda rows: write_costs(study, rows, found)
 
 
 def check_reference(config: "DictConfig", names: Sequence[str]) -> None:

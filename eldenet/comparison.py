@@ -185,8 +185,26 @@ def table_of(
         [row.model, str(len(row.runs)), *(row.text(group, name) for group, name in wanted)]
         for row in group_rows(runs)
     ]
-    constant = next((run["constant_predictor"] for run in runs if run["constant_predictor"]), None)
-    if constant is not None:
-        shown = [number(name, constant.get(name)) for name in columns]
-        rows.append(["constant predictor", "-", *shown, *("-" for _ in wanted[len(columns) :])])
+    costless = ["-"] * len(wanted[len(columns) :])
+    rows += [[label, "-", *shown, *costless] for label, shown in constant_rows(runs, columns)]
     return titles, rows
+
+
+def constant_rows(runs: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Labels and figures of the constant predictor: one line, or one for each that the runs do not share.
+
+    It depends on the training frames and on the size of their depth, which runs of one table may differ in.
+    """
+    models: dict[tuple[str, ...], list[str]] = {}  # figures -> whose they are
+    for run in runs:
+        if (constant := run["constant_predictor"]) is not None:
+            shown = tuple(number(name, constant.get(name)) for name in columns)
+            models.setdefault(shown, []).append(str(run["model"]))
+    if len(models) == 1:
+        return [("constant predictor", list(shown)) for shown in models]
+    labels = (f"constant predictor of {_few(list(dict.fromkeys(names)))}" for names in models.values())
+    return [(label, list(shown)) for label, shown in zip(labels, models, strict=True)]
+
+
+def _few(names: Sequence[str], shown: int = 3) -> str:
+    return ", ".join(names[:shown]) + (f" and {len(names) - shown} more" if len(names) > shown else "")

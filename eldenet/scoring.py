@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.checkpoint import Progress
+from eldenet.data.rendered import RenderedScenes
 from eldenet.evaluation import (
     PER_IMAGE_HEADER,
     ConstantPredictor,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
     from eldenet.runtimes.scored import RuntimeNetwork
 
+RENDERED_FOR_A_CONSTANT = 512  # frames: as many as a test split has
 # of the runs of one process: a sweep, or the trials of a study, score the same constant on the same frames
 _CONSTANT_SCORES: dict[tuple[str, ...], dict[str, float]] = {}
 
@@ -67,6 +69,8 @@ def score_and_record(
         What was written to ``run.json``.
     """
     dataset = cfg.build_split(config, split, protocol, score=True)
+    if progress is None:  # a training has rendered its frames
+        _render_few(config, dataset, log)
     train_set = _training_frames(config, protocol, log)
 
     def score(predictor: Any, title: str) -> Any:
@@ -130,6 +134,25 @@ def score_and_record(
     }
     write_json(folder / RUN_FILE, record)
     return record
+
+
+def _render_few(config: "DictConfig", scored: "DepthDataset", log: RunLog) -> None:
+    """Cut ``data.train`` to what is quickly rendered where it would be rendered for its mean depth alone.
+
+    Whatever is there of it: the same command has the same result, until all is there.
+    """
+    frames = config.data.train.get("frames")
+    if not isinstance(scored, RenderedScenes) or frames is None or frames <= RENDERED_FOR_A_CONSTANT:
+        return
+    if not scored.missing_shards("train", frames):
+        return
+    log.say(
+        f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames alone: not "
+        f"all of data.train.frames={frames} are rendered yet"
+    )
+    config.data.train.frames = RENDERED_FOR_A_CONSTANT
+    if config.data.get("subset"):
+        config.data.subset.train = None
 
 
 def _training_frames(config: "DictConfig", protocol: EvalProtocol, log: RunLog) -> "DepthDataset | None":

@@ -71,16 +71,28 @@ def protocol_line(run: Mapping[str, Any]) -> str:
 
 
 def _scored_part(rules: Mapping[str, Any]) -> str:
-    """What of the frame is scored."""
+    """What of the camera's frame is scored: what it is cut and resized to, then the crop within that."""
+    steps = []
+    if rules["frame_box"]:
+        steps.append(f"cut to {tuple(rules['frame_box'])}")
+    if isinstance(rules["resize"], Sequence):
+        steps.append(f"resized to {tuple(rules['resize'])}")
+    elif rules["resize"]:
+        steps.append(f"resized by {rules['resize']:g}")
+    place = f"{tuple(rules['frame_crop'] or ())} at the {rules['frame_anchor']}"
+    if rules["frame_crop"] and not rules["paste"]:
+        steps.append(f"cut to {place}")
+    if rules["frame_size"]:
+        steps.append(f"resized to {tuple(rules['frame_size'])}")
     if rules["crop"]:
-        words = f"crop {tuple(rules['crop'])}"
+        crop = f"crop {tuple(rules['crop'])}"
     elif rules["crop_fractions"]:
-        words = f"crop {tuple(round(share, 4) for share in rules['crop_fractions'])} of height and width"
+        crop = f"crop {tuple(round(share, 4) for share in rules['crop_fractions'])} of height and width"
     else:
-        words = "no crop"
+        crop = "all of it scored" if steps else "no crop"
     if rules["paste"]:
-        words += f", predicted from {rules['frame_anchor']} {tuple(rules['frame_crop'])}"
-    return words
+        crop += f", scored where predicted: {place}"
+    return f"frame {', then '.join(steps)}, {crop}" if steps else crop
 
 
 def cost_line(run: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from eldenet import config as cfg
 from eldenet.comparison import find_runs, group_rows, table_of
 from eldenet.metrics import EvalProtocol
 from eldenet.runlog import RunLog
@@ -56,6 +57,18 @@ def test_seeds_share_a_row_with_mean_and_sample_deviation():
     assert titles[:5] == ["model", "seeds", "AbsRel ↓", "RMSE [m] ↓", "δ1 ↑"]
     assert rows[0][:5] == ["eldenet", "3", "0.200 ± 0.000", "0.500 ± 0.000", "0.800 ± 0.100"]
     assert rows[1][:5] == ["constant predictor", "-", "0.400", "1.000", "0.400"]
+
+
+def test_constant_predictors_of_other_training_frames_are_told_apart():
+    runs = [run_with(model=name) for name in ("a", "b", "c", "d")]
+    runs += [run_with(model="near", constant_predictor__rmse=2.0), run_with(model="bare")]
+    runs[-1]["constant_predictor"] = None
+    rows = [row[:4] for row in table_of(runs, COLUMNS)[1]][len(runs) :]
+    assert rows == [
+        ["constant predictor of a, b, c and 1 more", "-", "0.400", "1.000"],
+        ["constant predictor of near", "-", "0.400", "2.000"],
+    ]
+    assert len(table_of(runs[-1:], COLUMNS)[1]) == 1  # nobody's is shown as another's
 
 
 def test_models_keep_their_order():
@@ -142,7 +155,8 @@ def test_seeds_start_from_the_same_weights_or_each_from_its_own() -> None:
 
 
 def test_a_missing_value_is_shown_as_missing():
-    runs = [RUN, run_with(seed=1, metrics__rmse=None, constant_predictor__rmse=None)]
+    runs = [run_with(seed=seed, constant_predictor__rmse=None) for seed in (0, 1)]
+    runs[1]["metrics"]["rmse"] = None
     _, rows = table_of(runs[::-1], COLUMNS)
     assert [row[3] for row in rows] == ["-", "-"]
     with pytest.raises(ValueError, match=r"columns=\['absrel'\]"):
@@ -197,10 +211,24 @@ def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     assert table_of(find_runs([str(tmp_path)]), COLUMNS)[1][0][1] == "2"
 
 
-def test_the_protocol_line_names_the_crop():
-    fractions = EvalProtocol(
-        "k", frame_crop=(352, 1216), frame_anchor="bottom", paste=True, crop_fractions=(0.4, 1.0, 0.0, 1.0)
-    )
-    line = protocol_line(run_with(protocol=fractions.as_dict()))
-    assert "crop (0.4, 1.0, 0.0, 1.0) of height and width, predicted from bottom (352, 1216)" in line
-    assert "no crop" in protocol_line(RUN)
+@pytest.mark.parametrize(
+    ("name", "scored"),
+    [
+        ("rooms", "10 m, no crop, mean"),
+        ("nyu_bts", "10 m, crop (45, 471, 41, 601), mean"),
+        ("nyu_paper", "frame resized by 0.5, then cut to (228, 304) at the center, all of it scored"),
+        ("cityscapes_paper", "frame resized to (128, 256), all of it scored"),
+        ("kitti_depth", "frame cut to (352, 1216) at the bottom, all of it scored"),
+        ("kitti_paper", "cut to (352, 1216) at the bottom, then resized to (228, 912), all of it scored"),
+        ("kitti_s2d_912x228", "cut to (130, 370, 10, 1210), then cut to (228, 912) at the center, all"),
+        (
+            "kitti_eigen_garg_improved",
+            "80 m, crop (0.4081, 0.9919, 0.0359, 0.9641) of height and width, scored where predicted: "
+            "(352, 1216) at the bottom, mean",
+        ),
+    ],
+)
+def test_the_protocol_line_says_what_of_the_frame_is_scored(name, scored):
+    rules = cfg.instantiate(cfg.compose("train", [f"protocol={name}"]).protocol).as_dict()
+    rules = json.loads(json.dumps(rules))  # as a run.json holds them
+    assert scored in protocol_line(run_with(protocol=rules))

@@ -135,6 +135,8 @@ def test_latencies_of_a_study(tiny, tmp_path):
     """Each different network is measured once; the table and the plot show it for every row with it."""
     plan = re.sub(r"  elsewhere:.*\n", "", (tiny / "sweep.yaml").read_text())
     plan += "  same: {overrides: [model=eldenet_s, loss=l1_sparse], learning_rate: 1.0e-3}\n"
+    plan += "  plain: {overrides: [model=eldenet_s, model.backbone.shortcuts=false]}\n"
+    plan += '  larger: {overrides: [model=eldenet_s, "data.input_size=[64,80]"]}\n'
     (tiny / "sweep.yaml").write_text(short(plan) + "latency: benchmark.csv\n")
     row = read_study(tiny).chosen("same")[0]
     run_row(read_study(tiny), row, tmp_path / "runs")
@@ -147,10 +149,12 @@ def test_latencies_of_a_study(tiny, tmp_path):
         "memory=false",
     ]
     rows = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
-    assert [line["model"] for line in rows] == ["eldenet_s", "eldenet"]
+    assert [line["model"] for line in rows] == ["eldenet_s", "eldenet", "plain"]
     with (tiny / "benchmark.csv").open(newline="") as lines:
         measured = {line["row"]: line for line in csv.DictReader(lines)}
     assert measured["same"]["latency_ms_p50"] == measured["eldenet_s"]["latency_ms_p50"]
+    assert "larger" not in measured  # its latency at another input would not be its own
+    assert json.loads(measured["plain"]["network"])["backbone"]["shortcuts"] is False
     assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
     write_study_report(tiny)
     assert cells(tiny)["scratch/same"]["latency [ms] (torch) ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
@@ -159,6 +163,8 @@ def test_latencies_of_a_study(tiny, tmp_path):
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == len(rows)
     with pytest.raises(ValueError, match="give one value of sizes, runtimes"):
         benchmark(cfg.compose("benchmark", [f"study={tiny}", "sizes=[[32,40],[64,64]]"]))
+    with pytest.raises(ValueError, match=r"no row of tiny sees such images, give sizes=\[\[32,40\]\] or"):
+        benchmark(cfg.compose("benchmark", [*options, "sizes=[[48,48]]"]))
 
 
 def test_a_killed_row_goes_on(tiny, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from stored_study import PLAN, figures, notes, store, table, write_plan
 
+from eldenet.record import write_rows
 from eldenet.studies import statistics
 from eldenet.studies.blocks import build_blocks
 from eldenet.studies.plan import Study, read_study
@@ -146,21 +147,47 @@ def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
         build_blocks(study)
 
 
+def test_constant_predictors_of_other_training_frames_are_told_apart(study: Study) -> None:
+    for name, rmse in (("small", 1.0), ("large", 1.5)):
+        store(study, name, 0, figures(0.0, 0), constant_predictor={"rmse": rmse, "delta1": 0.4})
+    rows = table(study)
+    assert rows["constant predictor of small"]["RMSE [m] ↓"] == "1.000"
+    assert rows["constant predictor of large"]["RMSE [m] ↓"] == "1.500"
+    store(study, "large", 0, figures(0.0, 0), constant_predictor={"rmse": 1.0, "delta1": 0.4})
+    assert table(study)["constant predictor"]["δ1 ↑"] == "0.400"
+
+
 def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path) -> None:
-    store(study, "small", 0, figures(0, 0))
+    folder = store(study, "small", 0, figures(0, 0))
     (tmp_path / "sweep.yaml").write_text(PLAN + "latency: benchmark.csv\n")
     study = read_study(tmp_path)
     with pytest.raises(FileNotFoundError, match="names it as its latency"):
         build_blocks(study)
-    header = "row,latency_ms_p50,runtime,precision,threads,device,batch,height,width,params,gmacs"
-    facts = "onnxruntime,fp32,1,cpu,1,96,128,{params},0.1,some,2026-01-01,benchmark.py"
+    line = {
+        **{"row": "small", "latency_ms_p50": 3.25, "runtime": "onnxruntime", "precision": "fp32"},
+        **{"threads": 1, "device": "cpu", "batch": 1, "height": 96, "width": 128, "params": 100},
+        **{"gmacs": 1.0, "processor": "some", "date": "2026-01-01", "command": "benchmark.py"},
+    }
     file = tmp_path / "benchmark.csv"
-    file.write_text(f"{header},processor,date,command\nsmall,3.25,{facts.format(params=100)}\n")
+    write_rows(file, list(line), [list(line.values())])
     assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
     write_study_report(tmp_path)
     text = (tmp_path / "results.md").read_text()
     assert "latency: median of interleaved rounds, onnxruntime, fp32, 1 threads, cpu (some)" in text
     assert "costs: torch" not in text
-    file.write_text(f"{header},processor,date,command\nsmall,3.25,{facts.format(params=99)}\n")
-    with pytest.raises(ValueError, match="99 parameters, its runs have 100"):
-        build_blocks(study)
+    # the latency of another network, or at another input
+    config = json.loads((folder / "run.json").read_text())["config"]["model"]
+    plain = json.loads(json.dumps(config))
+    plain["backbone"]["shortcuts"] = not config["backbone"]["shortcuts"]
+    write_rows(file, [*line, "network"], [[*line.values(), json.dumps(config)]])
+    assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
+    for change, words in (
+        ({"params": 99}, r"params=99 \(there 100\)"),
+        ({"gmacs": 1.1}, r"gmacs=1.1 \(there 1.0\)"),
+        ({"height": 120}, r"height=120 \(there 96\)"),
+        ({"network": json.dumps(plain)}, r"model\.backbone\.shortcuts=False \(there True\)"),
+    ):
+        other = line | change
+        write_rows(file, list(other), [list(other.values())])
+        with pytest.raises(ValueError, match=rf"latency of small was measured on another network.*{words}"):
+            build_blocks(study)

@@ -97,12 +97,16 @@ class RenderedScenes(DepthDataset):
         digest = generator_hash(self.generator, self.size)
         folder = f"{name}-v{self.generator.version}-{self.size[0]}x{self.size[1]}-{digest}"
         self.folder = (default_cache() if root is None else Path(root)).expanduser() / folder
-        shards = range(-(-frames // SHARD_FRAMES))
-        missing = [s for s in shards if not is_whole(shard_folder(self.folder, split, s))]
+        missing = self.missing_shards(split, frames)
         if missing:
             count = min(2, os.cpu_count() or 1) if workers is None else workers
             render_missing(self.folder, self.generator, split, missing, self.size, count)
         self._open: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def missing_shards(self, split: str, frames: int) -> list[int]:
+        """Shards that would have to be rendered for so many frames of a split, of the same size and root."""
+        shards = range(-(-frames // SHARD_FRAMES))
+        return [shard for shard in shards if not is_whole(shard_folder(self.folder, split, shard))]
 
     @property
     def split_hash(self) -> str:

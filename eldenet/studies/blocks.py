@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eldenet.comparison import Row, group_rows, refuse_mixtures
+from eldenet.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.metrics import LOWER_IS_BETTER
 from eldenet.studies import statistics
 from eldenet.studies.composing import outdated_search, stored_choice
@@ -15,7 +15,7 @@ from eldenet.studies.latencies import Latencies
 from eldenet.studies.plan import Study, StudyRow
 from eldenet.studies.statistics import Difference
 from eldenet.studies.stored import stored_runs
-from eldenet.tables import heading, number, protocol_line, training_line
+from eldenet.tables import heading, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
@@ -148,7 +148,7 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     latencies = Latencies.read(study)
     for member in members:
         if latencies and member.runs:
-            latencies.check(member.row.name, member.runs[0]["cost"]["params"])
+            latencies.check(member.row, member.runs[0])
     every = [run for member in members for run in member.runs]
     notes = _notes(every, latencies)
     columns: list[tuple[str, Callable[[Member], str]]] = [
@@ -186,8 +186,9 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         for column in (*PUBLISHED, "protocol", "source"):
             columns.append((f"published {column}", partial(Member.published, name=column)))
     rows = [[cell(member) for _, cell in columns] for member in members]
-    if every:
-        rows.append(_constant(study, every[0], len(columns)))
+    for label, shown in constant_rows(every, study.columns):
+        cells = [label, "-", "depth of the training frames", *shown]
+        rows.append(cells + ["-"] * (len(columns) - len(cells)))
     points = [point for member in members if (point := _point(study, member, latencies))]
     compared = "" if reference is None else reference.row.name
     return Block(name, [title for title, _ in columns], rows, notes, points, differences, compared, published)
@@ -234,13 +235,6 @@ def _searches(study: Study, members: Sequence[Member]) -> list[str]:
         "learning rate chosen by other trials than sweep.yaml plans, made anew by rerun=true": others,
     }
     return [f"{words}: {', '.join(rows)}" for words, rows in found.items() if rows]
-
-
-def _constant(study: Study, run: Mapping[str, Any], columns: int) -> list[str]:
-    values = [number(metric, (run["constant_predictor"] or {}).get(metric)) for metric in study.columns]
-    return ["constant predictor", "-", "depth of the training frames", *values] + ["-"] * (
-        columns - 3 - len(values)
-    )
 
 
 def _differences(study: Study, reference: Member | None, members: Sequence[Member]) -> dict[str, Difference]:

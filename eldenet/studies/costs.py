@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,43 +19,67 @@ COLUMNS = ("runtime", "precision", "threads", "device", "batch", "height", "widt
 FACTS = ("processor", "versions", "date", "command")
 
 
-def row_networks(study: Study) -> tuple[dict[str, "DepthNet"], dict[str, str]]:
-    """The different networks of a study, initialised from seed 0, and which of them each row has.
+@dataclass(frozen=True)
+class RowNetworks:
+    """The different networks of a study that see images of one size.
+
+    Attributes:
+        networks: initialised from seed 0, by the name of the first row with it.
+        settings: of each, the ``model`` of a training's config.
+        network_of: row -> which of them it has.
+    """
+
+    networks: dict[str, "DepthNet"]
+    settings: dict[str, Any]
+    network_of: dict[str, str]
+
+
+def row_networks(study: Study, size: Sequence[int]) -> RowNetworks:
+    """The networks of the rows whose input is of ``size`` (height, width) [px].
 
     Rows that differ in weights, loss or data alone share one. Options that only some trained run can give
     (``pretrained`` weights) are left out: they change no latency.
 
-    Returns:
-        Name of the first row with it -> network; row -> that name.
+    Raises:
+        ValueError: no row's input is of that size: its latency would be that of another one.
     """
     import torch
 
-    networks: dict[str, DepthNet] = {}
+    found = RowNetworks({}, {}, {})
     first: dict[str, str] = {}
-    network_of: dict[str, str] = {}
+    others: set[tuple[int, ...]] = set()
     for row in study.rows:
         overrides = [*(row.owner or study).overrides, *row.overrides]
         config = compose_run(overrides, Path("unused"), Path("unused"), name=row.name, seed=0)
-        parts = [cfg.plain(config.model), cfg.plain(config.data.input_size)]
-        key = json.dumps(parts, sort_keys=True, default=str)
-        name = first.setdefault(key, row.name)
+        settings, seen = cfg.plain(config.model), cfg.plain(config.data.input_size)
+        if seen is not None and list(seen) != list(size):
+            others.add(tuple(seen))
+            continue
+        name = first.setdefault(json.dumps(settings, sort_keys=True, default=str), row.name)
         if name == row.name:
             torch.manual_seed(0)  # a benchmark knows what it measured by the weights
-            networks[name] = cfg.build_model(config.model).eval()
-        network_of[row.name] = name
-    return networks, network_of
+            found.networks[name] = cfg.build_model(config.model).eval()
+            found.settings[name] = settings
+        found.network_of[row.name] = name
+    if not found.networks:
+        sizes = " or ".join(f"sizes=[[{height},{width}]]" for height, width in sorted(others))
+        raise ValueError(f"sizes=[{list(size)}]: no row of {study.name} sees such images, give {sizes}")
+    return found
 
 
-def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], network_of: Mapping[str, str]) -> Path:
+def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNetworks) -> Path:
     """Write ``benchmark.csv`` of a study: a line for each row whose network was measured, once each."""
     by_network = {line["model"]: line for line in measured}
     path = study.folder / COSTS_FILE
     lines = [
-        [row.name, line["latency_ms_p50"], *(_text(line[name]) for name in (*COLUMNS, *FACTS))]
-        for row in study.rows
-        if (line := by_network.get(network_of[row.name])) and line["latency_ms_p50"] is not None
+        [
+            *(row, line["latency_ms_p50"], *(_text(line[name]) for name in (*COLUMNS, *FACTS))),
+            json.dumps(rows.settings[name], default=str),
+        ]
+        for row, name in rows.network_of.items()
+        if (line := by_network.get(name)) and line["latency_ms_p50"] is not None
     ]
-    write_rows(path, ["row", "latency_ms_p50", *COLUMNS, *FACTS], lines)
+    write_rows(path, ["row", "latency_ms_p50", *COLUMNS, *FACTS, "network"], lines)
     return path
 
 

@@ -1,13 +1,23 @@
 """Latencies of a study's rows that a benchmark measured beside each other, and what it measured them on."""
 
 import csv
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from eldenet.studies.plan import Study
+from eldenet.record import differences
+from eldenet.studies.plan import Study, StudyRow
 
 # one value of each in a file: latencies of two machines, sizes or runtimes do not compare
 SAME = ("runtime", "precision", "threads", "device", "batch", "height", "width", "processor")
+COUNTED = (
+    "params",
+    "gmacs",
+    "height",
+    "width",
+)  # of a network, where it was measured and where it was trained
 
 
 @dataclass(frozen=True)
@@ -37,17 +47,32 @@ class Latencies:
                 raise ValueError(f"{path}: {name} differs ({' | '.join(values)}): they do not compare")
         return cls(lines)
 
-    def check(self, row: str, params: int) -> None:
-        """Refuse the latency of another network: parameters tell.
+    def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
+        """Refuse the latency of another network than that of a row's run, or at another input.
+
+        What the row is given (``pretrained`` weights) changes no latency. Files of before networks were
+        written down tell them by their counts alone.
 
         Raises:
-            ValueError: the file's network of ``row`` has not ``params`` parameters.
+            ValueError: names what differs.
         """
-        line = self.lines.get(row)
-        if line is not None and int(float(line["params"])) != params:
+        line = self.lines.get(row.name)
+        if line is None:
+            return
+        cost = run["cost"]
+        different = [
+            f"{name}={line[name]} (there {cost[name]})"
+            for name in COUNTED
+            if not math.isclose(float(line[name]), cost[name], rel_tol=1e-6)
+        ]
+        if line.get("network"):
+            given = frozenset(setting.rpartition(".")[2] for setting in (row.given or {}).values())
+            measured = json.loads(line["network"])
+            different += differences(measured, run["config"]["model"], "model", ignored=given)
+        if different:
             raise ValueError(
-                f"the latency of {row} was measured on a network of {line['params']} parameters, its runs "
-                f"have {params}: measure it again (python -m eldenet.benchmark study=...)"
+                f"the latency of {row.name} was measured on another network than its runs have: "
+                f"{', '.join(different[:3])}. Measure it again (python -m eldenet.benchmark study=...)"
             )
 
     def of(self, row: str) -> float | None:

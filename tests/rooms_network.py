@@ -1,0 +1,31 @@
+"""A trained network, pictures for it and its metres by torch: what the tests of runtimes share."""
+
+import cv2
+import numpy as np
+import torch
+
+import eldenet
+from eldenet.model import DepthNet
+
+SIZE, CAMERA = (32, 64), (72, 96)
+ROUNDING, HALF, INT8 = 1e-5, 0.02, 0.05  # relative to torch's fp32: fp32 largest, bf16 and int8 median
+
+
+def trained() -> DepthNet:
+    """A trained one: an untrained map is far steeper than what rounding may be judged by."""
+    model = eldenet.load("eldenet_rooms").eval()
+    model.info = {"input_size": list(SIZE), "model_name": "eldenet_s", "data": "rooms"}
+    return model
+
+
+def smooth_pictures() -> np.ndarray:
+    """Smooth pictures: noise would be no test of a depth network's lower precisions."""
+    generator = np.random.default_rng(0)
+    coarse = generator.random((3, 4, 8, 3), dtype=np.float32)
+    return np.stack([cv2.resize(each, SIZE[::-1]).transpose(2, 0, 1) for each in coarse])
+
+
+def metres(model: DepthNet, images: np.ndarray) -> np.ndarray:
+    """By torch, in full precision."""
+    with torch.inference_mode():
+        return model(torch.from_numpy(images)).numpy()
