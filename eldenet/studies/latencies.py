@@ -12,12 +12,8 @@ from eldenet.studies.plan import Study, StudyRow
 
 # one value of each in a file: latencies of two machines, sizes or runtimes do not compare
 SAME = ("runtime", "precision", "threads", "device", "batch", "height", "width", "processor")
-COUNTED = (
-    "params",
-    "gmacs",
-    "height",
-    "width",
-)  # of a network, where it was measured and where it was trained
+# of a network, where it was measured and where it was trained
+COUNTED = ("params", "gmacs", "height", "width")
 
 
 @dataclass(frozen=True)
