@@ -133,10 +133,10 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
 
 def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log: "RunLog") -> None:
     """Say why this network's depth may mean nothing, or less than it could."""
-    import eldenet
+    from eldenet.zoo import note_if_untrained
 
-    if str(config.checkpoint) in eldenet.list_models():
-        log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
+    if note := note_if_untrained(config.checkpoint):
+        log.say(note)
     elif predictor.input_size is None:
         log.say(
             f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "

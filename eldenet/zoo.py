@@ -22,6 +22,13 @@ def list_weights() -> list[str]:
     return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
 
 
+def note_if_untrained(source: str | Path) -> str:
+    """What to say of a network that is built by name, where trained ones are wanted; empty for any other."""
+    if str(source) not in list_models():
+        return ""
+    return f"note: {source} is a freshly initialised network: its depth means nothing"
+
+
 def load(
     source: str | Path,
     *,
