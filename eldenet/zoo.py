@@ -84,7 +84,5 @@ def load(
         )
     if revision is not None and folder.is_dir():
         raise ValueError(f"revision={revision!r} is for Hub ids; {source} is a folder here")
-    if (folder / "model" / "config.json").is_file():
-        return DepthNet.from_pretrained(folder / "model", trusted_modules=trusted_modules)
     found = folder if folder.is_dir() or folder.is_absolute() else source
     return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)
