@@ -68,7 +68,7 @@ def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> Non
 
 
 def test_predictor_refuses_a_device_for_a_runtime_which_has_its_own() -> None:
-    with pytest.raises(ValueError, match=r"device=cuda is for a model.*give device to eldenet\.runtimes\.load"):
+    with pytest.raises(ValueError, match=r"device=cuda is for a model.*eldenet\.runtimes\.load"):
         DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
 
 
