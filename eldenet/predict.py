@@ -1,6 +1,7 @@
 """``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera."""
 
 import re
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,6 +53,7 @@ def predict(config: "DictConfig") -> "Results":
     is_video = kind == "video"
     results = read_settings(config, is_video=is_video)
     names = name_sources(source, kind, given if live else "", results.folder)
+    names = dict(islice(names.items(), config.frames))  # one name stands for all frames of a video
     named = list(names.values())
     files = [file for name in named for file in results.files(name, is_video=is_video)]
     results.refuse_to_overwrite(list(names), files)
