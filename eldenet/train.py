@@ -30,6 +30,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     """
     from omegaconf import OmegaConf
 
+    from eldenet.losses.distillation import DistilledTerm
     from eldenet.normalisation import normalisation, write_normalisation
     from eldenet.resources import choose_resources, main_process_first
     from eldenet.runlog import RunLog
@@ -85,6 +86,9 @@ def train(config: "DictConfig", folder: Path) -> float:
     for split, scored in (("validation", val_set), ("test", test_set)):
         if count := remembered(train_set, scored):
             log.say(f"note: {count} of {len(scored)} {split} frames are trained on")
+    for term in loss.terms.values():
+        if isinstance(term, DistilledTerm):
+            log.say(term.teacher.describe(config.data.input_size))
     progress = trainer.fit(
         model,
         train_set,
