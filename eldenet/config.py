@@ -224,6 +224,19 @@ def build_protocol(config: DictConfig) -> Any:
     return instantiate(chosen if chosen is not None else config.data.protocol)
 
 
+def _split_node(config: DictConfig, split: str) -> DictConfig:
+    """The settings of one split's data set."""
+    node = config.data.get(split)
+    if not OmegaConf.is_dict(node):
+        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
+    if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
+        raise ValueError(
+            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
+            f"those (data.val...), or give a whole data.{split}"
+        )
+    return node
+
+
 def build_split(
     config: DictConfig,
     split: str,
@@ -246,32 +259,25 @@ def build_split(
     from eldenet.data.base import Chain
     from eldenet.data.resize_crop import ResizeCrop
 
-    if not OmegaConf.is_dict(config.data.get(split)):
-        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
-    if "_target_" not in config.data[split]:  # a part of ${data.val} was overridden, so nothing else is left
-        raise ValueError(
-            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
-            f"those (data.val...), or give a whole data.{split}"
-        )
+    node = _split_node(config, split)
     steps: list[Any] = []
-    changes: dict[str, Any] = {}
-    if score and config.data[split].get("load_size") is not None:
-        changes = {"load_size": None, "cache": "none"}
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
         steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
-        if config.data[split].get("load_size") is not None:
+    changes: dict[str, Any] = {}
+    if node.get("load_size") is not None and (score or protocol.changes_frames):
+        changes = {"load_size": None, "cache": "none"}
+        if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
                 "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
                 split,
                 protocol.name,
             )
-            changes = {"load_size": None, "cache": "none"}
     if augment and config.get("augmentation"):  # augmentation=none is an empty node
         steps.append(instantiate(config.augmentation))
     dataset = instantiate(
-        config.data[split],
+        node,
         **changes,
         transform=Chain(steps) if steps else None,
         resize_depth=split == "train" and not score,
