@@ -126,6 +126,13 @@ def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
     return {override.key_or_group: str(override.input_line) for override in parsed}
 
 
+def refuse_unread(names: Sequence[str], because: str) -> None:
+    """Raise ValueError if the command line sets one of these, or a part of it, which nothing would read."""
+    unread = [key for key in given_settings() if key.partition(".")[0] in names]
+    if unread:
+        raise ValueError(f"{', '.join(unread)}: {because}")
+
+
 def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
     """Decorate a function that YAML files call as ``${name:argument,...}``."""
 
@@ -165,6 +172,12 @@ def is_main_process() -> bool:
 def plain(config: Any) -> Any:
     """Resolved dicts, lists and values; what ``run.json`` stores."""
     return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+
+
+def listed(config: Any) -> list[Any]:
+    """A setting that takes several values: one alone counts as a list of one, as a person would write it."""
+    values = plain(config)
+    return values if isinstance(values, list) else [values]
 
 
 def instantiate(config: Any, **arguments: Any) -> Any:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 @cfg.entry_point("predict")
 def main(config: "DictConfig", folder: Path) -> None:
     """Predict and write; ``folder`` is not used, results go to ``output``."""
+    if not config.boxes:
+        cfg.refuse_unread(("perception",), "3D boxes are made with boxes=true alone")
     try:
         predict(config)
     except KeyboardInterrupt:
@@ -160,14 +162,14 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
         raise ValueError(f"intrinsics={camera}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
     if span is not None and not 0 <= span[0] < span[1]:
         raise ValueError(f"depth_range={span}: give [near, far] in metres, 0 <= near < far")
-    formats = cfg.plain(config.formats)
-    if formats is None:
+    if config.formats is None:
         formats = (
             ["colour"]
             if is_video
             else ["depth", "colour"] + ["ply"] * (camera is not None and not config.boxes)
         )
-    formats = [formats] if isinstance(formats, str) else formats
+    else:
+        formats = cfg.listed(config.formats)
     for name in formats:
         one_of("formats", str(name), tuple(ENDING))
     if not formats:
