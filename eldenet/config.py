@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.resources import prepare_environment
+from eldenet.usage import explained
 
 prepare_environment()
 
@@ -107,7 +108,8 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                     with suppress(OSError):
                         folder.rmdir()  # Hydra made it; a mistake leaves it empty
 
-        return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
+        parsed = hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)
+        return explained(config_name, sys.modules[main.__module__].__doc__ or "")(parsed(task))
 
     return decorate
 
