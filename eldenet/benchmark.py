@@ -34,7 +34,7 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
     from eldenet.runlog import RunLog
 
-    for name in LISTS:
+    for name in LISTS:  # models=eldenet is a list of one
         if config[name] is not None:
             config[name] = cfg.listed(config[name])
     output = Path(config.output).expanduser()

@@ -61,6 +61,7 @@ def test_commands_say_so(run_command):
             ["models=eldenet_s", "sizes=[224,224]"],
             "sizes=[224, 224]: give [[height, width], ...]",
         ),
+        ("train", ["data.input_size=224"], "input_size=224: give [height, width] in pixels"),
         ("train", ["trainer.epochs=five"], "epochs=five: a whole number, 1 or more, is needed"),
     ],
 )
