@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml: it may be absent
+LISTS = ("models", "batches", "runtimes", "precisions", "threads", "accuracies")
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
 @cfg.entry_point("benchmark")
 def main(config: "DictConfig", folder: Path) -> None:
     """Measure; ``folder`` is not used, results go to ``output``."""
+    if config.study is not None:
+        cfg.refuse_unread(("models",), "not read with study=, whose rows say which networks are measured")
     benchmark(config)
 
 
@@ -31,6 +34,9 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
     from eldenet.runlog import RunLog
 
+    for name in LISTS:  # models=eldenet is a list of one
+        if config[name] is not None:
+            config[name] = cfg.listed(config[name])
     output = Path(config.output).expanduser()
     models, finish = (load_models(config), None) if config.study is None else study_models(config)
     check_reference(config, list(models))
@@ -201,7 +207,9 @@ def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
         one_of("precisions", str(precision), PRECISIONS)
     if config.rounds < 1:
         raise ValueError(f"rounds={config.rounds}: each row needs a turn")
-    sizes = [(int(height), int(width)) for height, width in cfg.plain(config.sizes)]
+    sizes = cfg.listed(config.sizes)
+    if not all(isinstance(size, list) and [type(length) for length in size] == [int, int] for size in sizes):
+        raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
     return [
         Case(name, height, width, int(batch), str(runtime), str(precision), int(threads), str(config.device))
         for (height, width), batch, runtime, threads in itertools.product(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.resources import prepare_environment
+from eldenet.usage import explained
 
 prepare_environment()
 
@@ -107,7 +108,8 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                     with suppress(OSError):
                         folder.rmdir()  # Hydra made it; a mistake leaves it empty
 
-        return hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(task)
+        parsed = hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)
+        return explained(config_name, sys.modules[main.__module__].__doc__ or "")(parsed(task))
 
     return decorate
 
@@ -124,6 +126,13 @@ def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
         overrides = HydraConfig.get().overrides.task
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return {override.key_or_group: str(override.input_line) for override in parsed}
+
+
+def refuse_unread(names: Sequence[str], because: str) -> None:
+    """Raise ValueError if the command line sets one of these, or a part of it, which nothing would read."""
+    unread = [key for key in given_settings() if key.partition(".")[0] in names]
+    if unread:
+        raise ValueError(f"{', '.join(unread)}: {because}")
 
 
 def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
@@ -165,6 +174,12 @@ def is_main_process() -> bool:
 def plain(config: Any) -> Any:
     """Resolved dicts, lists and values; what ``run.json`` stores."""
     return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+
+
+def listed(config: Any) -> list[Any]:
+    """A setting that takes several values: one alone counts as a list of one, as a person would write it."""
+    values = plain(config)
+    return values if isinstance(values, list) else [values]
 
 
 def instantiate(config: Any, **arguments: Any) -> Any:
@@ -224,6 +239,19 @@ def build_protocol(config: DictConfig) -> Any:
     return instantiate(chosen if chosen is not None else config.data.protocol)
 
 
+def _split_node(config: DictConfig, split: str) -> DictConfig:
+    """The settings of one split's data set."""
+    node = config.data.get(split)
+    if not OmegaConf.is_dict(node):
+        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
+    if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
+        raise ValueError(
+            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
+            f"those (data.val...), or give a whole data.{split}"
+        )
+    return node
+
+
 def build_split(
     config: DictConfig,
     split: str,
@@ -246,32 +274,25 @@ def build_split(
     from eldenet.data.base import Chain
     from eldenet.data.resize_crop import ResizeCrop
 
-    if not OmegaConf.is_dict(config.data.get(split)):
-        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
-    if "_target_" not in config.data[split]:  # a part of ${data.val} was overridden, so nothing else is left
-        raise ValueError(
-            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
-            f"those (data.val...), or give a whole data.{split}"
-        )
+    node = _split_node(config, split)
     steps: list[Any] = []
-    changes: dict[str, Any] = {}
-    if score and config.data[split].get("load_size") is not None:
-        changes = {"load_size": None, "cache": "none"}
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
         steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
-        if config.data[split].get("load_size") is not None:
+    changes: dict[str, Any] = {}
+    if node.get("load_size") is not None and (score or protocol.changes_frames):
+        changes = {"load_size": None, "cache": "none"}
+        if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
                 "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
                 split,
                 protocol.name,
             )
-            changes = {"load_size": None, "cache": "none"}
     if augment and config.get("augmentation"):  # augmentation=none is an empty node
         steps.append(instantiate(config.augmentation))
     dataset = instantiate(
-        config.data[split],
+        node,
         **changes,
         transform=Chain(steps) if steps else None,
         resize_depth=split == "train" and not score,

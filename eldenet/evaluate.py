@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 @cfg.entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
-    import eldenet
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
     from eldenet.tables import closing_table
+    from eldenet.zoo import note_if_untrained
 
     if (folder / "checkpoints").is_dir():
         raise ValueError(
@@ -34,8 +34,8 @@ def main(config: "DictConfig", folder: Path) -> None:
     model = _open(config, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
-    if str(config.checkpoint) in eldenet.list_models():
-        log.say(f"note: {config.checkpoint} is a freshly initialised network: its figures mean nothing")
+    if note := note_if_untrained(config.checkpoint):
+        log.say(note)
     _choose_input_size(config, model, protocol, log)
     record = score_and_record(
         config,

@@ -48,12 +48,13 @@ def export(config: "DictConfig") -> Path:
     from eldenet.exporting import describe, write_onnx, write_openvino
     from eldenet.quantisation import quantise_onnx, quantise_openvino
     from eldenet.runlog import RunLog
+    from eldenet.zoo import note_if_untrained
 
     model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
     job = read_job(config, model)
     log = RunLog(job.output.parent)
-    if str(config.checkpoint) in eldenet.list_models():
-        log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
+    if note := note_if_untrained(config.checkpoint):
+        log.say(note)
     pictures = read_pictures(config.pictures, max(config.checks, 1), "test")
     facts = describe(model, job.name, job.size, camera_size=job.camera_size, licence=config.licence)
     facts["precision"] = job.precision

@@ -1,15 +1,12 @@
-"""Heads turn a network's raw map into metres and back; the range is the head's own."""
+"""Heads turn a network's raw map into metres; the range is the head's own."""
 
-import math
-
-import torch
 from torch import Tensor, nn
 
 from eldenet.configurable import Configurable
 
 
 class Head(Configurable, nn.Module):
-    """Raw map ``(B, 1, H, W)`` <-> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]`` [m]."""
+    """Raw map ``(B, 1, H, W)`` -> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]`` [m]."""
 
     def __init__(self, min_depth: float, max_depth: float) -> None:
         super().__init__()
@@ -23,20 +20,9 @@ class Head(Configurable, nn.Module):
         """Map any real number to metres."""
         raise NotImplementedError
 
-    def from_metres(self, depth: Tensor) -> Tensor:
-        """Inverse of :meth:`to_metres`; metres outside the range are clamped just inside."""
-        raise NotImplementedError
-
-    def _clamped(self, depth: Tensor) -> Tensor:
-        return depth.clamp(self.min_depth, self.max_depth)
-
     def forward(self, raw: Tensor) -> Tensor:
         """Same as :meth:`to_metres`."""
         return self.to_metres(raw)
-
-
-def _logit(share: Tensor) -> Tensor:
-    return torch.logit(share.clamp(1e-6, 1 - 1e-6))
 
 
 class LinearHead(Head):
@@ -48,10 +34,6 @@ class LinearHead(Head):
     def to_metres(self, raw: Tensor) -> Tensor:
         """Map any real number to metres."""
         return self.min_depth + (self.max_depth - self.min_depth) * raw.sigmoid()
-
-    def from_metres(self, depth: Tensor) -> Tensor:
-        """Inverse of :meth:`to_metres`."""
-        return _logit((self._clamped(depth) - self.min_depth) / (self.max_depth - self.min_depth))
 
 
 class InverseHead(Head):
@@ -65,11 +47,6 @@ class InverseHead(Head):
         far, near = 1 / self.max_depth, 1 / self.min_depth
         return 1 / (far + (near - far) * raw.sigmoid())
 
-    def from_metres(self, depth: Tensor) -> Tensor:
-        """Inverse of :meth:`to_metres`."""
-        far, near = 1 / self.max_depth, 1 / self.min_depth
-        return _logit((1 / self._clamped(depth) - far) / (near - far))
-
 
 class LogHead(Head):
     """The logarithm of depth is squashed: an error weighs by its ratio, as delta and AbsRel count it."""
@@ -81,12 +58,6 @@ class LogHead(Head):
         """Map any real number to metres."""
         ratio = self.max_depth / self.min_depth
         return self.min_depth * ratio ** raw.sigmoid()
-
-    def from_metres(self, depth: Tensor) -> Tensor:
-        """Inverse of :meth:`to_metres`."""
-        return _logit(
-            (self._clamped(depth) / self.min_depth).log() / math.log(self.max_depth / self.min_depth)
-        )
 
 
 class ScaledHead(Head):
@@ -109,8 +80,4 @@ class ScaledHead(Head):
 
     def to_metres(self, raw: Tensor) -> Tensor:
         """Map any real number to metres."""
-        return self._clamped(raw * self.scale)
-
-    def from_metres(self, depth: Tensor) -> Tensor:
-        """Inverse of :meth:`to_metres`."""
-        return self._clamped(depth) / self.scale
+        return (raw * self.scale).clamp(self.min_depth, self.max_depth)

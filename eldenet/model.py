@@ -153,7 +153,9 @@ class DepthNet(Configurable, nn.Module):
         trusted_modules: Sequence[str] = (),
         revision: str | None = None,
     ) -> Self:
-        """Rebuild a model from a folder that :meth:`save_pretrained` wrote, or from a Hub id.
+        """Rebuild a model from a folder that :meth:`save_pretrained` wrote, a run folder, or a Hub id.
+
+        Of a run folder it is the best epoch, which a training saves in ``model/``.
 
         Nothing in that folder is executed: the config may name our own model parts only, or classes under
         ``trusted_modules``, and weights are safetensors.
@@ -228,7 +230,8 @@ def merged(own: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
 def _local_folder(source: str | Path, revision: str | None) -> Path:
     folder = Path(source)
     if folder.is_dir():
-        return _complete(folder, folder)
+        of_run = folder / "model"
+        return _complete(of_run if (of_run / CONFIG_NAME).is_file() else folder, folder)
     if folder.is_absolute() or str(source).count("/") != 1:
         raise FileNotFoundError(f"{source} is neither a folder here nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download

@@ -27,7 +27,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     one_of("mode", str(config.mode), MODES)
     refuse_ignored(cfg.given_settings(), cfg.plain(config))
     density = cfg.plain(config.density)
-    densities = [int(value) for value in density] if isinstance(density, list) else [int(density)]
+    densities = [int(value) for value in cfg.listed(density)]
     if not densities or int(config.worlds) < 1:
         raise ValueError(f"density={density}, worlds={config.worlds}: give at least one of each")
     if config.mode == "watch" and len(densities) > 1:

@@ -1,6 +1,7 @@
 """``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera."""
 
 import re
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 @cfg.entry_point("predict")
 def main(config: "DictConfig", folder: Path) -> None:
     """Predict and write; ``folder`` is not used, results go to ``output``."""
+    if not config.boxes:
+        cfg.refuse_unread(("perception",), "3D boxes are made with boxes=true alone")
     try:
         predict(config)
     except KeyboardInterrupt:
@@ -52,6 +55,7 @@ def predict(config: "DictConfig") -> "Results":
     is_video = kind == "video"
     results = read_settings(config, is_video=is_video)
     names = name_sources(source, kind, given if live else "", results.folder)
+    names = dict(islice(names.items(), config.frames))  # one name stands for all frames of a video
     named = list(names.values())
     files = [file for name in named for file in results.files(name, is_video=is_video)]
     results.refuse_to_overwrite(list(names), files)
@@ -133,10 +137,10 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
 
 def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log: "RunLog") -> None:
     """Say why this network's depth may mean nothing, or less than it could."""
-    import eldenet
+    from eldenet.zoo import note_if_untrained
 
-    if str(config.checkpoint) in eldenet.list_models():
-        log.say(f"note: {config.checkpoint} is a freshly initialised network: its depth means nothing")
+    if note := note_if_untrained(config.checkpoint):
+        log.say(note)
     elif predictor.input_size is None:
         log.say(
             f"note: {config.checkpoint} does not say at which size it was trained: it sees pictures at their "
@@ -158,14 +162,14 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
         raise ValueError(f"intrinsics={camera}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
     if span is not None and not 0 <= span[0] < span[1]:
         raise ValueError(f"depth_range={span}: give [near, far] in metres, 0 <= near < far")
-    formats = cfg.plain(config.formats)
-    if formats is None:
+    if config.formats is None:
         formats = (
             ["colour"]
             if is_video
             else ["depth", "colour"] + ["ply"] * (camera is not None and not config.boxes)
         )
-    formats = [formats] if isinstance(formats, str) else formats
+    else:
+        formats = cfg.listed(config.formats)
     for name in formats:
         one_of("formats", str(name), tuple(ENDING))
     if not formats:

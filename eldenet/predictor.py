@@ -30,10 +30,10 @@ class DepthPredictor:
             frames (:func:`eldenet.model.size_of_frames`), or else the frame's own, its longer side at most
             ``max_side``.
         max_side: see ``input_size`` [px].
-        device: where to compute.
+        device: where to compute, of a model; None: on the CPU. A runtime has its own.
 
     Raises:
-        ValueError: a size is none, or not the one that a file was exported for.
+        ValueError: a size is none, or not the one that a file was exported for; or a device for a runtime.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class DepthPredictor:
         input_size: tuple[int, int] | None = None,
         *,
         max_side: int = MAX_SIDE,
-        device: str | torch.device = "cpu",
+        device: str | torch.device | None = None,
     ) -> None:
         if input_size is None:
             input_size = size_of_frames(model.info)
@@ -52,8 +52,12 @@ class DepthPredictor:
             raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
-        self.device = torch.device(device)
         if isinstance(model, Runtime):
+            if device is not None:
+                raise ValueError(
+                    f"device={device} is for a model; this network runs under {model.runtime} on "
+                    f"{model.device}: give device to eldenet.runtimes.load"
+                )
             if model.fixed_size and self.input_size != model.fixed_size:
                 raise ValueError(
                     f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
@@ -61,7 +65,8 @@ class DepthPredictor:
                 )
             self.model: DepthNet | Runtime = model
         else:
-            self.model = model.to(device).eval()
+            self.device = torch.device(device or "cpu")
+            self.model = model.to(self.device).eval()
             if self.device.type == "cuda":
                 full_fp32()  # as under the other runtimes
 

@@ -18,6 +18,10 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.tables import cost_line, protocol_line, to_latex, to_markdown
 
     if config.study is not None:
+        cfg.refuse_unread(
+            ("runs", "columns", "costs", "output"),
+            "not read with study=, whose sweep.yaml says what its tables show",
+        )
         from eldenet.studies.report import write_study_report
 
         log = RunLog(Path(config.study))
@@ -25,8 +29,8 @@ def main(config: "DictConfig", folder: Path) -> None:
             log.table(block.name, *block.on_a_screen())
         log.say(f"written to {Path(config.study) / 'results'}.md, .csv and .tex")
         return
-    runs = find_runs(cfg.plain(config.runs))
-    titles, rows = table_of(runs, cfg.plain(config.columns), costs=config.costs)
+    runs = find_runs(cfg.listed(config.runs))
+    titles, rows = table_of(runs, cfg.listed(config.columns), costs=config.costs)
     notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if config.costs else [])
     output = Path(config.output)
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending

@@ -119,12 +119,7 @@ def score_and_record(
         "metrics": result.metrics,
         "errors_by_class": result.classes or None,
         "constant_predictor": baseline,
-        "normalisation": {
-            name: [round(value, 6) for value in getattr(model, name).flatten().tolist()]
-            for name in ("mean", "std")
-        }
-        if isinstance(model, DepthNet)
-        else None,
+        "normalisation": _normalisation(model),
         "cost": _cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),
@@ -182,6 +177,16 @@ def _constant_score(
             return None
         _CONSTANT_SCORES[key] = score(constant)
     return _CONSTANT_SCORES[key]
+
+
+def _normalisation(model: "DepthNet | RuntimeNetwork") -> dict[str, list[float]] | None:
+    """Mean and standard deviation of the images; None for a file, which has them inside."""
+    if not isinstance(model, DepthNet):
+        return None
+    return {
+        name: [round(value, 6) for value in getattr(model, name).flatten().tolist()]
+        for name in ("mean", "std")
+    }
 
 
 def _cost(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> CostReport:

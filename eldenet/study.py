@@ -33,8 +33,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")
     study = read_study(config.study)
-    seeds = cfg.plain(config.seeds)
-    seeds = [seeds] if isinstance(seeds, int) else seeds
+    seeds = None if config.seeds is None else cfg.listed(config.seeds)
     refuse_unknown_seeds(study.chosen(cfg.plain(config.rows)), seeds)  # a sweep's job has one row of these
     names = config.row if config.row is not None else cfg.plain(config.rows)
     log = RunLog(folder, quiet=not cfg.is_main_process())

@@ -6,13 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.record import differences
+from eldenet.resuming import checkpoint_of, finished_run, run_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from omegaconf import DictConfig
 
     from eldenet.data.base import DepthDataset
+    from eldenet.losses.base import WeightedSum
     from eldenet.model import DepthNet
     from eldenet.protocol import EvalProtocol
+    from eldenet.resources import Resources
     from eldenet.runlog import RunLog
 
 
@@ -31,7 +36,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     from omegaconf import OmegaConf
 
     from eldenet.normalisation import normalisation, write_normalisation
-    from eldenet.resources import choose_resources, main_process_first
+    from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
     from eldenet.tables import closing_table
@@ -41,10 +46,7 @@ def train(config: "DictConfig", folder: Path) -> float:
         RunLog(folder, quiet=not cfg.is_main_process()).say(f"{folder}: finished already")
         best_value = record["training"]["best_value"]
         return math.nan if best_value is None else float(best_value)
-    checkpoint = _checkpoint(config, folder)
-    refuse_to_mix(folder, checkpoint)
-    if checkpoint is not None and _lies_in(folder, checkpoint):
-        refuse_other_settings(config, folder)
+    checkpoint = checkpoint_of(config, folder)
     resources = choose_resources(**cfg.plain(config.runtime))
     protocol = cfg.build_protocol(config)
     # before the data, which may take minutes to render: a wrong setting shows at once
@@ -54,19 +56,9 @@ def train(config: "DictConfig", folder: Path) -> float:
         scheduler=cfg.instantiate(config.scheduler),
         seed=config.seed,
     )
-    loss = cfg.instantiate(config.loss)
-    if config.teacher is not None and not loss.identity:
-        raise ValueError(
-            f"teacher={config.teacher}: no term of this loss learns from a teacher; give "
-            "loss=ssim_l1_distill, or leave the teacher out"
-        )
+    loss = build_loss(config)
     build_seeded_model(config, RunLog(folder, quiet=True))  # built again once its normalisation is known
-    with main_process_first(resources):  # it renders or prepares what the others then find
-        train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
-        val_set = cfg.build_split(config, "val", protocol)
-        test_set = cfg.build_split(config, "test", protocol, score=True)
-    for scored in (val_set, test_set):  # what they lack shows now, not after an epoch or the whole training
-        check_scored(scored, protocol)
+    train_set, val_set, test_set = build_splits(config, protocol, resources)
     log = RunLog(folder, quiet=not cfg.is_main_process())
     resumed = None if checkpoint is None else run_folder(checkpoint)
     chosen = normalisation(cfg.plain(config.normalisation), train_set, resumed=resumed)
@@ -82,9 +74,7 @@ def train(config: "DictConfig", folder: Path) -> float:
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
         f"; run folder {folder}"
     )
-    for split, scored in (("validation", val_set), ("test", test_set)):
-        if count := remembered(train_set, scored):
-            log.say(f"note: {count} of {len(scored)} {split} frames are trained on")
+    say_what_is_learned_from(config, loss, train_set, {"validation": val_set, "test": test_set}, log)
     progress = trainer.fit(
         model,
         train_set,
@@ -123,6 +113,40 @@ def train(config: "DictConfig", folder: Path) -> float:
     return progress.best_value
 
 
+def build_loss(config: "DictConfig") -> "WeightedSum":
+    """What is minimised.
+
+    Raises:
+        ValueError: a teacher is named that it does not learn from.
+    """
+    loss: WeightedSum = cfg.instantiate(config.loss)
+    if config.teacher is not None and not loss.identity:
+        raise ValueError(
+            f"teacher={config.teacher}: no term of this loss learns from a teacher; give "
+            "loss=ssim_l1_distill, or leave the teacher out"
+        )
+    return loss
+
+
+def build_splits(
+    config: "DictConfig", protocol: "EvalProtocol", resources: "Resources"
+) -> tuple["DepthDataset", "DepthDataset", "DepthDataset"]:
+    """Training, validation and test frames.
+
+    Raises:
+        ValueError: they cannot be scored; that shows now, not after an epoch or the whole training.
+    """
+    from eldenet.resources import main_process_first
+
+    with main_process_first(resources):  # it renders or prepares what the others then find
+        train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
+        val_set = cfg.build_split(config, "val", protocol)
+        test_set = cfg.build_split(config, "test", protocol, score=True)
+    for scored in (val_set, test_set):
+        check_scored(scored, protocol)
+    return train_set, val_set, test_set
+
+
 def check_scored(dataset: "DepthDataset", protocol: "EvalProtocol") -> None:
     """Bring the first frame to where its metrics would be taken.
 
@@ -131,6 +155,24 @@ def check_scored(dataset: "DepthDataset", protocol: "EvalProtocol") -> None:
     """
     sample = dataset[0]
     protocol.scored(sample["depth"][None], sample["mask"][None])
+
+
+def say_what_is_learned_from(
+    config: "DictConfig",
+    loss: "WeightedSum",
+    train_set: "DepthDataset",
+    scored: "Mapping[str, DepthDataset]",
+    log: "RunLog",
+) -> None:
+    """Say which scored frames are trained on, and what a teacher sees of them."""
+    from eldenet.losses.distillation import DistilledTerm
+
+    for split, frames in scored.items():
+        if count := remembered(train_set, frames):
+            log.say(f"note: {count} of {len(frames)} {split} frames are trained on")
+    for term in loss.terms.values():
+        if isinstance(term, DistilledTerm):
+            log.say(term.teacher.describe(config.data.input_size))
 
 
 def remembered(train_set: "DepthDataset", scored: "DepthDataset") -> int:
@@ -210,88 +252,6 @@ def _other_settings(model: "DepthNet", start: "DepthNet") -> str:
     """What to say where the weights are of a network that computes something else from equal tensors."""
     found = differences(model.config, start.config, ignored=frozenset({"mean", "std"}))
     return f"weights: of a network with other settings; here {', '.join(found)}" if found else ""
-
-
-def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
-    """The ``run.json`` of this very run if it is there already, and ``ckpt_path=auto`` asks for it.
-
-    Raises:
-        ValueError: the finished run in ``folder`` had other settings or other data, or is an evaluation.
-    """
-    from eldenet.record import RUN_FILE, read_run
-    from eldenet.sources import run_differences
-
-    if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
-        return None
-    record = read_run(folder)
-    if record.get("training", {}) is None:
-        raise ValueError(f"{folder} holds an evaluation, no training to go on with: give another folder")
-    different = run_differences(cfg.plain(config), record)
-    if not different:
-        protocol = cfg.build_protocol(config)
-        for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
-            found = cfg.build_split(config, split, protocol).split_hash
-            if record.get(name, found) != found:
-                different.append(f"the frames of data.{split} ({found}, there {record[name]})")
-    if different:
-        raise ValueError(
-            f"{folder} holds a finished run of other settings: {'; '.join(different[:5])}. Take these back, "
-            "give another folder, or remove that one"
-        )
-    return record
-
-
-def refuse_to_mix(folder: Path, checkpoint: Path | None) -> None:
-    """A run folder holds one run: go on with it, or take another folder.
-
-    Raises:
-        ValueError: ``folder`` holds a run, and ``checkpoint`` is not that run's.
-    """
-    held = [name for name in ("run.json", "checkpoints/last.pt") if (folder / name).exists()]
-    if checkpoint is not None and _lies_in(folder, checkpoint):
-        return
-    if held:
-        raise ValueError(
-            f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
-            "another run_dir, or remove that folder"
-        )
-
-
-def _lies_in(folder: Path, checkpoint: Path) -> bool:
-    resolved = checkpoint.resolve()
-    return folder.resolve() in (resolved, *resolved.parents)
-
-
-def refuse_other_settings(config: "DictConfig", folder: Path) -> None:
-    """A run that was begun goes on with the settings that it began with, or its record would be untrue.
-
-    Raises:
-        ValueError: ``folder/config.yaml`` differs.
-    """
-    begun = folder / "config.yaml"
-    different = differences(cfg.plain(config), cfg.read_yaml(begun)) if begun.is_file() else []
-    if different:
-        raise ValueError(
-            f"{folder} holds a run begun with other settings: {'; '.join(different[:5])}. Take these back, "
-            "give another folder, or remove that one"
-        )
-
-
-def _checkpoint(config: "DictConfig", folder: Path) -> Path | None:
-    from eldenet.checkpoint import checkpoint_file
-
-    if config.ckpt_path is None:
-        return None
-    if config.ckpt_path != "auto":
-        checkpoint_file(config.ckpt_path)
-        return Path(config.ckpt_path)
-    own = folder / "checkpoints" / "last.pt"
-    return own if own.is_file() else None
-
-
-def run_folder(checkpoint: Path) -> Path:
-    """The run that a checkpoint, or a run's folder, belongs to."""
-    return checkpoint if checkpoint.is_dir() else checkpoint.parent.parent
 
 
 def _load_best(folder: Path, config: "DictConfig") -> "DepthNet":

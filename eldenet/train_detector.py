@@ -52,7 +52,7 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
     with log.bar("rendering", sum(counts.values())) as bar:
         data = write_dataset(
             Path(config.data.root), counts, detector.input_size,
-            kinds=cfg.plain(config.data.kinds), advance=bar.advance,
+            kinds=cfg.listed(config.data.kinds), advance=bar.advance,
         )  # fmt: skip
     clock.append(time.perf_counter())
     log.say(

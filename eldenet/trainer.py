@@ -67,8 +67,8 @@ class Trainer:
         counts = {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate}
         counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
         for name, value in counts.items():
-            if value < 1:
-                raise ValueError(f"{name}={value}: 1 or more is needed")
+            if not (isinstance(value, int) and value >= 1):
+                raise ValueError(f"{name}={value}: a whole number, 1 or more, is needed")
         if gradient_clip is not None and not gradient_clip > 0:
             raise ValueError(f"gradient_clip={gradient_clip}: above 0 is needed, or null for no clipping")
         if seed < 0:

@@ -22,6 +22,13 @@ def list_weights() -> list[str]:
     return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
 
 
+def note_if_untrained(source: str | Path) -> str:
+    """What to say of a network that is built by name, where trained ones are wanted; empty for any other."""
+    if str(source) not in list_models():
+        return ""
+    return f"note: {source} is a freshly initialised network: its depth means nothing"
+
+
 def load(
     source: str | Path,
     *,
@@ -77,7 +84,5 @@ def load(
         )
     if revision is not None and folder.is_dir():
         raise ValueError(f"revision={revision!r} is for Hub ids; {source} is a folder here")
-    if (folder / "model" / "config.json").is_file():
-        return DepthNet.from_pretrained(folder / "model", trusted_modules=trusted_modules)
     found = folder if folder.is_dir() or folder.is_absolute() else source
     return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)

@@ -104,6 +104,18 @@ def test_the_teacher_may_see_another_size(networks):
     assert torch.isfinite(value)
 
 
+def test_a_teacher_says_at_which_size_it_sees(networks):
+    network = networks[1]
+    unknown = (
+        "teacher big: sees the student's pictures as they are, was trained at a size that it does not state"
+    )
+    assert Teacher(network, source="big").describe(None) == unknown
+    network.info = {"input_size": [64, 96]}
+    assert Teacher(network, source="big", input_size=[96, 128]).describe([32, 40]) == (
+        "teacher big: sees 96 x 128 pixels, was trained at 64 x 96"
+    )
+
+
 def test_what_cannot_be_distilled_is_refused(networks):
     student, network = networks
     with pytest.raises(ValueError, match=r"feature_strides=\[64\].*features of \[2, 4, 8, 16, 32\]"):
@@ -216,12 +228,13 @@ TINY = (
 
 
 def test_the_command_distils_from_any_run(run_command, tmp_path, networks):
-    networks[1].save_pretrained(tmp_path / "big")
+    networks[1].save_pretrained(tmp_path / "big", info={"input_size": [64, 96]})
     finished = run_command(
         *("train", *TINY, "loss=ssim_l1_distill", "teacher=big", "run_dir=student"),
         "loss.terms.distilled.feature_weight=0.1",
     )
     assert finished.returncode == 0, finished.stderr
+    assert "teacher big: sees 32 x 40 pixels, was trained at 64 x 96\n" in finished.stdout
     run = json.loads((tmp_path / "student" / "run.json").read_text())
     teacher = run["teacher"]["distilled"]
     assert teacher["source"] == "big"

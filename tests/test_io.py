@@ -190,6 +190,15 @@ def test_coloured_depth_is_refused(tmp_path: Path) -> None:
         read_depth(write(tmp_path / "colour.png", RGB), "nyu8")
 
 
+def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"grey\.png holds uint16, a picture has 8 bits: is it a depth map\?"
+    ):
+        read_image(write(tmp_path / "grey.png", MILLIMETRES))
+    with pytest.raises(ValueError, match=r"colour\.png holds uint16.*does not say.*so write it with 8$"):
+        read_image(write(tmp_path / "colour.png", RGB.astype(np.uint16) * 257))
+
+
 def test_pickles_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match=r"a\.npy"):

@@ -121,6 +121,13 @@ def test_a_bad_picture_stops_or_is_listed(
         run(model_folder, tmp_path / "in", tmp_path / "none", "on_error=skip")
 
 
+def test_the_first_pictures_of_a_folder(model_folder: Path, tmp_path: Path) -> None:
+    for name in "abc":
+        save(tmp_path / f"in/{name}.png", photo())
+    assert run(model_folder, tmp_path / "in", tmp_path / "out", "formats=depth", "frames=2").images == 2
+    assert listed(tmp_path / "out") == ["a_depth.png", "b_depth.png"]
+
+
 @pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that fails like a worn card")
 def test_a_card_that_fails_is_one_bad_picture(model_folder: Path, tmp_path: Path) -> None:
     save(tmp_path / "in/a.png", photo())

@@ -14,6 +14,7 @@ from eldenet.legend import photo_beside_depth, round_numbers, visible_range
 from eldenet.model import DepthNet
 from eldenet.pointcloud import write_ply
 from eldenet.predictor import DepthPredictor, to_millimetres
+from eldenet.runtimes.base import Runtime
 
 
 def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: DepthNet) -> None:
@@ -64,6 +65,11 @@ def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> Non
 
     with pytest.raises(ValueError, match="not finite"):
         DepthPredictor(Broken())(photo())  # type: ignore[arg-type]
+
+
+def test_predictor_refuses_a_device_for_a_runtime_which_has_its_own() -> None:
+    with pytest.raises(ValueError, match=r"device=cuda is for a model.*eldenet\.runtimes\.load"):
+        DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
 
 
 def test_fp32_on_cuda_is_that_of_the_other_runtimes(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:

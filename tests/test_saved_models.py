@@ -91,6 +91,7 @@ def test_run_folders_and_info(tmp_path: Path) -> None:
     model.save_pretrained(tmp_path / "run" / "model", info=info)
     loaded = eldenet.load(tmp_path / "run")
     assert same_model(loaded, model)
+    assert same_model(DepthNet.from_pretrained(tmp_path / "run"), model)
     assert loaded.info == info
     loaded.save_pretrained(tmp_path / "copy")
     assert eldenet.load(tmp_path / "copy").info == info

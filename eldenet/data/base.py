@@ -62,7 +62,7 @@ class DepthDataset(Dataset[DepthSample]):
         skipped: name -> reason of the frames that were left out.
 
     Raises:
-        ValueError: there are no frames.
+        ValueError: there are no frames, or a size is none.
     """
 
     ground_truth = "raw"
@@ -91,6 +91,8 @@ class DepthDataset(Dataset[DepthSample]):
         self.skipped: dict[str, str] = {}
         self.names = list(names)
         self.min_depth, self.max_depth = min_depth, max_depth
+        if input_size is not None and (not isinstance(input_size, Sequence) or len(input_size) != 2):
+            raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.transform = transform
         self.resize_depth = resize_depth

@@ -132,9 +132,12 @@ def read_image(path: str | Path, *, upright: bool = False, grey: bool = True) ->
     flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
     picture = _decode(Path(path), flags if upright else flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture.dtype != np.uint8:
-        raise ValueError(
-            f"{path} holds {picture.dtype}, a picture has 8 bits: is it a depth map? Else write it with 8"
+        why = (
+            "is it a depth map? Else"
+            if picture.ndim == 2
+            else "a file of more does not say how many of them it fills, nor whether they are linear, so"
         )
+        raise ValueError(f"{path} holds {picture.dtype}, a picture has 8 bits: {why} write it with 8")
     if picture.ndim == 2:
         if not grey:
             raise ValueError(f"{path} is grey, this data set's pictures have colour: is it a depth map?")

@@ -55,7 +55,11 @@ class Generator(NamedTuple):
 
 
 def generator_hash(generator: Generator, size: tuple[int, int]) -> str:
-    """First 12 hex digits of the SHA-256 over the generator's sources and settings."""
+    """First 12 hex digits of the SHA-256 over the generator's sources and settings.
+
+    A changed comment counts, too: to render again costs minutes, but an old frame taken for a new one costs a
+    result. Stored results name their frames by it (``split_hash``), so edit those sources with a reason.
+    """
     settings = {"size": list(size), "views": VIEWS, "step": DEPTH_STEP, generator.name: SHARD_SCENES}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     package = Path(__file__).parent.parent

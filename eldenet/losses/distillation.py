@@ -56,6 +56,16 @@ class Teacher:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth
 
+    def describe(self, student_size: Sequence[int] | None) -> str:
+        """At which size it sees the images, and at which its training did, in words.
+
+        ``student_size`` is the student's ``(height, width)`` [px]; None: that of its pictures.
+        """
+        seen, trained = self.input_size or student_size, getattr(self.network, "info", {}).get("input_size")
+        sees = "the student's pictures as they are" if seen is None else f"{seen[0]} x {seen[1]} pixels"
+        known = "at a size that it does not state" if trained is None else f"at {trained[0]} x {trained[1]}"
+        return f"teacher {self.source}: sees {sees}, was trained {known}"
+
     @property
     def identity(self) -> dict[str, Any]:
         """What tells this teacher from another: its weights' hash above all."""

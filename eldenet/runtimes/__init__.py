@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.exporting import describe, write_onnx
-from eldenet.model import CONFIG_NAME, DepthNet, size_of_frames
+from eldenet.model import DepthNet, size_of_frames
 from eldenet.profiling import median_ms, time_interleaved
 from eldenet.resources import available_cores
 from eldenet.runtimes.base import PRECISIONS, Runtime
@@ -70,7 +70,11 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    model = source if isinstance(source, DepthNet) else _from_folder(source, trusted_modules)
+    model = (
+        source
+        if isinstance(source, DepthNet)
+        else DepthNet.from_pretrained(located(source), trusted_modules=trusted_modules)
+    )
     runtime = "torch" if runtime == "auto" else runtime
     size = size or size_of_frames(model.info)
     if runtime in TORCH:
@@ -141,14 +145,6 @@ def _open(path: Path, runtime: str, precision: str | None, threads: int, device:
     from eldenet.runtimes.openvino import OpenvinoRuntime
 
     return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
-
-
-def _from_folder(source: str | Path, trusted_modules: Sequence[str]) -> DepthNet:
-    folder = located(source)
-    inner = folder / "model"
-    return DepthNet.from_pretrained(
-        inner if (inner / CONFIG_NAME).is_file() else folder, trusted_modules=trusted_modules
-    )
 
 
 def _facts(model: DepthNet, size: tuple[int, int] | None) -> Mapping[str, str]:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.resuming import finished_run
 from eldenet.studies.composing import compose_run, refuse_missing
 from eldenet.studies.plan import KEPT, RATE, Study, StudyRow
 from eldenet.studies.rates import learning_rate
-from eldenet.train import finished_run, train
+from eldenet.train import train
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
