@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.command import entry_point, refuse_unread
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -20,11 +21,11 @@ LISTS = ("models", "batches", "runtimes", "precisions", "threads", "accuracies")
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
-@cfg.entry_point("benchmark")
+@entry_point("benchmark")
 def main(config: "DictConfig", folder: Path) -> None:
     """Measure; ``folder`` is not used, results go to ``output``."""
     if config.study is not None:
-        cfg.refuse_unread(("models",), "not read with study=, whose rows say which networks are measured")
+        refuse_unread(("models",), "not read with study=, whose rows say which networks are measured")
     benchmark(config)
 
 

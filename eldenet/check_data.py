@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -17,7 +18,7 @@ SPLITS = ("train", "val", "test")
 CHECK_FILE, SHEET = "check.json", "contact_sheet"
 
 
-@cfg.entry_point("check_data")
+@entry_point("check_data")
 def main(config: "DictConfig", folder: Path) -> None:
     """Check every split; exit code 1 if anything is wrong."""
     if not check(config):

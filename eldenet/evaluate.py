@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from eldenet.runtimes.scored import RuntimeNetwork
 
 
-@cfg.entry_point("evaluate")
+@entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
     from eldenet.resources import choose_resources

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -22,7 +23,7 @@ UNTRAINED_SIZE = (224, 224)
 FP32_TOLERANCE = 1e-3  # median relative difference beyond which an fp32 file is wrong, not rounded
 
 
-@cfg.entry_point("export")
+@entry_point("export")
 def main(config: "DictConfig", folder: Path) -> None:
     """Export; ``folder`` is not used, the file goes to ``output``."""
     export(config)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.command import entry_point, given_settings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 
 
-@cfg.entry_point("navigate")
+@entry_point("navigate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Do what ``mode`` says; results go to the run folder."""
     from eldenet.data.roots import one_of
@@ -25,7 +26,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.runlog import RunLog
 
     one_of("mode", str(config.mode), MODES)
-    refuse_ignored(cfg.given_settings(), cfg.plain(config))
+    refuse_ignored(given_settings(), cfg.plain(config))
     density = cfg.plain(config.density)
     densities = [int(value) for value in cfg.listed(density)]
     if not densities or int(config.worlds) < 1:

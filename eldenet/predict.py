@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldenet import config as cfg
+from eldenet.command import entry_point, refuse_unread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
 
-@cfg.entry_point("predict")
+@entry_point("predict")
 def main(config: "DictConfig", folder: Path) -> None:
     """Predict and write; ``folder`` is not used, results go to ``output``."""
     if not config.boxes:
-        cfg.refuse_unread(("perception",), "3D boxes are made with boxes=true alone")
+        refuse_unread(("perception",), "3D boxes are made with boxes=true alone")
     try:
         predict(config)
     except KeyboardInterrupt:

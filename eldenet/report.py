@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldenet import config as cfg
+from eldenet.command import entry_point, refuse_unread
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 
-@cfg.entry_point("report")
+@entry_point("report")
 def main(config: "DictConfig", folder: Path) -> None:
     """Read runs, refuse mixtures, print the table and write it as Markdown, CSV and LaTeX."""
     from eldenet.comparison import find_runs, table_of
@@ -18,7 +19,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.tables import cost_line, protocol_line, to_latex, to_markdown
 
     if config.study is not None:
-        cfg.refuse_unread(
+        refuse_unread(
             ("runs", "columns", "costs", "output"),
             "not read with study=, whose sweep.yaml says what its tables show",
         )

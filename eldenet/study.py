@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -18,7 +19,7 @@ def study_rows(study: str, rows: Any) -> str:
     return row_names(study, cfg.plain(rows))
 
 
-@cfg.entry_point("study")
+@entry_point("study")
 def main(config: "DictConfig", folder: Path) -> None:
     """Run the chosen rows one after the other; say at the end what became of each.
 

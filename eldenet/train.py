@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 from eldenet.record import differences
 from eldenet.resuming import checkpoint_of, finished_run, run_folder
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from eldenet.runlog import RunLog
 
 
-@cfg.entry_point("train")
+@entry_point("train")
 def main(config: "DictConfig", folder: Path) -> float:
     """Train, evaluate the best epoch on the test split, measure its cost, write and show the result."""
     return train(config, folder)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet import config as cfg
+from eldenet.command import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -22,7 +23,7 @@ PICTURES = 9
 EXPORT = "detector.onnx"
 
 
-@cfg.entry_point("train_detector")
+@entry_point("train_detector")
 def main(config: "DictConfig", folder: Path) -> None:
     """Render, train, export, score the exported file on held-out scenes."""
     train_detector(config, folder)

@@ -5,10 +5,12 @@ import functools
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+from hydra.errors import OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+
+from eldenet.config import compose, config_folder
 
 QUOTES = "a value with spaces or signs goes into two pairs of quotes: 'source=\"my photo (1).jpg\"'"
 
@@ -47,8 +49,6 @@ def explained(config_name: str, about: str) -> Callable[[Callable[[], Any]], Cal
 
 def help_text(config_name: str, about: str) -> str:
     """What the command does, its YAML file with the comments, and the choices of its groups."""
-    from eldenet.config import config_folder
-
     folder = config_folder()
     settings = (folder / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
     groups = re.findall(r"^  - (?:optional )?(\w+): ", settings, re.MULTILINE)
@@ -64,10 +64,6 @@ def help_text(config_name: str, about: str) -> str:
 
 def what_was_meant(config_name: str, words: Sequence[str]) -> str:
     """Of the words of a command that failed: the settings nearest to one that does not exist, or ""."""
-    from hydra.errors import OverrideParseException
-
-    from eldenet.config import compose
-
     words = [word for word in words if "=" in word and not word.startswith("-")]
     try:
         compose(config_name, words)
@@ -81,8 +77,6 @@ def what_was_meant(config_name: str, words: Sequence[str]) -> str:
 
 def nearest(config_name: str, key: str, words: Sequence[str]) -> str:
     """The settings that ``key`` may stand for, in words: those of its last name, or the one spelt alike."""
-    from eldenet.config import compose
-
     try:
         known = settings_of(compose(config_name, [word for word in words if word.partition("=")[0] != key]))
     except ValueError:  # another word is wrong, too
@@ -93,9 +87,8 @@ def nearest(config_name: str, key: str, words: Sequence[str]) -> str:
     return f"there is no setting {key}: is {' or '.join(alike[:3])} meant?" if alike else ""
 
 
-def settings_of(config: "DictConfig") -> list[str]:
+def settings_of(config: DictConfig) -> list[str]:
     """Dotted names of all settings and sections."""
-    from omegaconf import OmegaConf
 
     def names(node: Any, prefix: str) -> list[str]:
         if not isinstance(node, dict):

@@ -30,7 +30,7 @@ LAYERS = {
     5: "trainer",
     6: "perception",
     7: "navigation",
-    8: "config usage zoo scoring resuming report "  # these, and the entry points, see everything
+    8: "config usage command zoo scoring resuming report "  # these, and the entry points, see everything
     "studies study train evaluate benchmark benchmark_tables predict predict_boxes predict_videos export "
     "check_data train_detector navigate",
 }

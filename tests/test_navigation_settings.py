@@ -7,7 +7,8 @@ import shlex
 import pytest
 from test_docs import commands
 
-from eldenet.config import compose, given_settings, plain
+from eldenet.command import given_settings
+from eldenet.config import compose, plain
 from eldenet.navigate import MODES
 from eldenet.navigation.identity import driver_identity, sensor_identity
 from eldenet.navigation.noise import MEASURED
