@@ -2,6 +2,7 @@
 
 import difflib
 import functools
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -33,7 +34,7 @@ def explained(config_name: str, about: str) -> Callable[[Callable[[], Any]], Cal
             if {"--help", "-h"} & set(words) and not any(
                 word.startswith(("--config", "-c")) for word in words
             ):
-                print(help_text(config_name, about))  # noqa: T201
+                _show(help_text(config_name, about))
                 return None
             try:
                 return command()
@@ -45,6 +46,14 @@ def explained(config_name: str, about: str) -> Callable[[Callable[[], Any]], Cal
         return run
 
     return decorate
+
+
+def _show(text: str) -> None:
+    """Print, also into a pager that is left before the end (``| head``)."""
+    try:
+        print(text, flush=True)  # noqa: T201
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
 
 
 def help_text(config_name: str, about: str) -> str:

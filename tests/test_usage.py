@@ -1,5 +1,9 @@
 """What the commands say of themselves."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from eldenet.config import config_folder
@@ -21,6 +25,15 @@ def test_help_lists_the_choices_of_the_commands_own_groups():
     assert "\nexperiment: cityscapes_paper, " in help_text("train", "")
     assert "\nruntime: auto\n" in help_text("predict", "")
     assert "model: " not in help_text("predict", "")
+
+
+def test_help_may_be_left_before_its_end():
+    read, write = os.pipe()
+    os.close(read)  # as head does once it has its lines
+    with os.fdopen(write, "w") as closed:
+        command = [sys.executable, "-m", "eldenet.report", "--help"]
+        result = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, check=False, timeout=120)
+    assert (result.returncode, result.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize(
