@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from detector_files import FILES, save
 from standing_boxes import BLANK, CAMERA, boxes
-from test_detectors import FILES, save
 
 from eldenet.boxes import Detections2D
 from eldenet.config import compose
