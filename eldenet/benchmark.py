@@ -25,7 +25,10 @@ PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 def main(config: "DictConfig", folder: Path) -> None:
     """Measure; ``folder`` is not used, results go to ``output``."""
     if config.study is not None:
-        refuse_unread(("models",), "not read with study=, whose rows say which networks are measured")
+        refuse_unread(
+            ("models", "sizes"),
+            "not read with study=, whose rows say which networks are measured, at what input",
+        )
     benchmark(config)
 
 
@@ -39,9 +42,12 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
         if config[name] is not None:
             config[name] = cfg.listed(config[name])
     output = Path(config.output).expanduser()
-    models, finish = (load_models(config), None) if config.study is None else study_models(config)
+    if config.study is None:
+        models, sizes, finish = load_models(config), None, None
+    else:
+        models, sizes, finish = study_models(config)
     check_reference(config, list(models))
-    cases = list_cases(config, list(models))
+    cases = list_cases(config, list(models), sizes)
     read_accuracies(config, models)  # refused before measuring
     log = RunLog(output)
     if str(config.reference) not in models:
@@ -107,24 +113,21 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
 
 def study_models(
     config: "DictConfig",
-) -> tuple[dict[str, "DepthNet"], Callable[[Sequence[Mapping[str, Any]]], Path]]:
-    """The networks of a study's rows, and what writes their latencies into its folder.
+) -> tuple[dict[str, "DepthNet"], dict[str, tuple[int, int]], Callable[[Sequence[Mapping[str, Any]]], Path]]:
+    """The networks of a study's rows, the input of each, and what writes their latencies into its folder.
 
     Raises:
-        ValueError: more than one measurement of each is asked for, or at a size that no row sees: refused
-            before measuring.
+        ValueError: more than one measurement of each is asked for: refused before measuring.
     """
     from eldenet.studies.costs import row_networks, write_costs
     from eldenet.studies.plan import read_study
 
-    several = [
-        name for name in ("sizes", "batches", "runtimes", "precisions", "threads") if len(config[name]) != 1
-    ]
+    several = [name for name in ("batches", "runtimes", "precisions", "threads") if len(config[name]) != 1]
     if several:
         raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
     study = read_study(config.study)
-    found = row_networks(study, cfg.plain(config.sizes)[0])
-    return found.networks, lambda rows: write_costs(study, rows, found)
+    found = row_networks(study)
+    return found.networks, found.sizes, lambda rows: write_costs(study, rows, found)
 
 
 def check_reference(config: "DictConfig", names: Sequence[str]) -> None:
@@ -192,8 +195,15 @@ def load_models(config: "DictConfig") -> dict[str, "DepthNet"]:
     return models
 
 
-def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
+def list_cases(
+    config: "DictConfig", names: Sequence[str], own_sizes: Mapping[str, tuple[int, int]] | None = None
+) -> list["Case"]:
     """Every row that is asked for, a group's together.
+
+    Args:
+        config: of the command.
+        names: of the networks.
+        own_sizes: (height, width) of each one's input; None: ``sizes`` of the config for every network.
 
     Raises:
         ValueError: a choice that does not exist.
@@ -208,7 +218,9 @@ def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
         one_of("precisions", str(precision), PRECISIONS)
     if config.rounds < 1:
         raise ValueError(f"rounds={config.rounds}: each row needs a turn")
-    sizes = cfg.listed(config.sizes)
+    sizes = (
+        cfg.listed(config.sizes) if own_sizes is None else [[*one] for one in sorted({*own_sizes.values()})]
+    )
     if not all(isinstance(size, list) and [type(length) for length in size] == [int, int] for size in sizes):
         raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
     return [
@@ -218,6 +230,7 @@ def list_cases(config: "DictConfig", names: Sequence[str]) -> list["Case"]:
         )
         for precision in config.precisions
         for name in names
+        if own_sizes is None or own_sizes[name] == (height, width)
     ]
 
 

@@ -142,18 +142,23 @@ def test_latencies_of_a_study(tiny, tmp_path):
     run_row(read_study(tiny), row, tmp_path / "runs")
     options = [
         f"study={tiny}",
-        "sizes=[[32,40]]",
         "runtimes=[torch]",
         "rounds=1",
         "seconds=0.01",
         "memory=false",
     ]
     rows = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
-    assert [line["model"] for line in rows] == ["eldenet_s", "eldenet", "plain"]
+    assert [(line["model"], line["height"]) for line in rows] == [
+        ("eldenet_s", 32),
+        ("eldenet", 32),
+        ("plain", 32),
+        ("larger", 64),  # eldenet_s at its own input
+    ]
     with (tiny / "benchmark.csv").open(newline="") as lines:
         measured = {line["row"]: line for line in csv.DictReader(lines)}
     assert measured["same"]["latency_ms_p50"] == measured["eldenet_s"]["latency_ms_p50"]
-    assert "larger" not in measured  # its latency at another input would not be its own
+    assert (measured["larger"]["height"], measured["larger"]["width"]) == ("64", "80")
+    assert measured["larger"]["latency_ms_p50"] != measured["eldenet_s"]["latency_ms_p50"]
     assert json.loads(measured["plain"]["network"])["backbone"]["shortcuts"] is False
     assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
     write_study_report(tiny)
@@ -161,10 +166,13 @@ def test_latencies_of_a_study(tiny, tmp_path):
     again = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
     assert [line["date"] for line in again] == [line["date"] for line in rows]  # recognised, not measured
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == len(rows)
-    with pytest.raises(ValueError, match="give one value of sizes, runtimes"):
-        benchmark(cfg.compose("benchmark", [f"study={tiny}", "sizes=[[32,40],[64,64]]"]))
-    with pytest.raises(ValueError, match=r"no row of tiny sees such images, give sizes=\[\[32,40\]\] or"):
-        benchmark(cfg.compose("benchmark", [*options, "sizes=[[48,48]]"]))
+    assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
+    with pytest.raises(ValueError, match="give one value of runtimes"):
+        benchmark(cfg.compose("benchmark", [f"study={tiny}"]))
+    whole = (tiny / "sweep.yaml").read_text().replace('"data.input_size=[64,80]"', "data.input_size=null")
+    (tiny / "sweep.yaml").write_text(whole)
+    with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
+        benchmark(cfg.compose("benchmark", options))
 
 
 def test_a_killed_row_goes_on(tiny, tmp_path):

@@ -69,6 +69,7 @@ def test_commands_say_so(run_command):
         ("report", ["runs=nowhere"], "no such file or folder: nowhere"),
         ("predict", ["checkpoint=a", "source=b", "perception.detector.path=c"], "with boxes=true alone"),
         ("benchmark", ["study=x", "models=eldenet"], "models: not read with study="),
+        ("benchmark", ["study=x", "sizes=[[64,64]]"], "sizes: not read with study="),
         (
             "benchmark",
             ["models=eldenet_s", "sizes=[224,224]"],

@@ -21,49 +21,49 @@ FACTS = ("processor", "versions", "date", "command")
 
 @dataclass(frozen=True)
 class RowNetworks:
-    """The different networks of a study that see images of one size.
+    """The different networks of a study, each at the input that its rows train and score it with.
 
     Attributes:
         networks: initialised from seed 0, by the name of the first row with it.
+        sizes: (height, width) [px] of each one's input.
         settings: of each, the ``model`` of a training's config.
         network_of: row -> which of them it has.
     """
 
     networks: dict[str, "DepthNet"]
+    sizes: dict[str, tuple[int, int]]
     settings: dict[str, Any]
     network_of: dict[str, str]
 
 
-def row_networks(study: Study, size: Sequence[int]) -> RowNetworks:
-    """The networks of the rows whose input is of ``size`` (height, width) [px].
+def row_networks(study: Study) -> RowNetworks:
+    """The networks of a study's rows.
 
     Rows that differ in weights, loss or data alone share one. Options that only some trained run can give
     (``pretrained`` weights) are left out: they change no latency.
 
     Raises:
-        ValueError: no row's input is of that size: its latency would be that of another one.
+        ValueError: a row's frames are not resized, so its input has no one size.
     """
     import torch
 
-    found = RowNetworks({}, {}, {})
+    found = RowNetworks({}, {}, {}, {})
     first: dict[str, str] = {}
-    others: set[tuple[int, ...]] = set()
     for row in study.rows:
         overrides = [*(row.owner or study).overrides, *row.overrides]
         config = compose_run(overrides, Path("unused"), Path("unused"), name=row.name, seed=0)
-        settings, seen = cfg.plain(config.model), cfg.plain(config.data.input_size)
-        if seen is not None and list(seen) != list(size):
-            others.add(tuple(seen))
-            continue
-        name = first.setdefault(json.dumps(settings, sort_keys=True, default=str), row.name)
+        settings, size = cfg.plain(config.model), cfg.plain(config.data.input_size)
+        if size is None:
+            raise ValueError(
+                f"{study.name}, row {row.name}: data.input_size is null, so there is no one input to measure "
+                "its latency at; give it a (height, width)"
+            )
+        name = first.setdefault(json.dumps([settings, size], sort_keys=True, default=str), row.name)
         if name == row.name:
             torch.manual_seed(0)  # a benchmark knows what it measured by the weights
             found.networks[name] = cfg.build_model(config.model).eval()
-            found.settings[name] = settings
+            found.settings[name], found.sizes[name] = settings, tuple(size)
         found.network_of[row.name] = name
-    if not found.networks:
-        sizes = " or ".join(f"sizes=[[{height},{width}]]" for height, width in sorted(others))
-        raise ValueError(f"sizes=[{list(size)}]: no row of {study.name} sees such images, give {sizes}")
     return found
 
 

@@ -10,8 +10,8 @@ from typing import Any
 from eldenet.record import differences
 from eldenet.studies.plan import Study, StudyRow
 
-# one value of each in a file: latencies of two machines, sizes or runtimes do not compare
-SAME = ("runtime", "precision", "threads", "device", "batch", "height", "width", "processor")
+# one value of each in a file: latencies of two machines or runtimes do not compare
+SAME = ("runtime", "precision", "threads", "device", "batch", "processor")
 # of a network, where it was measured and where it was trained
 COUNTED = ("params", "gmacs", "height", "width")
 
@@ -28,7 +28,7 @@ class Latencies:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the lines were measured on different machines, sizes or runtimes.
+            ValueError: the lines were measured on different machines or runtimes.
         """
         if study.latency is None:
             return None
@@ -89,9 +89,12 @@ class Latencies:
     def line(self) -> str:
         """One line that says what they were measured on."""
         facts = next(iter(self.lines.values()))
+        sizes = sorted({(int(line["height"]), int(line["width"])) for line in self.lines.values()})
+        inputs = " or ".join(f"{height} x {width}" for height, width in sizes)
+        inputs += ", each row at its own" if len(sizes) > 1 else ""
         return (
             f"latency: median of interleaved rounds, {facts['runtime']}, {facts['precision']}, "
             f"{facts['threads']} threads, {facts['device']} ({facts['processor']}), "
-            f"input {facts['height']} x {facts['width']}, batch {facts['batch']}; {facts['date']}, "
+            f"input {inputs}, batch {facts['batch']}; {facts['date']}, "
             f"`{facts['command']}`" + (f"; {facts['versions']}" if facts.get("versions") else "")
         )
