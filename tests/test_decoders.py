@@ -211,6 +211,7 @@ def test_fusion_and_lateral_strides() -> None:
         ({}, {2, 4, 8, 16, 32}),
         ({"fusion": "none"}, {32}),
         ({"lateral_strides": [16, 4]}, {4, 16, 32}),
+        ({"modules": 3}, {4, 8, 16, 32}),
     ],
 )
 def test_what_the_output_depends_on(options: dict, used: set[int]) -> None:
@@ -227,6 +228,16 @@ def test_what_the_output_depends_on(options: dict, used: set[int]) -> None:
 def test_fast_upconv_stays_on_the_image_whatever_it_fuses(options: dict) -> None:
     raw = FastUpConvDecoder(INFO, **options)(features(97, 131))
     assert raw.shape == (2, 1, 49, 66)
+
+
+@pytest.mark.parametrize("options", [{}, {"fusion": "none"}, {"lateral_strides": [16]}])
+@pytest.mark.parametrize("modules", [1, 2, 3])
+def test_fewer_modules_end_at_a_larger_stride(modules: int, options: dict) -> None:
+    torch.manual_seed(0)
+    decoder = FastUpConvDecoder(INFO, modules=modules, **options)
+    stride = 32 // 2**modules
+    assert decoder.stride == stride
+    assert decoder(features(97, 131)).shape == (2, 1, -(-97 // stride), -(-131 // stride))
 
 
 def test_raw_map_is_not_squeezed() -> None:
@@ -264,10 +275,12 @@ def test_multi_kernel_is_the_papers_text() -> None:
     assert [branch[4].upscale_factor for branch in whole.branches] == [1, 2, 4, 16]
 
 
-@pytest.mark.parametrize("make", [FastUpConvDecoder, UpConvDecoder])
-def test_features_too_shallow(make: type[Decoder]) -> None:
+def test_features_too_shallow() -> None:
     with pytest.raises(ValueError, match="stride 16 or more, the deepest has 8"):
-        make(INFO[:3])
+        UpConvDecoder(INFO[:3])
+    for modules in (4, 0):
+        with pytest.raises(ValueError, match=f"modules={modules}: .* of stride 8; choose 1 to 3"):
+            FastUpConvDecoder(INFO[:3], modules=modules)
 
 
 def test_wrong_options_say_so() -> None:

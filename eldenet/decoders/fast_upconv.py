@@ -1,5 +1,6 @@
-"""ELDE-Net's default decoder: four fast up-convolution modules fed by the encoder's stages."""
+"""ELDE-Net's default decoder: fast up-convolution modules fed by the encoder's stages."""
 
+import math
 from collections.abc import Sequence
 
 from torch import Tensor, nn
@@ -12,10 +13,10 @@ FUSIONS = ("add", "none")
 
 
 class FastUpConvDecoder(Decoder):
-    """Four fast up-convolution modules, each with the kernels 3x3, 3x2, 2x3 and 2x2 and a pixel shuffle.
+    """Fast up-convolution modules, each with the kernels 3x3, 3x2, 2x3 and 2x2 and a pixel shuffle.
 
-    The deepest feature is reduced by a 1x1 convolution, then four times doubled in size while its channels
-    are halved; after each module the encoder's feature of that stride is added through a 1x1 convolution.
+    The deepest feature is reduced by a 1x1 convolution, then doubled in size by each module while its
+    channels are halved; after each the encoder's feature of that stride is added through a 1x1 convolution.
 
     Args:
         feature_info: of the backbone, finest first.
@@ -23,6 +24,11 @@ class FastUpConvDecoder(Decoder):
         fusion: "add" sums the encoder's feature of the same stride in; "none" uses the deepest alone.
         min_channels: no module gets narrower than this.
         lateral_strides: strides whose features are summed in; None: all there are.
+        modules: how often the size is doubled. The baseline's four end at stride 2 behind an encoder of
+            stride 32, three at stride 4: the last module works on most pixels.
+
+    Raises:
+        ValueError: for a fusion that does not exist, or more modules than the encoder has halvings.
     """
 
     def __init__(
@@ -33,23 +39,27 @@ class FastUpConvDecoder(Decoder):
         fusion: str = "add",
         min_channels: int = 8,
         lateral_strides: Sequence[int] | None = None,
+        modules: int = 4,
     ) -> None:
         super().__init__(feature_info)
         if fusion not in FUSIONS:
             raise ValueError(f"fusion={fusion!r}: choose one of {FUSIONS}")
         deepest = max(self.index_of)
-        if deepest < 16:
-            raise ValueError(f"four doublings need a feature of stride 16 or more, the deepest has {deepest}")
-        self.deepest, self.stride = self.index_of[deepest], deepest // 16
+        if not 1 <= modules <= int(math.log2(deepest)):
+            raise ValueError(
+                f"modules={modules}: each doubles the deepest feature, of stride {deepest}; choose 1 to "
+                f"{int(math.log2(deepest))}"
+            )
+        self.deepest, self.stride = self.index_of[deepest], deepest // 2**modules
         width = self.channels_at[deepest] // 2 if width is None else width
-        channels = [max(width // 2**step, min_channels) for step in range(5)]
+        channels = [max(width // 2**step, min_channels) for step in range(modules + 1)]
         self.reduce = nn.Sequential(
             nn.Conv2d(self.channels_at[deepest], channels[0], 1, bias=False), nn.BatchNorm2d(channels[0])
         )
         self.up = nn.ModuleList()
         self.lateral = nn.ModuleDict()  # by stride
         wanted = self.channels_at if lateral_strides is None else lateral_strides
-        for step in range(4):
+        for step in range(modules):
             self.up.append(UpConvBlock(channels[step], channels[step + 1]))
             stride = deepest // 2 ** (step + 1)
             if fusion == "add" and stride in self.channels_at and stride in wanted:
@@ -57,7 +67,7 @@ class FastUpConvDecoder(Decoder):
                     nn.Conv2d(self.channels_at[stride], channels[step + 1], 1, bias=False),
                     nn.BatchNorm2d(channels[step + 1]),
                 )
-        self.strides = [deepest // 2 ** (step + 1) for step in range(4)]
+        self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]
         self.predict = nn.Conv2d(channels[-1], 1, 3, padding=1)
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
