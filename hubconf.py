@@ -18,6 +18,11 @@ def eldenet(**options: _Any) -> _DepthNet:
     return _load("eldenet", **options)
 
 
+def eldenet_fast(**options: _Any) -> _DepthNet:
+    """ELDE-Net that stops at a quarter of the image: three modules of half the width."""
+    return _load("eldenet_fast", **options)
+
+
 def eldenet_s(**options: _Any) -> _DepthNet:
     """The smallest ELDE-Net: PP-LCNet x0.25."""
     return _load("eldenet_s", **options)

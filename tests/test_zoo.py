@@ -21,6 +21,7 @@ from eldenet.sources import PACKAGED, sha256
 
 NAMES = [
     "eldenet",
+    "eldenet_fast",
     "eldenet_l",
     "eldenet_s",
     "fastdepth",
