@@ -120,6 +120,28 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     assert names["depth"].shape == (48, 64)
 
 
+def test_the_snippet_of_embedded_gives_what_predict_gives(tmp_path, monkeypatch):
+    """A board without eldenet prepares the frame as the package does."""
+    pytest.importorskip("onnxruntime")
+    import cv2
+    import numpy as np
+    import skimage
+
+    import eldenet
+    from eldenet.exporting import describe, write_onnx
+
+    monkeypatch.chdir(tmp_path)
+    model = eldenet.load("eldenet_rooms")
+    write_onnx(model, "board.onnx", (96, 128), batch=1, metadata=describe(model, "board", (96, 128)))
+    cv2.imwrite("photo.jpg", skimage.data.coffee())
+    (block,) = python_blocks("docs/embedded.md")
+    names: dict = {}
+    exec(block, names)
+    expected = eldenet.DepthPredictor(model, input_size=(96, 128))(names["frame"])
+    assert names["depth"].shape == expected.shape == names["frame"].shape[:2]
+    np.testing.assert_allclose(names["depth"], expected, rtol=1e-3, atol=1e-3)
+
+
 def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
     """All of the page's Python in one program, top to bottom, as a reader would paste it."""
     for library in ("gymnasium", "onnx", "onnxruntime"):
