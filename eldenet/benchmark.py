@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
+from eldenet.benchmark_rows import calibrated, machine, measured_alike, other_machine
 from eldenet.command import entry_point, refuse_unread
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml: it may be absent
 LISTS = ("models", "batches", "runtimes", "precisions", "threads", "accuracies")
-PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
 @entry_point("benchmark")
@@ -69,9 +69,12 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
             f"{len(elsewhere)} rows there are of another machine ({other_machine(elsewhere[0], here)}): "
             "they are measured anew, as a table is of one"
         )
-    groups = [list(members) for _, members in itertools.groupby(cases, key=lambda case: case.group)]
+    # a study's rows compare whatever their inputs are, so all of them take turns
+    groups = (
+        [cases] if sizes else [list(one) for _, one in itertools.groupby(cases, key=lambda case: case.group)]
+    )
     for number, group in enumerate(groups, 1):
-        title = " ".join(map(str, (*group[0].group[:2], f"batch {group[0].batch}", *group[0].group[3:])))
+        title = describe_group(group)
         if all(case.key in there for case in group):
             log.say(f"[{number}/{len(groups)}] {title}: measured before (overwrite=true measures again)")
             continue
@@ -99,11 +102,13 @@ def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
                 "reference": str(config.reference),
                 "rounds": config.rounds,
                 "seconds": config.seconds,
+                "calibrated": calibrated(config),
             }
             if row["failed"]:
                 log.say(f"  {case.model}, {case.precision}: {row['failed']}")
-        # what was measured before stays: the group ran whole, so that the missing rows took turns with it
-        append_rows(output, [row for row in rows if tuple(row["key"]) not in there])
+        # what was measured before stays: the group ran whole, so that the missing rows took turns with it; of
+        # a study, whose table is of one session, all are replaced
+        append_rows(output, [row for row in rows if sizes or tuple(row["key"]) not in there])
     rows = [row for key, row in read_rows(output, alike).items() if key in wanted]
     write_results(config, rows, output, log)
     if finish is not None:
@@ -117,7 +122,8 @@ def study_models(
     """The networks of a study's rows, the input of each, and what writes their latencies into its folder.
 
     Raises:
-        ValueError: more than one measurement of each is asked for: refused before measuring.
+        ValueError: more than one measurement of each is asked for, or the study's latencies are another's:
+            refused before measuring.
     """
     from eldenet.studies.costs import row_networks, write_costs
     from eldenet.studies.plan import read_study
@@ -126,6 +132,11 @@ def study_models(
     if several:
         raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
     study = read_study(config.study)
+    if study.latency is not None and Path(study.latency).parent != Path():
+        raise ValueError(
+            f"{study.name} shows the latencies of {study.latency}, which another study's rows have: measure "
+            f"that one (study={Path(study.folder, study.latency).parent})"
+        )
     found = row_networks(study)
     return found.networks, found.sizes, lambda rows: write_costs(study, rows, found)
 
@@ -140,31 +151,11 @@ def check_reference(config: "DictConfig", names: Sequence[str]) -> None:
         raise ValueError(f"reference={config.reference}: none of the models, which are {', '.join(names)}")
 
 
-def measured_alike(row: Mapping[str, Any], config: "DictConfig", fingerprint: str | None) -> bool:
-    """Whether a stored row is of the same weights, reference, rounds and seconds as now asked for."""
-    asked = (fingerprint, str(config.reference), config.rounds, config.seconds)
-    return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
-
-
-def machine() -> tuple[dict[str, Any], str]:
-    """What latencies of one table share: versions, processor, its cores, accelerator; and the command."""
-    from eldenet.record import environment
-
-    facts = environment()
-    shared = {name: facts["hardware"][name] for name in ("processor", "cores", "accelerator")}
-    return {"versions": {name: version_of(name) for name in PACKAGES}, **shared}, facts["command"]
-
-
-def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """What tells the machine of a stored row from this one, in words; "" for the same.
-
-    The accelerator counts for rows that may have run on it.
-    """
-    names = ["processor", "cores"] if row["device"] == "cpu" else ["processor", "cores", "accelerator"]
-    pairs = [(name, row.get(name), here[name]) for name in names]
-    stored = row.get("versions") or {}
-    pairs += [(name, stored.get(name), version) for name, version in here["versions"].items()]
-    return ", ".join(f"{name} {there}, here {ours}" for name, there, ours in pairs if there != ours)
+def describe_group(group: Sequence["Case"]) -> str:
+    """``224 224 batch 1 onnxruntime 1 cpu``; of several inputs without them."""
+    sizes = {(case.height, case.width) for case in group}
+    size = group[0].group[:2] if len(sizes) == 1 else (f"{len(sizes)} inputs",)
+    return " ".join(map(str, (*size, f"batch {group[0].batch}", *group[0].group[3:])))
 
 
 def load_models(config: "DictConfig") -> dict[str, "DepthNet"]:
@@ -266,7 +257,7 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
     if config.overwrite or not graph.is_file():
         write_onnx(model, graph, size, batch=case.batch, metadata=facts)
     # the scales of int8 come from the calibration pictures: others make another file
-    pictures = hashlib.sha256(f"{config.pictures} {config.calibration}".encode()).hexdigest()[:8]
+    pictures = hashlib.sha256(calibrated(config).encode()).hexdigest()[:8]
     quantised = f"-int8-{pictures}" if case.precision == "int8" else ""
     path = folder / f"{stem}{quantised}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
     if path.is_file() and not (config.overwrite and path != graph):
@@ -281,16 +272,6 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
     if case.runtime == "onnxruntime":
         return quantise_onnx(graph, path, inputs)
     return quantise_openvino(graph, path, inputs, facts)
-
-
-def version_of(package: str) -> str | None:
-    """Version of an installed package, or None."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 if __name__ == "__main__":

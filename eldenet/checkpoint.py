@@ -61,14 +61,9 @@ class TrainingState:
         Raises:
             FloatingPointError: a weight is NaN or infinite; the file that stood there stays.
         """
-        weights = self.model.state_dict()
-        if not is_finite(weights):
-            raise FloatingPointError(
-                f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
-                "good checkpoint. Try a lower optimizer.lr or trainer.gradient_clip=1"
-            )
+        self.refuse_broken()
         state = {
-            "model": weights,
+            "model": self.model.state_dict(),
             "ema": None if self.ema is None else self.ema.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict(),
@@ -81,6 +76,14 @@ class TrainingState:
             "cuda_rng": torch.cuda.get_rng_state() if torch.cuda.is_initialized() else None,
         }
         save_checkpoint(path, state)
+
+    def refuse_broken(self) -> None:
+        """Raise FloatingPointError where a weight is NaN or infinite."""
+        if not is_finite(self.model.state_dict()):
+            raise FloatingPointError(
+                f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
+                "good checkpoint. Try a lower optimizer.lr or trainer.gradient_clip=1"
+            )
 
     def restore(self, path: Path) -> None:
         """Take everything over from a checkpoint file or run folder.

@@ -110,7 +110,8 @@ def differences(
 
     An option of a class that one side does not know yet counts as its default: so the run was made. A whole
     section, or an entry of ``data``, that one side does not have tells nothing (a data set's options stand
-    with its class, too). Anything else that only one side has is a difference. ``ignored`` are further keys.
+    with its class, too). Anything else that only one side has is a difference. ``ignored`` are further keys,
+    of values: the options of a section that is called so (a loss's ``teacher``) are compared.
     """
     if not (isinstance(ours, Mapping) and isinstance(theirs, Mapping)):
         ours, theirs = _listed(ours), _listed(theirs)
@@ -119,9 +120,10 @@ def differences(
     target = ours.get("_target_") if ours.get("_target_") == theirs.get("_target_") else None
     found = []
     for key in [*ours, *(key for key in theirs if key not in ours)]:
-        if key in NOT_COMPARED or key in ignored or (grows and not (key in ours and key in theirs)):
-            continue
         mine, other = ours.get(key), theirs.get(key)
+        left_out = key in ignored and not (isinstance(mine, Mapping) and isinstance(other, Mapping))
+        if key in NOT_COMPARED or left_out or (grows and not (key in ours and key in theirs)):
+            continue
         if target is not None and not (key in ours and key in theirs):
             default = _default(target, key, mine if key in ours else other)
             mine, other = (mine, default) if key in ours else (default, other)

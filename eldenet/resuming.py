@@ -73,7 +73,9 @@ def _lies_in(folder: Path, checkpoint: Path) -> bool:
 def _refuse_other_settings(config: "DictConfig", folder: Path) -> None:
     """A run that was begun goes on with the settings that it began with, or its record would be untrue."""
     begun = folder / "config.yaml"
-    different = differences(cfg.plain(config), cfg.read_yaml(begun)) if begun.is_file() else []
+    # the checkpoint knows what "auto" was
+    known = frozenset(("precision",))
+    different = differences(cfg.plain(config), cfg.read_yaml(begun), ignored=known) if begun.is_file() else []
     if different:
         raise ValueError(
             f"{folder} holds a run begun with other settings: {'; '.join(different[:5])}. Take these back, "

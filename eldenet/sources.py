@@ -34,14 +34,15 @@ def located(source: str | Path) -> Path:
 
 
 def sources_of(config: Any, name: str = "") -> dict[str, str]:
-    """Setting, dotted -> the file, folder or id that a config gives it."""
+    """Setting, dotted -> the file, folder or id that a config gives it ("True": published weights)."""
     if not isinstance(config, Mapping):
         return {}
     found = {}
     for key, value in config.items():
         dotted = f"{name}.{key}" if name else str(key)
-        if key in KEYS and isinstance(value, str):
-            found[dotted] = value
+        if key in KEYS and not isinstance(value, Mapping):
+            if value is not None and value is not False:
+                found[dotted] = str(value)
         else:
             found |= sources_of(value, dotted)
     return found
@@ -94,9 +95,10 @@ def run_differences(
     known = record.get("sources", {})
     found = differences(config, theirs, ignored=KEYS | ignored)
     ours, there = sources_of(config), sources_of(theirs)
+    unnamed = {there.get(name) for name in elsewhere}  # also where a setting takes it on: ${teacher}
     for name in dict.fromkeys([*ours, *there]):
         mine, other, wanted = ours.get(name), there.get(name), known.get(name)
-        if name in elsewhere:
+        if name in elsewhere or (mine is None and other in unnamed):
             continue
         if mine is None or other is None:
             found.append(f"{name}={mine} (there {other})")

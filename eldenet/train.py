@@ -40,6 +40,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.scoring import score_and_record
+    from eldenet.sources import fingerprints
     from eldenet.tables import closing_table
 
     record = finished_run(config, folder)
@@ -92,6 +93,7 @@ def train(config: "DictConfig", folder: Path) -> float:
             "started_from": config.weights,
             **seen_sizes(cfg.plain(config.data.input_size), protocol, train_set),
         },
+        sources=fingerprints(cfg.plain(config)),
     )
     trainer.accelerator.wait_for_everyone()
     trainer.accelerator.end_training()  # a process that leaves with its group open may abort

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,7 @@ class Trainer:
         *,
         ckpt_path: str | Path | None = None,
         info: dict[str, Any] | None = None,
+        sources: Mapping[str, str | None] | None = None,
     ) -> Progress:
         """Train; the best epoch's weights end in ``folder/model``, all state in ``folder/checkpoints``.
 
@@ -104,12 +105,13 @@ class Trainer:
             resources: device, precision, threads and workers.
             ckpt_path: checkpoint to go on from; the result is that of an uninterrupted run.
             info: facts to keep beside the weights, in ``config.json``.
+            sources: fingerprints of the weights that the network was given: a training goes on with these.
 
         Raises:
             FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
         """
+        self.info, self.sources = info or {}, dict(sources or {})
         self._set_up(model, train_set, val_set, loss, protocol, folder, resources, ckpt_path)
-        self.info = info or {}
         progress, batches = self.progress, self.sampler.batches
         for epoch in range(progress.epoch, self.epochs):
             self.sampler.epoch, self.sampler.start = epoch, progress.batch
@@ -216,6 +218,8 @@ class Trainer:
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
                 "teacher": loss.identity,
+                "precision": resources.precision,
+                "sources": self.sources,
             },
         )
         if ckpt_path is not None:
@@ -254,6 +258,7 @@ class Trainer:
         progress.sums.clear()
         better = False
         if (epoch + 1) % self.evaluate_every == 0 or epoch + 1 == self.epochs:
+            self.state.refuse_broken()
             metrics = self._validate()
             row |= {f"val_{name}": metrics[name] for name in METRICS}
             better = self._is_better(metrics[self.monitor])

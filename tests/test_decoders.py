@@ -292,6 +292,12 @@ def test_wrong_options_say_so() -> None:
         UpConvDecoder((FeatureInfo(8, 2), FeatureInfo(16, 2)))
 
 
+def test_laterals_that_no_module_meets_are_refused() -> None:
+    for options in ({"modules": 3, "lateral_strides": [2]}, {"lateral_strides": [32]}):
+        with pytest.raises(ValueError, match=r"the modules pass .* of strides \[16, 8, 4"):
+            FastUpConvDecoder(INFO, **options)
+
+
 def test_crop_or_pad() -> None:
     x = torch.arange(6.0).view(1, 1, 2, 3)
     assert torch.equal(crop_or_pad(x, torch.zeros(1, 5, 1, 2)), x[..., :1, :2])

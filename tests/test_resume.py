@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 from synthetic import SyntheticDepth
-from training import digest, fit, make_trainer
+from training import ONE_THREAD, digest, fit, make_trainer
 
 from eldenet.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.config import compose, plain
@@ -132,6 +133,9 @@ def test_resuming_another_training_is_refused(tmp_path):
         ({"monitor": "abs_rel"}, "monitor"),
         ({"val_frames": 5}, "validation split"),
         ({"protocol": EvalProtocol("other", min_depth=0.1, ground_truth="dense")}, "protocol"),
+        # what "auto" is on another machine, and weights that were trained anew at the same place
+        ({"resources": replace(ONE_THREAD, precision="bf16")}, "precision"),
+        ({"sources": {"weights": "0" * 16}}, "sources"),
     ):
         with pytest.raises(ValueError, match=f"{name} differ"):
             fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)

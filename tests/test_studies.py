@@ -169,7 +169,18 @@ def test_latencies_of_a_study(tiny, tmp_path):
     assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
     with pytest.raises(ValueError, match="give one value of runtimes"):
         benchmark(cfg.compose("benchmark", [f"study={tiny}"]))
-    whole = (tiny / "sweep.yaml").read_text().replace('"data.input_size=[64,80]"', "data.input_size=null")
+    before = (tiny / "benchmark.csv").read_bytes()
+    with pytest.raises(ValueError, match=r"no network of tiny has a latency.* stays as it is"):
+        benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'none'}", "precisions=[fp16]"]))
+    assert (tiny / "benchmark.csv").read_bytes() == before
+    (tiny / "benchmark.csv").write_text("row,latency_ms_p50\n")
+    with pytest.raises(ValueError, match="has no line: python -m eldenet"):
+        write_study_report(tiny)
+    plan = (tiny / "sweep.yaml").read_text()
+    (tiny / "sweep.yaml").write_text(plan.replace("latency: bench", "latency: ../other/bench"))
+    with pytest.raises(ValueError, match=r"the latencies of .*another study's rows have: measure that one"):
+        benchmark(cfg.compose("benchmark", options))
+    whole = plan.replace('"data.input_size=[64,80]"', "data.input_size=null")
     (tiny / "sweep.yaml").write_text(whole)
     with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
         benchmark(cfg.compose("benchmark", options))

@@ -2,12 +2,13 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from stored_study import PLAN, figures, history, notes, store, table, write_plan
 
 from eldenet import config as cfg
-from eldenet.sources import fingerprint
+from eldenet.sources import fingerprint, run_differences
 from eldenet.studies.composing import compose_run
 from eldenet.studies.convergence import convergence
 from eldenet.studies.plan import Study, read_study
@@ -51,6 +52,46 @@ def test_rows_of_other_weights_show_no_figures(study: Study, tmp_path: Path) -> 
         PLAN.replace("model=eldenet]", 'model=eldenet, "weights={runs}/small/seed0"]')
     )
     assert table(read_study(tmp_path))["large"]["seeds"] == "1 of 3"
+
+
+def distilled(**teacher: object) -> dict[str, Any]:
+    """A config that learns from a teacher, and that of a run that was given one."""
+    term = {"teacher": {"_target_": "eldenet.losses.distillation.Teacher", "source": None} | teacher}
+    return {"teacher": teacher.get("source"), "loss": {"terms": {"distilled": term}}}
+
+
+def test_what_is_taken_over_counts_with_its_options() -> None:
+    """``pretrained: true`` is a start, and a teacher's options change what it teaches."""
+    scratch = {"model": {"backbone": {"pretrained": False}}}
+    imagenet = {"model": {"backbone": {"pretrained": True}}}
+    assert run_differences(scratch, {"config": scratch}) == []
+    assert run_differences(imagenet, {"config": imagenet}) == []
+    for ours, there in ((imagenet, scratch), (scratch, imagenet)):
+        (found,) = run_differences(ours, {"config": there})
+        assert found.startswith("model.backbone.pretrained=")
+    ours, there = distilled(source="a", input_size=[240, 320]), distilled(source="a", input_size=None)
+    (found,) = run_differences(ours, {"config": there})
+    assert found == "loss.terms.distilled.teacher.input_size=[240, 320] (there None)"
+
+
+def test_a_given_teacher_is_not_missed_where_the_loss_takes_it_on() -> None:
+    given = frozenset(("teacher",))
+    ours, there = distilled(), distilled(source="runs/large")
+    assert run_differences(ours, {"config": there}, elsewhere=given, by_path=False) == []
+    (found, _) = run_differences(ours, {"config": there}, by_path=False)
+    assert found == "teacher=None (there runs/large)"
+
+
+def test_seeds_that_do_not_belong_together_cost_no_table(study: Study) -> None:
+    store(study, "small", 0, figures(0, 0))
+    for seed, precision in ((0, "bf16"), (1, "fp32")):
+        folder = store(study, "large", seed, figures(0, 1))
+        run = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps(run | {"resources": {"precision": precision}}))
+    rows = table(study)
+    assert "precision differs" in rows["large"]["seeds"]
+    assert "rerun=true" in rows["large"]["seeds"]
+    assert rows["small"]["seeds"] == "1 of 3"
 
 
 def test_curves_of_an_older_plan_are_left_out(study: Study, tmp_path: Path) -> None:

@@ -44,10 +44,18 @@ def test_plans_are_checked(tiny, tmp_path):
             "eldenet: {from: tiny}",
             "this very study",
         ),
+        ("reference: [eldenet_s]", "reference:", "a list of rows"),
+        ("seeds: [0, 1]}", "seeds: }", "different seeds"),
     ):
         (tiny / "sweep.yaml").write_text(whole.replace(old, new))
         with pytest.raises(ValueError, match=word):
             read_study(tiny)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
+    (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
+    with pytest.raises(ValueError, match="in a circle: tiny -> other -> tiny"):
+        read_study(tiny)
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
     with pytest.raises(ValueError, match="without its protocol and source"):
         read_expected(tiny)

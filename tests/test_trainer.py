@@ -90,6 +90,21 @@ def test_weights_that_are_not_finite_replace_no_checkpoint(tmp_path):
     assert (tmp_path / "checkpoints" / "last.pt").read_bytes() == before
 
 
+def test_weights_that_the_last_update_breaks_are_a_divergence(tmp_path):
+    """Not an odd prediction: a search for a learning rate goes on after the one."""
+
+    class Breaking(Trainer):
+        def train_step(self, batch, *, update):
+            terms = super().train_step(batch, update=update)
+            with torch.no_grad():
+                next(self.bare_model.parameters()).fill_(float("nan"))
+            return terms
+
+    breaking = Breaking(optimizer=partial(torch.optim.Adam, lr=3e-3), scheduler=constant, epochs=1)
+    with pytest.raises(FloatingPointError, match="weights are not finite at step 1"):
+        fit(tmp_path, trainer=breaking)
+
+
 @pytest.mark.parametrize("clip", [None, 1e-4])
 def test_the_gradients_norm_is_clipped(tmp_path, clip):
     seed_everything(0)

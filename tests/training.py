@@ -38,6 +38,8 @@ def fit(
     val_frames: int = 6,
     protocol: EvalProtocol = PROTOCOL,
     ckpt_path=None,
+    resources: Resources = ONE_THREAD,
+    sources: dict[str, str] | None = None,
     **options,
 ):
     """Train a tiny network; returns (trainer, model, progress)."""
@@ -46,8 +48,9 @@ def fit(
     loss = WeightedSum({"l1": WeightedTerm(options.pop("loss", L1Loss()))})
     train = SyntheticDepth(frames, transform=options.pop("transform", Augmentation(affine=0.0)))
     trainer = trainer or make_trainer(**options)
+    val = SyntheticDepth(val_frames)
     progress = trainer.fit(
-        model, train, SyntheticDepth(val_frames), loss, protocol, folder, ONE_THREAD, ckpt_path=ckpt_path
+        model, train, val, loss, protocol, folder, resources, ckpt_path=ckpt_path, sources=sources
     )
     return trainer, model, progress
 

@@ -28,7 +28,8 @@ class FastUpConvDecoder(Decoder):
             stride 32, three at stride 4: the last module works on most pixels.
 
     Raises:
-        ValueError: for a fusion that does not exist, or more modules than the encoder has halvings.
+        ValueError: for a fusion that does not exist, more modules than the encoder has halvings, or strides
+            that no module ends at.
     """
 
     def __init__(
@@ -51,6 +52,11 @@ class FastUpConvDecoder(Decoder):
                 f"{int(math.log2(deepest))}"
             )
         self.deepest, self.stride = self.index_of[deepest], deepest // 2**modules
+        self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]
+        reached = [stride for stride in self.strides if stride in self.channels_at]
+        wanted = reached if lateral_strides is None else list(lateral_strides)
+        if not set(wanted) <= set(reached):
+            raise ValueError(f"lateral_strides={wanted}: the modules pass the features of strides {reached}")
         width = self.channels_at[deepest] // 2 if width is None else width
         channels = [max(width // 2**step, min_channels) for step in range(modules + 1)]
         self.reduce = nn.Sequential(
@@ -58,16 +64,13 @@ class FastUpConvDecoder(Decoder):
         )
         self.up = nn.ModuleList()
         self.lateral = nn.ModuleDict()  # by stride
-        wanted = self.channels_at if lateral_strides is None else lateral_strides
-        for step in range(modules):
+        for step, stride in enumerate(self.strides):
             self.up.append(UpConvBlock(channels[step], channels[step + 1]))
-            stride = deepest // 2 ** (step + 1)
-            if fusion == "add" and stride in self.channels_at and stride in wanted:
+            if fusion == "add" and stride in wanted:
                 self.lateral[str(stride)] = nn.Sequential(
                     nn.Conv2d(self.channels_at[stride], channels[step + 1], 1, bias=False),
                     nn.BatchNorm2d(channels[step + 1]),
                 )
-        self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]
         self.predict = nn.Conv2d(channels[-1], 1, 3, padding=1)
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:

@@ -198,7 +198,10 @@ def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> 
     stored = stored_runs(study, row)
     if not stored.runs:
         return Member(row, None, [], expected, outdated=stored.outdated)
-    grouped = group_rows(stored.runs)
+    try:
+        grouped = group_rows(stored.runs)
+    except ValueError as error:  # the other rows have their table
+        return Member(row, None, [], expected, outdated=f"{error}; train all of its seeds anew (rerun=true)")
     if len(grouped) > 1:
         raise ValueError(
             f"the stored runs of {row.name} have the names {', '.join(one.model for one in grouped)}"

@@ -191,7 +191,7 @@ def _line(
 ) -> Line:
     epochs, values = found["epoch"], found[curve]
     figures = {
-        "epochs": float(len(epochs)),
+        "epochs": float(epochs[-1]),
         "own": own_descent(epochs, values),
         "early": None if level is None else first_epoch(epochs, values, MARGIN * level),
         "late": None if level is None else first_epoch(epochs, values, level),

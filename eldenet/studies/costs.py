@@ -68,9 +68,16 @@ def row_networks(study: Study) -> RowNetworks:
 
 
 def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNetworks) -> Path:
-    """Write ``benchmark.csv`` of a study: a line for each row whose network was measured, once each."""
+    """Write ``benchmark.csv`` of a study: a line for each row whose network was measured, once each.
+
+    Raises:
+        ValueError: none was; the file that is there stays.
+    """
     by_network = {line["model"]: line for line in measured}
-    path = study.folder / COSTS_FILE
+    path = study.folder / (study.latency or COSTS_FILE)
+    if all(line["latency_ms_p50"] is None for line in measured):
+        reason = next((line["failed"] for line in measured if line.get("failed")), "nothing was measured")
+        raise ValueError(f"no network of {study.name} has a latency, {path} stays as it is: {reason}")
     lines = [
         [
             *(row, line["latency_ms_p50"], *(_text(line[name]) for name in (*COLUMNS, *FACTS))),

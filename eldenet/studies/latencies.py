@@ -28,7 +28,7 @@ class Latencies:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the lines were measured on different machines or runtimes.
+            ValueError: there is no line, or they were measured on different machines or runtimes.
         """
         if study.latency is None:
             return None
@@ -37,6 +37,8 @@ class Latencies:
             raise FileNotFoundError(f"{path} does not exist, but sweep.yaml there names it as its latency")
         with path.open(newline="") as content:
             lines = {line["row"]: line for line in csv.DictReader(content)}
+        if not lines:
+            raise ValueError(f"{path} has no line: python -m eldenet.benchmark study={study.folder} makes it")
         for name in SAME:
             values = sorted({line[name] for line in lines.values()})
             if len(values) > 1:

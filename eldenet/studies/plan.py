@@ -112,7 +112,7 @@ class Study:
         return (row.owner or self).folder / STORED / row.name / f"seed{seed}"
 
 
-def read_study(folder: str | Path) -> Study:
+def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
     """Read ``sweep.yaml``.
 
     Raises:
@@ -136,7 +136,7 @@ def read_study(folder: str | Path) -> Study:
     rows = []
     for name, entry in described.items():
         if entry and "from" in entry:
-            rows.append(_taken_row(path, str(name), entry))
+            rows.append(_taken_row(path, str(name), entry, _readers))
             continue
         entry = shared | (entry or {})
         _refuse_unknown(path, entry, of_row | {"from"}, f"row {name}: ")
@@ -164,12 +164,15 @@ def _name(folder: Path) -> str:
     return Path(os.path.abspath(folder)).name
 
 
-def _taken_row(path: Path, name: str, entry: Mapping[str, Any]) -> StudyRow:
+def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[str, ...]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
     if entry["from"] == _name(path.parent):
         raise ValueError(f"{path}: row {name} is taken from this very study: name another one")
-    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]))
+    readers = (*readers, _name(path.parent))
+    if entry["from"] in readers:
+        raise ValueError(f"{path}: row {name} is taken in a circle: {' -> '.join((*readers, entry['from']))}")
+    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
 
@@ -204,7 +207,9 @@ def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], whe
 def _check_kinds(path: Path, values: Mapping[str, Any], where: str = "") -> None:
     """Refuse what would only fail later, or do nothing."""
     for name, (fits, words) in KINDS.items():
-        if values.get(name) is not None and not fits(values[name]):
+        if name not in values or (values[name] is None and name == "learning_rate"):
+            continue
+        if not fits(values[name]):
             raise ValueError(f"{path}: {where}{name}={values[name]!r}: give {words}")
 
 

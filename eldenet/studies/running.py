@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.record import RUN_FILE
 from eldenet.resuming import finished_run
 from eldenet.studies.composing import compose_run, refuse_missing
 from eldenet.studies.plan import KEPT, RATE, Study, StudyRow
@@ -141,7 +142,10 @@ def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
         say(f"{name}: finished before; its frames are not here to be compared ({str(error).splitlines()[0]})")
         return True
     except ValueError as error:
-        raise ValueError(f"{error}. Or train it anew and replace what is stored: rerun=true") from error
+        raise ValueError(
+            f"{error}. Or remove its run folder, if there is one, and train it anew (rerun=true), which "
+            "replaces what is stored"
+        ) from error
     say(f"{name}: finished before")
     return True
 
@@ -149,6 +153,7 @@ def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
 def store(folder: Path, stored: Path) -> None:
     """Copy what tables are made of; a kill half way leaves no run that looks stored."""
     stored.mkdir(parents=True, exist_ok=True)
+    (stored / RUN_FILE).unlink(missing_ok=True)  # not beside another run's files
     for file in KEPT:
         shutil.copyfile(folder / file, stored / f"{file}.part")
     for file in KEPT:
