@@ -82,18 +82,6 @@ def test_a_given_teacher_is_not_missed_where_the_loss_takes_it_on() -> None:
     assert found == "teacher=None (there runs/large)"
 
 
-def test_seeds_that_do_not_belong_together_cost_no_table(study: Study) -> None:
-    store(study, "small", 0, figures(0, 0))
-    for seed, precision in ((0, "bf16"), (1, "fp32")):
-        folder = store(study, "large", seed, figures(0, 1))
-        run = json.loads((folder / "run.json").read_text())
-        (folder / "run.json").write_text(json.dumps(run | {"resources": {"precision": precision}}))
-    rows = table(study)
-    assert "precision differs" in rows["large"]["seeds"]
-    assert "rerun=true" in rows["large"]["seeds"]
-    assert rows["small"]["seeds"] == "1 of 3"
-
-
 def test_curves_of_an_older_plan_are_left_out(study: Study, tmp_path: Path) -> None:
     for name in ("small", "large"):
         store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})

@@ -131,7 +131,7 @@ def build_blocks(study: Study) -> list[Block]:
     """All tables of a study, in the order of its plan.
 
     Raises:
-        ValueError: runs of one block do not compare (other protocol, frames, or settings within a row).
+        ValueError: runs of one block do not compare (other protocol or frames).
     """
     expected = read_expected(study.folder)
     names = list(dict.fromkeys([row.block for row in study.rows] + [line["block"] for line in expected]))
@@ -200,12 +200,10 @@ def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> 
         return Member(row, None, [], expected, outdated=stored.outdated)
     try:
         grouped = group_rows(stored.runs)
+        if len(grouped) > 1:
+            raise ValueError(f"the stored runs have the names {', '.join(one.model for one in grouped)}")
     except ValueError as error:  # the other rows have their table
         return Member(row, None, [], expected, outdated=f"{error}; train all of its seeds anew (rerun=true)")
-    if len(grouped) > 1:
-        raise ValueError(
-            f"the stored runs of {row.name} have the names {', '.join(one.model for one in grouped)}"
-        )
     return Member(row, grouped[0], stored.files, expected)
 
 
