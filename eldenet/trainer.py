@@ -12,7 +12,7 @@ from torch import Tensor
 from eldenet.averaging import WeightAverage, average_gradients
 from eldenet.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.data.base import DepthDataset
-from eldenet.data.loading import EpochSampler, training_loader
+from eldenet.data.loading import EpochSampler, to_device, training_loader
 from eldenet.evaluation import evaluate, sample_rows
 from eldenet.losses.base import WeightedSum
 from eldenet.meter import LossMeter, timed
@@ -125,7 +125,8 @@ class Trainer:
                     started = time.monotonic()
                     progress.batch += 1
                     update = progress.batch % self.accumulate == 0 or progress.batch == batches
-                    self.meter.add(progress.step, self.train_step(self._to_device(batch), update=update))
+                    batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
+                    self.meter.add(progress.step, self.train_step(batch, update=update))
                     progress.step += update
                     progress.seconds += time.monotonic() - started
                     if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
@@ -231,16 +232,6 @@ class Trainer:
         self.log = RunLog(
             folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
         )
-
-    def _to_device(self, batch: dict[str, Any]) -> dict[str, Any]:
-        device = self.accelerator.device
-        layout = torch.channels_last if self.channels_last else torch.contiguous_format
-        moved = {
-            name: value.to(device, non_blocking=True) if isinstance(value, Tensor) else value
-            for name, value in batch.items()
-        }
-        moved["image"] = moved["image"].contiguous(memory_format=layout)
-        return moved
 
     # ------------------------------------------------------------------ after an epoch
 

@@ -31,8 +31,8 @@ LAYERS = {
     6: "perception",
     7: "navigation",
     8: "config usage command zoo scoring resuming report "  # these, and the entry points, see everything
-    "studies study train evaluate benchmark benchmark_tables predict predict_boxes predict_videos export "
-    "check_data train_detector navigate",
+    "studies study train evaluate benchmark benchmark_rows benchmark_tables predict predict_boxes "
+    "predict_videos export check_data train_detector navigate",
 }
 LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
 # the rendered data sets; whole networks share helpers with the parts

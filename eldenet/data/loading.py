@@ -1,11 +1,13 @@
 """Loaders whose order depends on nothing but (seed, epoch): resumable at any batch, shared by processes."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby, islice
 from multiprocessing import get_context
 from multiprocessing.context import BaseContext
+from typing import Any
 
 import torch
+from torch import Tensor
 from torch.utils.data import DataLoader, Sampler, default_collate
 
 from eldenet.data.base import DepthDataset
@@ -107,6 +109,17 @@ def evaluation_loader(
         worker_init_fn=_quiet_worker if workers else None,
         multiprocessing_context=_worker_context() if workers else None,
     )
+
+
+def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: bool) -> dict[str, Any]:
+    """The tensors of a batch there, its images in the memory layout of the network's weights."""
+    layout = torch.channels_last if channels_last else torch.contiguous_format
+    moved = {
+        name: value.to(device, non_blocking=True) if isinstance(value, Tensor) else value
+        for name, value in batch.items()
+    }
+    moved["image"] = moved["image"].contiguous(memory_format=layout)
+    return moved
 
 
 def batched(indices: Iterable[int], size: int) -> Iterator[list[int]]:
