@@ -84,7 +84,7 @@ def measure_group(
     """Measure the cases of one group in interleaved rounds, with the machine's matrix product among them.
 
     Args:
-        cases: all of one :attr:`Case.group`.
+        cases: of one runtime, thread count and device; a study's may have several inputs, each model one.
         networks: of every case.
         reference: model whose fp32 row has ``ratio_latency`` 1.
         rounds: turns that each case gets.

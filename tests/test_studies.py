@@ -127,7 +127,7 @@ def test_a_study_from_inside_its_folder(tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "other/deeper")
     assert read_study("..").name == "other"
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
-    with pytest.raises(ValueError, match="this very study"):
+    with pytest.raises(ValueError, match="in a circle: other -> other"):
         read_study("..")
 
 

@@ -42,7 +42,7 @@ def test_plans_are_checked(tiny, tmp_path):
         (
             "eldenet: {overrides: [model=eldenet], learning_rate: 1.0e-3}",
             "eldenet: {from: tiny}",
-            "this very study",
+            "in a circle: tiny -> tiny",
         ),
         ("reference: [eldenet_s]", "reference:", "a list of rows"),
         ("seeds: [0, 1]}", "seeds: }", "different seeds"),

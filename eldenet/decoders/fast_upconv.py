@@ -46,10 +46,11 @@ class FastUpConvDecoder(Decoder):
         if fusion not in FUSIONS:
             raise ValueError(f"fusion={fusion!r}: choose one of {FUSIONS}")
         deepest = max(self.index_of)
-        if not 1 <= modules <= int(math.log2(deepest)):
+        most = int(math.log2(deepest))
+        if not 1 <= modules <= most:
             raise ValueError(
-                f"modules={modules}: each doubles the deepest feature, of stride {deepest}; choose 1 to "
-                f"{int(math.log2(deepest))}"
+                f"modules={modules}: each doubles a feature that starts at one of stride {deepest}; "
+                f"choose 1 to {most}"
             )
         self.deepest, self.stride = self.index_of[deepest], deepest // 2**modules
         self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]

@@ -167,8 +167,6 @@ def _name(folder: Path) -> str:
 def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[str, ...]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
-    if entry["from"] == _name(path.parent):
-        raise ValueError(f"{path}: row {name} is taken from this very study: name another one")
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} is taken in a circle: {' -> '.join((*readers, entry['from']))}")

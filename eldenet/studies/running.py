@@ -153,9 +153,9 @@ def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
 def store(folder: Path, stored: Path) -> None:
     """Copy what tables are made of; a kill half way leaves no run that looks stored."""
     stored.mkdir(parents=True, exist_ok=True)
-    (stored / RUN_FILE).unlink(missing_ok=True)  # not beside another run's files
     for file in KEPT:
         shutil.copyfile(folder / file, stored / f"{file}.part")
+    (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's does not stand beside this one's files
     for file in KEPT:
         os.replace(stored / f"{file}.part", stored / file)
 
