@@ -152,10 +152,10 @@ def training_of(
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:
         raise ValueError(f"{folder} was trained with another {', '.join(others)}: delete it, or give --runs")
-    if made.get("sources") == training_hash() or any_sources:
+    if made.get("version") == 1 or made.get("sources") == training_hash() or any_sources:
         return policy
     if recheck and first_leg(options) == made["legs"][0]:
-        again = {"steps": made["legs"][0]["steps"], "made_by": made["sources"]}
+        again = {"steps": made["legs"][0]["steps"], "made_by": made.get("sources")}
         rechecked = [*made.get("rechecked", []), again]
         write_json(note, made | {"sources": training_hash(), "rechecked": rechecked})
         print(f"{folder.name}: the first leg of its training came out the same, kept", flush=True)
