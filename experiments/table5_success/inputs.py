@@ -13,12 +13,12 @@ from typing import Any
 
 from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
-from eldenet.navigation.noise import NoisyRanges, errors_file
+from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
-from eldenet.navigation.sources import training_hash
 from eldenet.navigation.training import PROGRESS
-from eldenet.record import write_json
-from eldenet.sources import located
+from eldenet.navigation.versions import training_hash
+from eldenet.results.fingerprints import located
+from eldenet.results.run_record import write_json
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")

@@ -16,9 +16,9 @@ from methods import LEARNT, PLANNERS
 
 from eldenet.navigation.evaluation import Crossing, Policy, as_rows, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
-from eldenet.navigation.sources import crossing_hash
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.record import environment, write_json, write_rows
+from eldenet.navigation.versions import crossing_hash
+from eldenet.results.run_record import environment, write_json, write_rows
 from eldenet.simulation.arenas import Arena, arenas_hash
 
 HERE = Path(__file__).parent
