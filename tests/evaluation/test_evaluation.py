@@ -45,7 +45,7 @@ def test_two_processes_score_as_one(tmp_path):
     script = tmp_path / "two.py"
     script.write_text(
         "import json, sys, torch\n"
-        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n"
         "from synthetic import SyntheticDepth\n"
         "from eldenet.evaluation.evaluator import ConstantPredictor, evaluate\n"
         "from eldenet.evaluation.metrics import EvalProtocol\n"

@@ -21,7 +21,7 @@ from eldenet.results.run_record import differences
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import constant
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 
 FRAMES, TOGETHER = 24, 8
 
@@ -58,10 +58,12 @@ def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
     )
     trainer.fit(
         model,
-        SyntheticDepth(FRAMES, transform=Augmentation(affine=0.0)),  # every pixel known: equal shares
-        SyntheticDepth(5),
         WeightedSum({"l1": WeightedTerm(L1Loss()), "distilled": distilled}),
-        EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense"),
+        TrainingData(
+            SyntheticDepth(FRAMES, transform=Augmentation(affine=0.0)),  # every pixel known: equal shares
+            SyntheticDepth(5),
+            EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense"),
+        ),
         folder,
         Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2),
     )
