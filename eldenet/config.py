@@ -20,8 +20,8 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
-    from eldenet.evaluate import EvaluationSetup
-    from eldenet.training.run import TrainingSetup
+    from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.training.setup import TrainingSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
@@ -135,7 +135,7 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 
 def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
     """What ``python -m eldenet.train`` trains in ``folder``."""
-    from eldenet.training.run import TrainingSetup
+    from eldenet.training.setup import TrainingSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
     return TrainingSetup(
@@ -162,7 +162,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
 
 def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
-    from eldenet.evaluate import EvaluationSetup
+    from eldenet.deploy.scoring import EvaluationSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
     return EvaluationSetup(

@@ -10,7 +10,7 @@ from eldenet.training.normalization import keep_normalization
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
-    from eldenet.training.run import TrainingSetup
+    from eldenet.training.setup import TrainingSetup
 
 LEAST_SHARE = 0.1  # of the network's values that weights must fill to count as a start
 

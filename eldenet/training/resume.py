@@ -8,7 +8,7 @@ from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run, read_yaml
 
 if TYPE_CHECKING:
-    from eldenet.training.run import TrainingSetup
+    from eldenet.training.setup import TrainingSetup
 
 OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 

@@ -71,13 +71,18 @@ def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
     return trainer
 
 
+SEARCH_PATH = os.pathsep.join(
+    [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+)  # has support
+
+
 def torchrun(*command: str, timeout: int = 240, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [
             *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
             *command,
         ],
-        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": SEARCH_PATH, **environment},
         capture_output=True,
         text=True,
         check=False,
