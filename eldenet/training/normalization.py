@@ -20,7 +20,7 @@ FRAMES = 512
 def normalization(
     choice: str | Mapping[str, Any], train_set: "DepthDataset", *, resumed: Path | None = None
 ) -> dict[str, list[float]]:
-    """Arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; empty for its default, ImageNet's.
+    """Arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; none for ImageNet's.
 
     Args:
         choice: "imagenet"; "dataset": measured on ``FRAMES`` seeded frames of ``train_set``; or
@@ -74,7 +74,8 @@ def keep_normalization(model: "DepthNet", start: "DepthNet", *, chosen: bool) ->
     for name in ("mean", "std"):
         getattr(model, name).copy_(getattr(start, name))
         model.config[name] = list(start.config[name])
-    return f"weights: images are normalized as in their training, {theirs}; normalization={{mean, std}} overrides it"
+    return f"weights: images are normalized as in their training, {theirs}; normalization={{mean, std}} "
+        "overrides it"
 
 
 def write_normalization(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:

@@ -25,7 +25,7 @@ def test_the_backbone_learns_at_its_own_rate():
     assert len(build_optimizer(adam, model, torch.nn.L1Loss()).param_groups) == 1
     for wrong, network, message in (
         (-0.1, model, "0 \\(frozen"),
-        (0.1, eldenet.load("guidedepth"), "has no backbone"),
+        (0.1, eldenet.load("guidedepth"), "has no separate backbone"),
     ):
         with pytest.raises(ValueError, match=message):
             build_optimizer(adam, network, torch.nn.L1Loss(), backbone_lr_factor=wrong)
