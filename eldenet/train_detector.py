@@ -40,6 +40,7 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
     from eldenet.resources import choose_resources
     from eldenet.runlog import RunLog
     from eldenet.simulation.object_views import NAMES
+    from eldenet.simulation.street_views import STREETS_VERSION
 
     if (folder / "train").exists() and not config.resume:
         raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
@@ -78,6 +79,7 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
         "file": {"name": EXPORT, "bytes": file.stat().st_size, "median_ms": milliseconds, "threads": 1},
         "resources": vars(resources),
         "config": cfg.plain(config),
+        "frames": f"streets-v{STREETS_VERSION}",
         **environment(),
     }
     write_json(folder / RUN_FILE, record)

@@ -41,24 +41,10 @@ def test_rows_are_read_until_something_changes(rows, command, tmp_path, monkeypa
     assert capsys.readouterr().out.count("of 2") == 2
     assert [rows.measure(row, options) for row in command.all_rows(options)] == first
     assert capsys.readouterr().out == ""
-    package = tmp_path / "eldenet"
-    shutil.copytree(sources.PACKAGE, package, ignore=shutil.ignore_patterns("weights", "__pycache__"))
-    monkeypatch.setattr(sources, "PACKAGE", package)
-    for name, counts in (
-        ("navigation/pictures.py", False),
-        ("navigation/planners/dwa.py", True),
-        ("navigation/crossings.py", True),
-        ("simulation/arena_world.py", True),
-        ("simulation/furniture.py", False),
-        ("simulation/mjcf.py", True),
-        ("runtimes/__init__.py", False),
-        ("robot.py", True),
-    ):
-        file = package / name
-        file.write_text(file.read_text() + "# changed\n")
-        (row, _) = command.all_rows(options)
-        rows.measure(row, options)
-        assert ("of 2" in capsys.readouterr().out) == counts, name
+    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "another version")
+    (row, _) = command.all_rows(options)
+    rows.measure(row, options)
+    assert "of 2" in capsys.readouterr().out
 
 
 def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same(
@@ -186,29 +172,6 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
     (folder / "training.json").unlink()
     with pytest.raises(ValueError, match=r"without training\.json"):
         rows.policy_file(row, options)
-
-
-def test_a_training_of_other_sources_is_kept_if_its_first_leg_comes_out_the_same(
-    study, tmp_path, monkeypatch, capsys
-):
-    inputs = study("inputs")
-    options = [
-        "learner.steps=600", "learner.leg=300", "learner.warmup=100", "learner.batch_size=16",
-        "training.robots=4", "training.validate=2", "training.arenas.densities=[0,5]",
-    ]  # fmt: skip
-    policy = inputs.training_of(tmp_path / "dqn-0", options)
-    monkeypatch.setattr(inputs, "training_hash", lambda: "after a change")
-    with pytest.raises(ValueError, match="--recheck"):
-        inputs.training_of(tmp_path / "dqn-0", options)
-    assert inputs.training_of(tmp_path / "dqn-0", options, recheck=True) == policy
-    assert "the first leg of its training came out the same" in capsys.readouterr().out
-    assert inputs.training_of(tmp_path / "dqn-0", options) == policy
-    note = tmp_path / "dqn-0" / "training.json"
-    content = json.loads(note.read_text())
-    content["legs"][0]["collision"] += 1
-    note.write_text(json.dumps(content | {"sources": "of another day"}))
-    with pytest.raises(ValueError, match="by other sources"):
-        inputs.training_of(tmp_path / "dqn-0", options, recheck=True)
 
 
 def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):

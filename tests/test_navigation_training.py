@@ -41,62 +41,62 @@ def train(folder: Path, *, stop_after: int | None = None, seed: int = 0) -> dict
 
 
 @pytest.fixture
-def change_sources(monkeypatch):
-    return lambda name: monkeypatch.setattr(training, "training_hash", lambda: name)
+def change_version(monkeypatch):
+    return lambda version: monkeypatch.setattr(training, "TRAINING_VERSION", version)
 
 
 def record(folder: Path) -> dict:
     return json.loads((folder / training.RECORD).read_text())
 
 
-def test_a_finished_training_is_left_as_it_is(tmp_path, change_sources):
-    change_sources("first")
+def test_a_finished_training_is_left_as_it_is(tmp_path, change_version):
+    change_version(1)
     train(tmp_path)
     files = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert record(tmp_path)["sources"] == "first"
+    assert record(tmp_path)["version"] == 1
     assert record(tmp_path)["config"] == {"seed": 0}
-    change_sources("second")
-    assert train(tmp_path)["sources"] == "first"
+    change_version(2)
+    assert train(tmp_path)["version"] == 1
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == files
     with pytest.raises(ValueError, match="other settings"):
         train(tmp_path, seed=1)
 
 
-def test_one_that_was_stopped_goes_on_with_the_sources_that_began_it(tmp_path, change_sources):
-    change_sources("first")
+def test_one_that_was_stopped_goes_on_with_the_version_that_began_it(tmp_path, change_version):
+    change_version(1)
     with pytest.raises(Stopped):
         train(tmp_path, stop_after=1)
     checkpoint = (tmp_path / CHECKPOINT).read_bytes()
-    change_sources("second")
+    change_version(2)
     with pytest.raises(
-        ValueError, match=r"hash first, now second\) and that stopped at step 300 of 600: go on"
+        ValueError, match="version 1 began and that stopped at step 300 of 600; this is version 2"
     ):
         train(tmp_path)
     assert (tmp_path / CHECKPOINT).read_bytes() == checkpoint
     assert not (tmp_path / POLICY).exists()
-    change_sources("first")
+    change_version(1)
     assert [leg["steps"] for leg in train(tmp_path)["legs"]] == [300, 600]
-    assert record(tmp_path)["sources"] == "first"
+    assert record(tmp_path)["version"] == 1
     assert Navigator.load(tmp_path).info == {"steps": 600, "seed": 0}
 
 
-def test_one_that_was_stopped_before_its_record_keeps_its_sources(tmp_path, change_sources):
-    change_sources("first")
+def test_one_that_was_stopped_before_its_record_keeps_its_version(tmp_path, change_version):
+    change_version(1)
     with pytest.raises(Stopped):
         train(tmp_path, stop_after=2)
     assert not (tmp_path / training.RECORD).exists()
-    change_sources("second")
+    change_version(2)
     train(tmp_path)
-    assert record(tmp_path)["sources"] == "first"
+    assert record(tmp_path)["version"] == 1
 
 
-def test_of_one_that_noted_no_sources_none_are_claimed(tmp_path, change_sources):
-    change_sources("first")
+def test_a_training_without_a_noted_version_is_not_continued(tmp_path, change_version):
+    change_version(1)
     with pytest.raises(Stopped):
         train(tmp_path, stop_after=1)
     progress = tmp_path / training.PROGRESS
     note = json.loads(progress.read_text())
-    del note["sources"]
+    del note["version"]
     progress.write_text(json.dumps(note))
-    with pytest.raises(ValueError, match=r"other sources began \(hash None, now first\)"):
+    with pytest.raises(ValueError, match="version None began"):
         train(tmp_path)

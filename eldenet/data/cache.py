@@ -29,7 +29,8 @@ from eldenet.data.shards import default_cache
 from eldenet.resources import available_memory
 from eldenet.types import Frame
 
-VERSION = 1  # of the slots
+#: Of the slots, and of how eldenet's data sets read a frame: raise it when either changes.
+VERSION = 2
 # stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of these and pixels
 _FIELDS, _SUM = struct.Struct("<16s4ii9d"), struct.Struct("<I")
 HEADER = _FIELDS.size + _SUM.size
@@ -261,21 +262,22 @@ def _slot_bytes(dataset: CachedFrames) -> int:
 
 
 def _identity(dataset: CachedFrames) -> dict[str, object]:
-    """All that a store's frames depend on, but for the files, which every slot has a stamp of."""
+    """Everything that a store's frames depend on except the files: each slot has a stamp of its own."""
     import cv2
 
     kind = type(dataset)
+    own = [
+        base
+        for base in kind.__mro__
+        if hasattr(base, "load_frame") and base.__module__.split(".")[0] != "eldenet"
+    ]
     try:
-        sources = {Path(inspect.getfile(base)) for base in kind.__mro__ if hasattr(base, "load_frame")}
+        sources = sorted({Path(inspect.getfile(base)) for base in own})
     except (TypeError, OSError) as error:
         raise ValueError(
-            f"{kind.__name__} lies in no file, so a disk cache would not notice when its code changes: put "
-            "it into a module, or take cache=ram"
+            f"{kind.__name__} is defined in no file, so a disk cache cannot notice when its code changes: "
+            "move it into a module, or use cache=ram"
         ) from error
-    package = Path(__file__).parent
-    code = hashlib.sha256()
-    for file in sorted({*package.glob("*.py"), package.parent / "geometry.py", *sources}):
-        code.update(file.read_bytes())
     return {
         "version": VERSION,
         "data set": f"{kind.__module__}.{kind.__qualname__}",
@@ -285,7 +287,7 @@ def _identity(dataset: CachedFrames) -> dict[str, object]:
         "resize_depth": dataset.resize_depth,
         "frames": dataset.split_hash,
         "first files": [str(file) for file in dataset.frame_files(0)],
-        "code": code.hexdigest(),
+        "code": [hashlib.sha256(file.read_bytes()).hexdigest() for file in sources],
         "opencv": cv2.__version__,
     }
 

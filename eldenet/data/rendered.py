@@ -21,7 +21,6 @@ from eldenet.data.shards import (
     VIEWS,
     Generator,
     default_cache,
-    generator_hash,
     is_whole,
     open_shard,
     render_shard,
@@ -38,8 +37,8 @@ class RenderedScenes(DepthDataset):
 
     Frame ``i`` of a split is view ``i % 8`` of scene ``i // 8`` (named ``rooms/train/000123/4``) and depends
     on nothing else: more ``frames`` later keep the old ones and add to them. The splits hold different
-    scenes. That folder is named after the generator's sources and settings, so that a changed generator never
-    reads old frames.
+    scenes. That folder is named after the generator's version, so that a changed generator never reads old
+    frames.
 
     Args:
         split: "train", "val" or "test".
@@ -94,9 +93,8 @@ class RenderedScenes(DepthDataset):
         )
         self.places = list(range(frames))  # a draw leaves gaps: where in the shards each frame lies
         self.split, self.size = split, (int(size[0]), int(size[1]))
-        digest = generator_hash(self.generator, self.size)
-        folder = f"{name}-v{self.generator.version}-{self.size[0]}x{self.size[1]}-{digest}"
-        self.folder = (default_cache() if root is None else Path(root)).expanduser() / folder
+        cache = default_cache() if root is None else Path(root)
+        self.folder = cache.expanduser() / self.generator.folder_name(self.size)
         missing = self.missing_shards(split, frames)
         if missing:
             count = min(2, os.cpu_count() or 1) if workers is None else workers

@@ -9,14 +9,13 @@ processes that render the same shard one wins and the other drops its copy.
 main module.
 """
 
-import hashlib
 import json
 import os
 import shutil
 import sys
 import uuid
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -38,34 +37,29 @@ def default_cache() -> Path:
 
 
 class Generator(NamedTuple):
-    """What renders the frames of a data set.
+    """A renderer of scenes and the version of its frames.
+
+    Raise ``version`` whenever the frames change: stored results name their frames by it. The golden frames of
+    ``tests/simulation/golden`` fail where frames change and the version does not.
 
     Attributes:
         name: of the data set.
-        version: part of its folder's name.
+        version: of its frames.
         renderer: ``package.module.function`` of ``(split, index, (height, width), views) ->``
             :class:`~eldenet.simulation.render.Views`, the frames of scene ``index``.
-        sources: modules, as paths within the package, on which its frames depend.
+        digests: by ``(height, width)``, a suffix of the folder's name that results stored before the version
+            counted alone know their frames by.
     """
 
     name: str
     version: int
     renderer: str
-    sources: tuple[str, ...]
+    digests: Mapping[tuple[int, int], str]
 
-
-def generator_hash(generator: Generator, size: tuple[int, int]) -> str:
-    """First 12 hex digits of the SHA-256 over the generator's sources and settings.
-
-    A changed comment counts, too: to render again costs minutes, but an old frame taken for a new one costs a
-    result. Stored results name their frames by it (``split_hash``), so edit those sources with a reason.
-    """
-    settings = {"size": list(size), "views": VIEWS, "step": DEPTH_STEP, generator.name: SHARD_SCENES}
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
-    package = Path(__file__).parent.parent
-    for name in generator.sources:
-        digest.update((package / f"{name}.py").read_bytes().replace(b"\r\n", b"\n"))
-    return digest.hexdigest()[:12]
+    def folder_name(self, size: tuple[int, int]) -> str:
+        """Name of the folder that holds the frames of ``(height, width)`` [px]."""
+        digest = self.digests.get(size)
+        return f"{self.name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
 
 
 def shard_folder(root: Path, split: str, shard: int) -> Path:

@@ -10,7 +10,7 @@ from eldenet.navigation.dqn import CHECKPOINT, DQN
 from eldenet.navigation.evaluation import cross, summarise
 from eldenet.navigation.policy import POLICY, Navigator
 from eldenet.navigation.sensors import Sensor
-from eldenet.navigation.sources import training_hash
+from eldenet.navigation.sources import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.record import environment, write_json
 from eldenet.runlog import RunLog
@@ -31,7 +31,7 @@ def train(
 ) -> dict[str, Any]:
     """Train in ``folder`` to the end; a folder that holds a checkpoint of the same settings is gone on with.
 
-    One that is finished is left as it is: its record stays that of the sources that trained it.
+    One that is finished is left as it is: its record keeps the version that trained it.
     After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is
     kept is the last one: the validation is for people to see, and chooses nothing.
 
@@ -48,11 +48,11 @@ def train(
         Steps, seconds spent by the processor and on the clock, and the validation after every leg.
 
     Raises:
-        ValueError: the folder holds a run with other settings, or one that other sources began.
+        ValueError: the folder holds a run with other settings, or one that another version began.
     """
     learner = make_learner()
     note: dict[str, Any] = {
-        "settings": settings or {}, "sources": training_hash(), "legs": [],
+        "settings": settings or {}, "version": TRAINING_VERSION, "legs": [],
         "cpu_seconds": 0.0, "wall_seconds": 0.0,
     }  # fmt: skip
     if (folder / CHECKPOINT).is_file() and (folder / PROGRESS).is_file():
@@ -103,17 +103,17 @@ def _begun(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
     """The note of the training that ``folder`` holds; the learner is put where it stopped.
 
     Raises:
-        ValueError: it has other settings than ``fresh``, or it is not finished and other sources began it.
+        ValueError: it has other settings than ``fresh``, or it is not finished and another version began it.
     """
-    before: dict[str, Any] = {"sources": None} | json.loads((folder / PROGRESS).read_text())
+    before: dict[str, Any] = {"version": None} | json.loads((folder / PROGRESS).read_text())
     if before["settings"] != json.loads(json.dumps(fresh["settings"])):
         raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
     learner.restore(folder / CHECKPOINT)
-    if learner.done < learner.steps and before["sources"] != fresh["sources"]:
+    if learner.done < learner.steps and before["version"] != fresh["version"]:
         raise ValueError(
-            f"run_dir={folder} holds a training that other sources began (hash {before['sources']}, now "
-            f"{fresh['sources']}) and that stopped at step {learner.done:,} of {learner.steps:,}: go on with "
-            "those, or give another folder"
+            f"run_dir={folder} holds a training that version {before['version']} began and that stopped at "
+            f"step {learner.done:,} of {learner.steps:,}; this is version {fresh['version']}: give another "
+            "folder, or finish it with the eldenet that began it"
         )
     return before | {"legs": [leg for leg in before["legs"] if leg["steps"] <= learner.done]}
 

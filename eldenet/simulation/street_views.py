@@ -14,6 +14,8 @@ from eldenet.simulation.sensor import develop
 from eldenet.simulation.shading import Surfaces, shade
 from eldenet.simulation.streets import FAR, NAMES, STREAM, generate_scene
 
+#: Version of the frames of streets, halls and a detector's rooms. Golden frames in the tests watch over it.
+STREETS_VERSION = 1
 _LABEL_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # level from world
 
 

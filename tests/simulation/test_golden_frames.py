@@ -1,0 +1,68 @@
+"""Rendered frames change only together with their version, on any machine.
+
+After an intended change: raise the version beside the generator, then write the new golden files with
+``python tests/simulation/test_golden_frames.py`` and look at them.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eldenet.data.arenas import Arenas
+from eldenet.data.rooms import Rooms
+from eldenet.data.shards import encode_depth
+from eldenet.simulation.arena_frames import render_arena
+from eldenet.simulation.object_views import render_objects
+from eldenet.simulation.render import render_room
+from eldenet.simulation.street_views import STREETS_VERSION, render_street
+
+GOLDEN = Path(__file__).parent / "golden"
+SIZE = (96, 128)  # (height, width)
+Frames = dict[str, np.ndarray]
+
+
+def rooms() -> Frames:
+    views = [render_room(split, index, SIZE, 2) for split, index in (("train", 0), ("test", 7))]
+    return stacked([view.image for view in views], [view.depth for view in views])
+
+
+def arenas() -> Frames:
+    views = [render_arena(split, index, SIZE, 2) for split, index in (("train", 1), ("test", 3))]
+    return stacked([view.image for view in views], [view.depth for view in views])
+
+
+def streets() -> Frames:
+    views = [render_street("test", index, (96, 312), kind) for index, kind in ((0, "street"), (1, "hall"))]
+    frames = stacked([view.image[None] for view in views], [view.depth[None] for view in views])
+    return frames | {"room_image": render_objects("test", 2, (96, 312), "room").image[None]}
+
+
+def stacked(images: list[np.ndarray], depths: list[np.ndarray]) -> Frames:
+    return {"image": np.concatenate(images), "depth": encode_depth(np.minimum(np.concatenate(depths), 13.0))}
+
+
+GENERATORS: dict[str, tuple[int, Callable[[], Frames]]] = {
+    "rooms": (Rooms.generator.version, rooms),
+    "arenas": (Arenas.generator.version, arenas),
+    "streets": (STREETS_VERSION, streets),
+}
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_frames_change_only_together_with_their_version(name: str) -> None:
+    version, render = GENERATORS[name]
+    golden, frames = np.load(GOLDEN / f"{name}-v{version}.npz"), render()
+    assert set(golden) == set(frames)
+    for key, wanted in golden.items():
+        difference = np.abs(frames[key].astype(int) - wanted.astype(int))
+        limit = 10 if key == "depth" else 2  # 2 mm; 2 of 255 gray levels
+        # a ray that grazes an edge may hit or miss it by the last digit of a float
+        share = (difference > limit).mean()
+        assert share < 0.005, f"{share:.1%} of {name}'s {key} values changed: raise the version (see above)"
+
+
+if __name__ == "__main__":
+    for generator, (version, render) in GENERATORS.items():
+        np.savez_compressed(GOLDEN / f"{generator}-v{version}.npz", **render())
