@@ -37,15 +37,6 @@ def arguments(
     parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
     parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")
     parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
-    parser.add_argument("--any-sources", action="store_true", help="take trainings that other sources made")
-    parser.add_argument(
-        "--recheck",
-        type=int,
-        default=0,
-        metavar="N",
-        help="keep a row that other sources made if its first N crossings come out the same, bit for bit, "
-        "and a training if its first leg does",
-    )
     parser.add_argument("--out", help="name of the results; default: results-<worlds>")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")
     parser.add_argument("--rows", type=Path, default=HERE / "rows", help="where rows are kept")

@@ -72,8 +72,6 @@ def write_results(tables: Tables, given: Namespace) -> None:
             trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNT else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), "", *loss(tables, physics, sensor), ""]
-    if given.any_sources:
-        lines += ["Taken with `--any-sources`: learnt methods may have been trained by other sources.", ""]
     lines += [
         f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
         f"mujoco {where['versions']['mujoco']}, "
