@@ -93,8 +93,8 @@ def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeyp
     row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
     before = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
     for changed in ({"slows_within": 2.0}, {"follows": True}):
-        other = dataclasses.replace(methods.LEARNT["dqn"], **changed)
-        monkeypatch.setitem(methods.LEARNT, "dqn", other)
+        other = dataclasses.replace(methods.LEARNED["dqn"], **changed)
+        monkeypatch.setitem(methods.LEARNED, "dqn", other)
         after = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
         assert [name for name in before if before[name] != after[name]] == ["drives"]
         before = after
@@ -127,7 +127,7 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
     from eldenet.config import compose, plain
 
     configs = {
-        name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNT.items()
+        name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNED.items()
     }
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
     assert configs["paper_literal"].learner.target_every > 0

@@ -1,4 +1,4 @@
-"""Depth of the rendered rooms beside NYU's, in a few numbers, and a contact sheet of the rooms.
+"""Compare the depth of rendered rooms with NYU's in a few numbers, and draw a contact sheet of the rooms.
 
 python experiments/rooms_beside_nyu/run.py        (NYU's row needs ELDENET_DATA, see docs/data.md)
 """
@@ -18,7 +18,7 @@ TITLES = ("5 % [m]", "median [m]", "95 % [m]", "frame median [m]", "± over fram
 
 
 def contact_sheet(rooms: Rooms, across: int = 6, down: int = 3) -> np.ndarray:
-    """Image over depth, evenly spaced frames: ``(H, W, 3)`` uint8."""
+    """Return evenly spaced frames, each image above its depth: ``(H, W, 3)`` uint8."""
     rows = []
     indices = iter(np.linspace(0, len(rooms) - 1, across * down).astype(int))
     for _ in range(down):

@@ -1,4 +1,4 @@
-"""What lower precision costs in accuracy: one trained network, every precision, the same real frames.
+"""Measure how much accuracy lower precision costs: one trained network on the same real frames.
 
 python experiments/table1_efficiency/precision.py runs/nyu/rooms          # a run of +experiment=nyu_labelled
 """

@@ -20,7 +20,7 @@ CAMERAS = ("camera", "objects")
 SETTINGS = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")  # of a training
 
 
-def check_inputs(given: Namespace, sensors: Sequence[str]) -> None:
+def check_inputs(args: Namespace, sensors: Sequence[str]) -> None:
     """Check at the start that all inputs of the sensors are given and exist.
 
     Raises:
@@ -33,11 +33,11 @@ def check_inputs(given: Namespace, sensors: Sequence[str]) -> None:
         if at and not (light.replace(".", "", 1).isdigit() and float(light) > 0):
             raise ValueError(f"--sensors {sensor}: give the light as a number above 0, such as {kind}@0.1")
         if kind in CAMERAS:
-            depth_files(given.depth)
+            depth_files(args.depth)
         if kind == "objects":
-            detector_files(given.detector)
-        if kind == "noisy" and not errors_file(given.errors).is_file():
-            raise ValueError(f"--errors {given.errors}: no such file; give one of mode=measure, or packaged")
+            detector_files(args.detector)
+        if kind == "noisy" and not errors_file(args.errors).is_file():
+            raise ValueError(f"--errors {args.errors}: no such file; give one of mode=measure, or packaged")
 
 
 def depth_files(source: str | None) -> list[Path]:
@@ -79,43 +79,43 @@ def digest(files: Sequence[Path]) -> str | None:
     return total.hexdigest()
 
 
-def input_hashes(sensor: str, given: Namespace) -> dict[str, str | None]:
+def input_hashes(sensor: str, args: Namespace) -> dict[str, str | None]:
     """Return the hash of each input of a sensor; None for what it does not use."""
     kind = sensor.partition("@")[0]
     return {
-        "depth": digest(depth_files(given.depth)) if kind in CAMERAS else None,
-        "detector": digest(detector_files(given.detector)) if kind == "objects" else None,
-        "errors": digest([errors_file(given.errors)]) if kind == "noisy" else None,
+        "depth": digest(depth_files(args.depth)) if kind in CAMERAS else None,
+        "detector": digest(detector_files(args.detector)) if kind == "objects" else None,
+        "errors": digest([errors_file(args.errors)]) if kind == "noisy" else None,
     }
 
 
-def fed_by(sensor: str, given: Namespace) -> str:
+def fed_by(sensor: str, args: Namespace) -> str:
     """Return the line below a heading: the inputs of the sensor, and where the goal's position came from."""
-    names = {"depth": given.depth, "detector": given.detector, "errors": given.errors}
+    names = {"depth": args.depth, "detector": args.detector, "errors": args.errors}
     kind = sensor.partition("@")[0]
     used = {"camera": ["depth"], "objects": ["depth", "detector"], "noisy": ["errors"]}.get(kind, [])
-    hashes = input_hashes(sensor, given)
+    hashes = input_hashes(sensor, args)
     parts = [f"{name} `{names[name]}`" + (f" (SHA-256 {hashes[name][:12]})" if hashes[name] else "")
              for name in used]  # fmt: skip
-    parts += [f"goal `{given.goal}`" + (" (odometry is exact here)" if kind == "ranges" else "")]
+    parts += [f"goal `{args.goal}`" + (" (odometry is exact here)" if kind == "ranges" else "")]
     return "Fed by: " + ", ".join(parts) + "."
 
 
-def make_sensor(sensor: str, given: Namespace) -> Sensor:
+def make_sensor(sensor: str, args: Namespace) -> Sensor:
     """Build a sensor by its name in the table."""
     kind, _, light = sensor.partition("@")
     if kind == "ranges":
         return Ranges()
     if kind == "noisy":
-        return NoisyRanges(errors=given.errors)
-    depth = None if given.depth == TRUTH else given.depth
+        return NoisyRanges(errors=args.errors)
+    depth = None if args.depth == TRUTH else args.depth
     if kind == "camera":
         return camera(depth, light=float(light or 1.0))
     detector = None
-    if given.detector != TRUTH:
+    if args.detector != TRUTH:
         from eldenet.perception.onnx_detector import OnnxDetector
 
-        detector = OnnxDetector(given.detector)
+        detector = OnnxDetector(args.detector)
     return objects(depth, detector=detector, light=float(light or 1.0))
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from inputs import digest, input_hashes, make_sensor, trained_policy
-from methods import LEARNT, PLANNERS
+from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.evaluation import Crossing, Policy, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
@@ -38,7 +38,7 @@ class Row:
     """What is measured.
 
     Attributes:
-        method: a name of LEARNT or PLANNERS.
+        method: a name of LEARNED or PLANNERS.
         density: standing obstacles.
         movers: walking people.
         sensor: "ranges", "noisy", "camera" or "objects"; "camera@0.1" in that share of a normal day's light.
@@ -84,21 +84,21 @@ def course_name(density: int, movers: int) -> str:
     return f"{density}+{movers}" if movers else str(density)
 
 
-def measure(row: Row, given: Namespace) -> list[Crossing]:
+def measure(row: Row, args: Namespace) -> list[Crossing]:
     """Return the episodes of a row: stored ones if all that they depend on is unchanged, else new ones."""
     arenas, found = frozen(row.density, row.worlds, row.movers)
     wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
     if wanted is not None and found != wanted:
         raise ValueError(f"the test arenas of course {row.course} differ from the frozen ones in arenas.json")
-    weights = policy_file(row, given)
-    key = key_of(row, given, weights, found)
-    stored = read_notes(given.rows / f"{row.file}.json").get(row.name)
+    weights = policy_file(row, args)
+    key = key_of(row, args, weights, found)
+    stored = read_notes(args.rows / f"{row.file}.json").get(row.name)
     if stored is not None and stored["key"] == key:
-        return read_episodes(given.rows / f"{row.file}.csv")[row.labels]
+        return read_episodes(args.rows / f"{row.file}.csv")[row.labels]
     started = time.process_time()
-    crossings = make_crossings(row, given, weights, arenas)
+    crossings = make_crossings(row, args, weights, arenas)
     spent = round(time.process_time() - started, 1)
-    store(row, given.rows, crossings, key, spent)
+    store(row, args.rows, crossings, key, spent)
     solved = sum(crossing.outcome == "success" for crossing in crossings)
     print(
         f"{row.method} {row.name}: {solved} of {len(crossings)}, {spent:.0f} s of processor time", flush=True
@@ -113,7 +113,7 @@ def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str
     return arenas, arenas_hash(arenas)
 
 
-def policy_file(row: Row, given: Namespace) -> Path | None:
+def policy_file(row: Row, args: Namespace) -> Path | None:
     """Return the policy of a row, trained now if it is missing; None for planners.
 
     Policies of stored rows are kept beside them in ``policies``, so that a table can be rebuilt without the
@@ -121,11 +121,11 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     """
     if row.seed is None:
         return None
-    if LEARNT[row.method].packaged:
+    if LEARNED[row.method].packaged:
         return DEFAULT_WEIGHTS
-    method = LEARNT[row.method].drivers or row.method
-    options = [*LEARNT[method].options, f"seed={row.seed}"]
-    folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
+    method = LEARNED[row.method].drivers or row.method
+    options = [*LEARNED[method].options, f"seed={row.seed}"]
+    folder, kept = (at / f"{method}-{row.seed}" for at in (args.runs, args.rows.parent / "policies"))
     if not folder.is_dir() and kept.is_dir():
         return trained_policy(kept, options)
     policy = trained_policy(folder, options)
@@ -135,7 +135,7 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
     return policy
 
 
-def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
+def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
     """Return all that a row's episodes depend on: where any of it changes, the row is made anew."""
     versions = environment()["versions"]
     return {
@@ -143,22 +143,22 @@ def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dic
         "version": EPISODE_VERSION,
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
-        "drives": None if row.seed is None else LEARNT[row.method].drives,
-        **input_hashes(row.sensor, given),
+        "drives": None if row.seed is None else LEARNED[row.method].drives,
+        **input_hashes(row.sensor, args),
     }
 
 
 def make_crossings(
-    row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
+    row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]
 ) -> list[Crossing]:
     """Cross all arenas; the outcome in one does not depend on the others."""
 
     def driver(robots: int) -> Policy:
         if row.seed is None:
             return PLANNERS[row.method](robots)
-        return Navigator.load(weights, **LEARNT[row.method].drives, robots=robots)
+        return Navigator.load(weights, **LEARNED[row.method].drives, robots=robots)
 
-    return cross(arenas, driver, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
+    return cross(arenas, driver, make_sensor(row.sensor, args), physics=row.physics, goal=row.goal)
 
 
 def read_episodes(file: Path) -> dict[tuple[str, ...], list[Crossing]]:
