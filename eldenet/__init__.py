@@ -6,8 +6,8 @@ Public names load when they are first used, so that importing the package stays 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
-    from eldenet.predictor import DepthPredictor
     from eldenet.zoo import list_models, list_weights, load
 
 __version__ = "0.1.0"
@@ -23,7 +23,7 @@ __all__ = [
 
 _HOME_OF = {
     "DepthNet": "eldenet.model",
-    "DepthPredictor": "eldenet.predictor",
+    "DepthPredictor": "eldenet.deploy.predictor",
     "EncoderDecoder": "eldenet.model",
     "list_models": "eldenet.zoo",
     "list_weights": "eldenet.zoo",

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.benchmark_rows import calibrated, machine, measured_alike, other_machine
-from eldenet.command import entry_point, refuse_unread
+from eldenet.cli.entry_point import entry_point, refuse_unread
+from eldenet.deploy.benchmarking.rows import calibrated, machine, measured_alike, other_machine
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from eldenet.benchmarking import Case, Network
+    from eldenet.deploy.benchmarking.measure import Case, Network
     from eldenet.model import DepthNet
 
 DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml: it may be absent
@@ -34,9 +34,9 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def benchmark(config: "DictConfig") -> list[dict[str, Any]]:
     """Measure what is not there yet, write each group as it is done, then the tables of all asked for."""
-    from eldenet.benchmark_tables import read_accuracies, write_results
-    from eldenet.benchmarking import append_rows, fingerprint, measure_group, read_rows
-    from eldenet.runlog import RunLog
+    from eldenet.deploy.benchmarking.measure import append_rows, fingerprint, measure_group, read_rows
+    from eldenet.deploy.benchmarking.tables import read_accuracies, write_results
+    from eldenet.results.run_log import RunLog
 
     for name in LISTS:  # models=eldenet is a list of one
         if config[name] is not None:
@@ -125,8 +125,8 @@ def study_models(
         ValueError: more than one measurement of each is asked for, or the study's latencies are another's:
             refused before measuring.
     """
-    from eldenet.studies.costs import row_networks, write_costs
-    from eldenet.studies.plan import read_study
+    from eldenet.results.studies.latency import row_networks, write_costs
+    from eldenet.results.studies.plan import read_study
 
     several = [name for name in ("batches", "runtimes", "precisions", "threads") if len(config[name]) != 1]
     if several:
@@ -199,9 +199,9 @@ def list_cases(
     Raises:
         ValueError: a choice that does not exist.
     """
-    from eldenet.benchmarking import Case
-    from eldenet.data.roots import one_of
-    from eldenet.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.data.paths import one_of
+    from eldenet.deploy.benchmarking.measure import Case
+    from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
 
     for runtime in config.runtimes:
         one_of("runtimes", str(runtime), RUNTIMES)
@@ -229,9 +229,9 @@ def prepare(
     case: "Case", model: "DepthNet", fingerprint: str, config: "DictConfig", folder: Path
 ) -> "Network":
     """Make the file that a case runs, unless it is there."""
-    from eldenet.benchmarking import Network, reason_of
-    from eldenet.folding import fold
-    from eldenet.profiling import count_macs, count_params
+    from eldenet.deploy.benchmarking.measure import Network, reason_of
+    from eldenet.deploy.fold import fold
+    from eldenet.evaluation.cost import count_macs, count_params
 
     size = (case.height, case.width)
     params, macs, run_macs = count_params(model), count_macs(model, size), count_macs(fold(model), size)
@@ -243,9 +243,9 @@ def prepare(
 
 
 def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", folder: Path) -> Path:
-    from eldenet.exporting import describe, write_onnx, write_openvino
-    from eldenet.quantisation import quantise_onnx, quantise_openvino
-    from eldenet.runtimes import TORCH, installed
+    from eldenet.deploy.files import describe, write_onnx, write_openvino
+    from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+    from eldenet.deploy.runtimes import TORCH, installed
 
     if not installed(case.runtime):
         raise ImportError(f"{case.runtime} is not installed: pip install 'eldenet[deploy]'")
@@ -264,8 +264,8 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
         return path
     if not quantised:
         return write_openvino(graph, path, facts)
+    from eldenet.deploy.predictor import as_image, resized
     from eldenet.export import read_pictures
-    from eldenet.predictor import as_image, resized
 
     frames = read_pictures(config.pictures, config.calibration, "train")
     inputs = [as_image(resized(frame, size)).repeat(case.batch, axis=0) for frame in frames]

@@ -4,15 +4,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
+from eldenet.cli.entry_point import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.data.base import DepthDataset
-    from eldenet.data.checking import SplitCheck
-    from eldenet.protocol import EvalProtocol
-    from eldenet.runlog import RunLog
+    from eldenet.data.inspection import SplitCheck
+    from eldenet.evaluation.protocol import EvalProtocol
+    from eldenet.results.run_log import RunLog
 
 SPLITS = ("train", "val", "test")
 CHECK_FILE, SHEET = "check.json", "contact_sheet"
@@ -27,10 +27,10 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def check(config: "DictConfig") -> bool:
     """Read the splits, show a table, write ``check.json`` and a contact sheet; True if all is well."""
-    from eldenet.data.checking import SplitCheck, check_split, shared_frames
-    from eldenet.pictures import contact_sheet, write_picture
-    from eldenet.record import write_json
-    from eldenet.runlog import RunLog
+    from eldenet.data.inspection import SplitCheck, check_split, shared_frames
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.run_record import write_json
+    from eldenet.visualization import contact_sheet, write_picture
 
     for name, least in (("frames", 1), ("samples", 0)):
         if config[name] is not None and config[name] < least:
@@ -94,8 +94,8 @@ def _refused(split: str, dataset: "DepthDataset", protocol: "EvalProtocol") -> l
 
 def _samples(split: str, dataset: Any, wanted: int, found: "SplitCheck") -> list[tuple[str, Any]]:
     """Titled pictures of evenly spread frames that can be read: image over depth."""
-    from eldenet.data.checking import spread
-    from eldenet.pictures import image_over_depth
+    from eldenet.data.inspection import spread
+    from eldenet.visualization import image_over_depth
 
     readable = [i for i, name in enumerate(dataset.names) if name not in found.unreadable]
     panels = []

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from eldenet.resources import prepare_environment
+from eldenet.system.resources import prepare_environment
 
 prepare_environment()
 
@@ -134,35 +134,6 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 def build_model(config: DictConfig, **arguments: Any) -> Any:
     """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
     return instantiate(config, **arguments)
-
-
-def build_teacher(
-    source: str | None,
-    *,
-    overrides: Sequence[str] = (),
-    input_size: Sequence[int] | None = None,
-    trusted_modules: Sequence[str] = (),
-) -> Any:
-    """A frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term.
-
-    Args:
-        source: anything :func:`eldenet.load` takes: run folder, saved model, Hub id; or a model's name.
-        overrides: for a name, which needs them: where its weights come from (``model.network.weights=...``).
-        input_size: ``(height, width)`` that the teacher sees [px]; None: the student's.
-        trusted_modules: as in :func:`eldenet.load`.
-
-    Raises:
-        ValueError: no teacher was named, or one without trained weights.
-    """
-    import eldenet
-    from eldenet.losses.distillation import Teacher
-
-    if source is None:
-        raise ValueError("this loss distils from a teacher: give teacher=<run folder, saved model or Hub id>")
-    if source in eldenet.list_models() and not overrides:
-        raise ValueError(f"teacher={source} names a network without trained weights: give a run of it")
-    network = eldenet.load(source, overrides=overrides, trusted_modules=trusted_modules)
-    return Teacher(network, source=str(source), input_size=input_size)
 
 
 def build_protocol(config: DictConfig) -> Any:

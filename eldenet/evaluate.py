@@ -5,25 +5,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
+from eldenet.cli.entry_point import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
+    from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.model import DepthNet
-    from eldenet.protocol import EvalProtocol
-    from eldenet.resources import Resources
-    from eldenet.runlog import RunLog
-    from eldenet.runtimes.scored import RuntimeNetwork
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
 
 
 @entry_point("evaluate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Load, score, measure, write ``run.json`` and show the table."""
-    from eldenet.resources import choose_resources
-    from eldenet.runlog import RunLog
-    from eldenet.scoring import score_and_record
-    from eldenet.tables import closing_table
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.score import score_and_record
+    from eldenet.results.tables import closing_table
+    from eldenet.system.resources import choose_resources
     from eldenet.zoo import note_if_untrained
 
     if (folder / "checkpoints").is_dir():
@@ -58,8 +58,8 @@ def _open(config: "DictConfig", resources: "Resources") -> "DepthNet | RuntimeNe
     A file runs on an accelerator only where that was asked for: it takes another build of its runtime.
     """
     import eldenet
-    from eldenet import runtimes
-    from eldenet.runtimes.scored import RuntimeNetwork
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
 
     if Path(str(config.checkpoint)).suffix in runtimes.READS:
         device = "cpu" if config.runtime.device == "auto" else resources.device
@@ -95,8 +95,8 @@ def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -
     Raises:
         ValueError: a file sees whole frames, and the protocol shows a part.
     """
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
     from eldenet.model import size_of_frames
-    from eldenet.runtimes.scored import RuntimeNetwork
 
     if not protocol.changes_frames:
         return size_of_frames(model.info)

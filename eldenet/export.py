@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
+from eldenet.cli.entry_point import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.model import DepthNet
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
 
 ENDINGS = {"onnx": ".onnx", "openvino": ".xml"}
 PRECISIONS = {"onnx": ("fp32", "int8"), "openvino": ("fp32", "bf16", "int8")}
@@ -46,9 +46,9 @@ class Job:
 def export(config: "DictConfig") -> Path:
     """Load, fold, write, quantise where asked for, compare with torch, say what came out."""
     import eldenet
-    from eldenet.exporting import describe, write_onnx, write_openvino
-    from eldenet.quantisation import quantise_onnx, quantise_openvino
-    from eldenet.runlog import RunLog
+    from eldenet.deploy.files import describe, write_onnx, write_openvino
+    from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+    from eldenet.results.run_log import RunLog
     from eldenet.zoo import note_if_untrained
 
     model = eldenet.load(config.checkpoint, trusted_modules=cfg.plain(config.trusted_modules))
@@ -91,7 +91,7 @@ def read_job(config: "DictConfig", model: "DepthNet") -> Job:
     Raises:
         ValueError: an unknown choice, or a file that is there already.
     """
-    from eldenet.data.roots import one_of
+    from eldenet.data.paths import one_of
     from eldenet.model import size_of_frames
 
     one_of("format", str(config.format), tuple(ENDINGS))
@@ -147,7 +147,7 @@ def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray
 
 def batches(frames: Sequence[np.ndarray], job: Job) -> list[np.ndarray]:
     """Pictures as the file takes them: one array each, a whole batch where that is fixed."""
-    from eldenet.predictor import as_image, resized
+    from eldenet.deploy.predictor import as_image, resized
 
     if job.camera_size is not None:
         inputs = [resized(frame, job.camera_size)[None] for frame in frames]
@@ -162,9 +162,9 @@ def report(job: Job, model: "DepthNet", pictures: list[np.ndarray], log: "RunLog
     Raises:
         ValueError: an fp32 file gives another depth than torch.
     """
-    from eldenet import runtimes
-    from eldenet.exporting import count_operations, differences
-    from eldenet.predictor import DepthPredictor, resized
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.files import count_operations, differences
+    from eldenet.deploy.predictor import DepthPredictor, resized
 
     seen = [resized(frame, job.camera_size or job.size) for frame in pictures]
     predictor = DepthPredictor(model, job.size)

@@ -1,7 +1,8 @@
 """DepthNet: normalise -> network -> head. Written to and read from ``config.json`` + safetensors."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -252,3 +253,15 @@ def _complete(folder: Path, source: str | Path) -> Path:
     if missing:
         raise FileNotFoundError(f"{source} has no {' and no '.join(missing)}: not an eldenet model folder")
     return folder
+
+
+@contextmanager
+def eval_mode(model: nn.Module) -> Iterator[None]:
+    """Eval mode for ``model``; afterwards every part is back in its own (a frozen part stays frozen)."""
+    modes = {part: part.training for part in model.modules()}
+    model.eval()
+    try:
+        yield
+    finally:
+        for part, training in modes.items():
+            part.training = training

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.command import entry_point, given_settings
+from eldenet.cli.entry_point import entry_point, given_settings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.navigation.evaluation import Crossing
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
     from eldenet.simulation.arenas import Arena
 
 MODES = ("watch", "evaluate", "diagnose", "measure", "train")
@@ -20,10 +20,10 @@ MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 @entry_point("navigate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Do what ``mode`` says; results go to the run folder."""
-    from eldenet.data.roots import one_of
+    from eldenet.data.paths import one_of
     from eldenet.navigation.settings import refuse_ignored
-    from eldenet.resources import choose_resources
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import choose_resources
 
     one_of("mode", str(config.mode), MODES)
     refuse_ignored(given_settings(), cfg.plain(config))
@@ -56,7 +56,7 @@ def refuse_to_replace(folder: Path, mode: str) -> None:
     Raises:
         ValueError: ``folder`` holds a ``run.json`` of another mode or command.
     """
-    from eldenet.record import RUN_FILE, read_record
+    from eldenet.results.run_record import RUN_FILE, read_record
 
     if mode == "train" or not (folder / RUN_FILE).is_file():  # a training's record is training.json
         return
@@ -68,7 +68,7 @@ def refuse_to_replace(folder: Path, mode: str) -> None:
 
 def write_record(config: "DictConfig", folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     """Write ``run.json``: what was found, with the seed, the whole config, versions and the command."""
-    from eldenet.record import RUN_FILE, environment, write_json
+    from eldenet.results.run_record import RUN_FILE, environment, write_json
 
     record = {
         "mode": str(config.mode),
@@ -83,7 +83,7 @@ def write_record(config: "DictConfig", folder: Path, found: Mapping[str, Any]) -
 
 def _who(config: "DictConfig", policy: Any) -> dict[str, Any]:
     """The driver and what it sees by, told by content."""
-    from eldenet.navigation.identity import driver_identity, sensor_identity
+    from eldenet.navigation.provenance import driver_identity, sensor_identity
 
     return {
         "policy": policy.name,
@@ -94,10 +94,10 @@ def _who(config: "DictConfig", policy: Any) -> dict[str, Any]:
 
 def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Path:
     """Film one crossing; write ``run.json``."""
-    from eldenet.data.roots import one_of
-    from eldenet.navigation.film import FORMATS, film_crossing
-    from eldenet.robot import ROBOT
+    from eldenet.data.paths import one_of
+    from eldenet.navigation.video import FORMATS, film_crossing
     from eldenet.simulation.arenas import arenas_hash, generate_arena, triangle_course
+    from eldenet.simulation.robot import ROBOT
 
     one_of("film", str(config.film), FORMATS)
     if config.course is not None:
@@ -121,7 +121,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
     from eldenet.navigation.evaluation import as_rows, summarise
-    from eldenet.record import RUN_FILE, write_rows
+    from eldenet.results.run_record import RUN_FILE, write_rows
     from eldenet.simulation.arenas import arenas_hash
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
@@ -185,9 +185,9 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
     from collections import Counter
 
     from eldenet.navigation.failures import KINDS, as_rows, draw_worst, trace
-    from eldenet.pictures import write_picture
-    from eldenet.record import write_rows
+    from eldenet.results.run_record import write_rows
     from eldenet.simulation.arenas import arenas_hash
+    from eldenet.visualization import write_picture
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
     found: dict[str, dict[str, Any]] = {}
@@ -209,13 +209,13 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
 
 def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> Path:
     """Measure the errors of a sensor's ranges for ``sensor=noisy``, on arenas of the "val" split."""
-    from eldenet.data.roots import one_of
-    from eldenet.navigation.identity import sensor_identity
+    from eldenet.data.paths import one_of
     from eldenet.navigation.looks import look_along, look_near
     from eldenet.navigation.policy import Navigator
+    from eldenet.navigation.provenance import sensor_identity
     from eldenet.navigation.range_errors import fit_errors
     from eldenet.navigation.tasks import frozen_arenas
-    from eldenet.record import environment
+    from eldenet.results.run_record import environment
 
     options, sensor = cfg.plain(config.measure), cfg.instantiate(config.sensor)
     one_of("measure.places", options["places"], ("crossings", "near"))

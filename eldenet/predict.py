@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldenet import config as cfg
-from eldenet.command import entry_point, refuse_unread
+from eldenet.cli.entry_point import entry_point, refuse_unread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from omegaconf import DictConfig
 
-    from eldenet.predictions import Results
-    from eldenet.predictor import DepthPredictor
-    from eldenet.resources import Resources
-    from eldenet.runlog import RunLog
-    from eldenet.stopping import StopWish
+    from eldenet.deploy.outputs import Results
+    from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
+    from eldenet.system.signals import StopWish
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
@@ -42,13 +42,13 @@ def predict(config: "DictConfig") -> "Results":
         KeyboardInterrupt: Ctrl-C ended it, after the picture in work was finished; a camera ends so without.
         OSError: the source broke off; what came before it is written.
     """
-    from eldenet.predict_boxes import Timed, box_results
-    from eldenet.predict_videos import predict_video
-    from eldenet.resources import choose_resources
-    from eldenet.runlog import RunLog
-    from eldenet.runtimes.stream import is_live, without_password
-    from eldenet.stopping import stop_wish
-    from eldenet.written import Written
+    from eldenet.deploy.manifest import Written
+    from eldenet.deploy.stream import is_live, without_password
+    from eldenet.deploy.videos import predict_video
+    from eldenet.perception.predict_boxes import Timed, box_results
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import choose_resources
+    from eldenet.system.signals import stop_wish
 
     given = str(config.source)
     live, source = is_live(given), Path(given).expanduser()
@@ -86,7 +86,7 @@ def kind_of(source: Path, *, live: bool) -> str:
     Raises:
         ValueError: a file that is neither a picture nor a video.
     """
-    from eldenet.runtimes.videofile import is_video_file
+    from eldenet.deploy.video_files import is_video_file
 
     if live or (source.is_file() and is_video_file(source)):
         return "video"
@@ -95,8 +95,8 @@ def kind_of(source: Path, *, live: bool) -> str:
 
 def name_sources(source: Path, kind: str, address: str, output: Path) -> dict[Path, str]:
     """Results' names by what they are of; ``address`` is a camera's or a stream's."""
-    from eldenet.predictions import name_results
-    from eldenet.runtimes.stream import without_password
+    from eldenet.deploy.outputs import name_results
+    from eldenet.deploy.stream import without_password
 
     if kind != "video":
         return name_results(source, output)
@@ -110,9 +110,9 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
         ValueError: a runtime that is unknown, or does not run such a file here.
     """
     import eldenet
-    from eldenet import runtimes
-    from eldenet.data.roots import one_of
-    from eldenet.predictor import DepthPredictor
+    from eldenet.data.paths import one_of
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.predictor import DepthPredictor
 
     one_of("engine", str(config.engine), ("auto", *runtimes.RUNTIMES))
     engine = str(config.engine)
@@ -151,9 +151,9 @@ def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log:
 
 def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
     """Check the settings that speak of results."""
-    from eldenet.data.roots import one_of
+    from eldenet.data.paths import one_of
+    from eldenet.deploy.outputs import ENDING, Results
     from eldenet.geometry import pinhole
-    from eldenet.predictions import ENDING, Results
 
     one_of("on_error", str(config.on_error), ("stop", "skip"))
     if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):

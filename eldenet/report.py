@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldenet import config as cfg
-from eldenet.command import entry_point, refuse_unread
+from eldenet.cli.entry_point import entry_point, refuse_unread
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 @entry_point("report")
 def main(config: "DictConfig", folder: Path) -> None:
     """Read runs, refuse mixtures, print the table and write it as Markdown, CSV and LaTeX."""
-    from eldenet.comparison import find_runs, table_of
-    from eldenet.record import write_rows
-    from eldenet.runlog import RunLog
-    from eldenet.tables import cost_line, protocol_line, to_latex, to_markdown
+    from eldenet.results.comparison import find_runs, table_of
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.run_record import write_rows
+    from eldenet.results.tables import cost_line, protocol_line, to_latex, to_markdown
 
     if config.study is not None:
         refuse_unread(
             ("runs", "columns", "costs", "output"),
             "not read with study=, whose sweep.yaml says what its tables show",
         )
-        from eldenet.studies.report import write_study_report
+        from eldenet.results.studies.report import write_study_report
 
         log = RunLog(Path(config.study))
         for block in write_study_report(config.study):

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
+from eldenet.cli.entry_point import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 @cfg.resolver("study_rows")
 def study_rows(study: str, rows: Any) -> str:
     """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
-    from eldenet.studies.plan import row_names
+    from eldenet.results.studies.plan import row_names
 
     return row_names(study, cfg.plain(rows))
 
@@ -27,9 +27,9 @@ def main(config: "DictConfig", folder: Path) -> None:
         ValueError: after all of them, if some failed; at once for seeds that no chosen row has, or in a job
             of several processes.
     """
-    from eldenet.runlog import RunLog
-    from eldenet.studies.plan import read_study
-    from eldenet.studies.running import refuse_unknown_seeds, run_row
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.studies.plan import read_study
+    from eldenet.results.studies.runner import refuse_unknown_seeds, run_row
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")

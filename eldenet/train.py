@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
-from eldenet.record import differences
-from eldenet.resuming import checkpoint_of, finished_run, run_folder
+from eldenet.cli.entry_point import entry_point
+from eldenet.results.run_record import differences
+from eldenet.training.resume import checkpoint_of, finished_run, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.data.base import DepthDataset
+    from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.losses.base import WeightedSum
     from eldenet.model import DepthNet
-    from eldenet.protocol import EvalProtocol
-    from eldenet.resources import Resources
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
 
 
 @entry_point("train")
@@ -36,12 +36,12 @@ def train(config: "DictConfig", folder: Path) -> float:
     """
     from omegaconf import OmegaConf
 
-    from eldenet.normalisation import normalisation, write_normalisation
-    from eldenet.resources import choose_resources
-    from eldenet.runlog import RunLog
-    from eldenet.scoring import score_and_record
-    from eldenet.sources import fingerprints
-    from eldenet.tables import closing_table
+    from eldenet.results.fingerprints import fingerprints
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.score import score_and_record
+    from eldenet.results.tables import closing_table
+    from eldenet.system.resources import choose_resources
+    from eldenet.training.normalization import normalisation, write_normalisation
 
     record = finished_run(config, folder)
     if record is not None:
@@ -139,7 +139,7 @@ def build_splits(
     Raises:
         ValueError: they cannot be scored; that shows now, not after an epoch or the whole training.
     """
-    from eldenet.resources import main_process_first
+    from eldenet.system.resources import main_process_first
 
     with main_process_first(resources):  # it renders or prepares what the others then find
         train_set = cfg.build_split(config, "train", protocol, augment=True, seed=config.seed)
@@ -180,7 +180,7 @@ def say_what_is_learned_from(
 
 def remembered(train_set: "DepthDataset", scored: "DepthDataset") -> int:
     """How many of the frames that are scored are training frames: they say how well these are remembered."""
-    from eldenet.data.checking import identities
+    from eldenet.data.inspection import identities
 
     return len(identities(train_set).keys() & identities(scored).keys())
 
@@ -211,8 +211,8 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
     Raises:
         ValueError: the weights are those of another network, or of none.
     """
-    from eldenet.normalisation import keep_normalisation
-    from eldenet.resources import seed_everything
+    from eldenet.system.resources import seed_everything
+    from eldenet.training.normalization import keep_normalisation
 
     seed_everything(config.seed)
     model = cfg.build_model(config.model, **arguments)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet import config as cfg
-from eldenet.command import entry_point
+from eldenet.cli.entry_point import entry_point
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from eldenet.boxes import Detections2D
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
 
 Shown = list[tuple[np.ndarray, "Detections2D", "Detections2D"]]  # picture, truth, found
 
@@ -36,11 +36,11 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
         ValueError: libreyolo is missing, or the folder holds another run already.
     """
     from eldenet.perception.detection_data import write_dataset
-    from eldenet.record import RUN_FILE, environment, write_json
-    from eldenet.resources import choose_resources
-    from eldenet.runlog import RunLog
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.run_record import RUN_FILE, environment, write_json
     from eldenet.simulation.object_views import NAMES
     from eldenet.simulation.street_views import STREETS_VERSION
+    from eldenet.system.resources import choose_resources
 
     if (folder / "train").exists() and not config.resume:
         raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
@@ -156,7 +156,7 @@ def _tensors(detections: "Detections2D") -> dict[str, Any]:
 def drawn(shown: Shown, threshold: float) -> np.ndarray:
     """Pairs of pictures, truth on the left and finds on the right."""
     from eldenet.perception.drawing import draw_detections
-    from eldenet.pictures import stack_rows
+    from eldenet.visualization import stack_rows
 
     rows = []
     for image, truth, found in shown:

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.sources import PACKAGED, located
+from eldenet.results.fingerprints import PACKAGED, located
 
 if TYPE_CHECKING:
+    from eldenet.losses.distillation import Teacher
     from eldenet.model import DepthNet
 
 
@@ -86,3 +87,31 @@ def load(
         raise ValueError(f"revision={revision!r} is for Hub ids; {source} is a folder here")
     found = folder if folder.is_dir() or folder.is_absolute() else source
     return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)
+
+
+def build_teacher(
+    source: str | None,
+    *,
+    overrides: Sequence[str] = (),
+    input_size: Sequence[int] | None = None,
+    trusted_modules: Sequence[str] = (),
+) -> "Teacher":
+    """A frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term.
+
+    Args:
+        source: anything :func:`eldenet.load` takes: run folder, saved model, Hub id; or a model's name.
+        overrides: for a name, which needs them: where its weights come from (``model.network.weights=...``).
+        input_size: ``(height, width)`` that the teacher sees [px]; None: the student's.
+        trusted_modules: as in :func:`eldenet.load`.
+
+    Raises:
+        ValueError: no teacher was named, or one without trained weights.
+    """
+    from eldenet.losses.distillation import Teacher
+
+    if source is None:
+        raise ValueError("this loss distils from a teacher: give teacher=<run folder, saved model or Hub id>")
+    if source in list_models() and not overrides:
+        raise ValueError(f"teacher={source} names a network without trained weights: give a run of it")
+    network = load(source, overrides=overrides, trusted_modules=trusted_modules)
+    return Teacher(network, source=str(source), input_size=input_size)

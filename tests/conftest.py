@@ -27,7 +27,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="session")
 def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small network as if trained at 32 x 64, for the tests of ``predict``."""
-    from predicting import small_model
+    from support.predicting import small_model
 
     return small_model(tmp_path_factory.mktemp("trained") / "model")
 
@@ -43,7 +43,7 @@ def model(model_folder: Path):
 @pytest.fixture(scope="session")
 def command_server(cache: str):
     """Started by the first test that runs a command."""
-    from commands import CommandServer
+    from support.commands import CommandServer
 
     server = CommandServer({**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"})
     yield server
@@ -69,7 +69,7 @@ def run_command(tmp_path: Path, command_server):
 @pytest.fixture
 def tiny(tmp_path: Path, cache: str) -> Path:
     """The folder of a small study."""
-    from tiny_study import write_tiny_study
+    from support.tiny_study import write_tiny_study
 
     return write_tiny_study(tmp_path / "tiny", cache)
 
@@ -77,7 +77,7 @@ def tiny(tmp_path: Path, cache: str) -> Path:
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
     """A saved model with every kind of part."""
-    from networks import small_net
+    from support.networks import small_net
 
     from eldenet.refinement import JointBilateral
 

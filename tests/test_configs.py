@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import layouts
 import pytest
 import torch
 from hydra.utils import get_object
+from support import layouts
 
 from eldenet.config import build_protocol, build_split, compose, config_folder, instantiate, plain
 from eldenet.configurable import Configurable
-from eldenet.resources import choose_resources
+from eldenet.system.resources import choose_resources
 
 CONFIGS = config_folder()
 
@@ -36,11 +36,11 @@ COMMAND_OF = dict.fromkeys(("policy", "sensor", "observer", "learner"), "navigat
 
 # Arguments that are no user's choice: the code that builds the object supplies them.
 SUPPLIED: dict[str, set[str]] = {
-    "eldenet.trainer.Trainer": {"optimizer", "scheduler", "seed"},
-    "eldenet.schedules.constant": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.schedules.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.schedules.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.schedules.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.training.trainer.Trainer": {"optimizer", "scheduler", "seed"},
+    "eldenet.training.optim.constant": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.training.optim.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.training.optim.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.training.optim.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.data.": {"transform", "resize_depth", "seed"},  # build_split gives these to every data set
     "torch.optim.": {"params"},
     "eldenet.navigation.policy.": {"robots"},

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from eldenet.config import compose, config_folder
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [
     *REPOSITORY.glob("*.md"),
     *(REPOSITORY / "docs").rglob("*.md"),
@@ -97,8 +97,8 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     import numpy as np
 
     import eldenet
-    from eldenet import runtimes
-    from eldenet.exporting import describe, write_onnx
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.files import describe, write_onnx
 
     monkeypatch.chdir(tmp_path)
     model = eldenet.load("eldenet_s")
@@ -113,7 +113,7 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     monkeypatch.setattr(
         runtimes, "DepthStream", lambda source, *args, **options: Stream(camera, *args, **options)
     )
-    from eldenet.runtimes.stream import DepthStream as Stream
+    from eldenet.deploy.stream import DepthStream as Stream
 
     exec(stream, names)
     assert names["number"] == 2
@@ -128,7 +128,7 @@ def test_the_snippet_of_embedded_gives_what_predict_gives(tmp_path, monkeypatch)
     import skimage
 
     import eldenet
-    from eldenet.exporting import describe, write_onnx
+    from eldenet.deploy.files import describe, write_onnx
 
     monkeypatch.chdir(tmp_path)
     model = eldenet.load("eldenet_rooms")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from networks import small_net
+from support.networks import small_net
 
 import eldenet
 from eldenet.backbones.resnet import ResNet
@@ -59,7 +59,7 @@ HOSTILE = [
     "functools.partial",
     "somebodys_parts.TheirHead",
     "eldenet.config.instantiate",
-    "eldenet.trainer.Trainer",
+    "eldenet.training.trainer.Trainer",
     "eldenet.data.nyu.NYULabelled",
     "eldenet.headsX.Head",
     "eldenet.model.json.loads",

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from networks import picture, same_model, small_net
+from support.networks import picture, same_model, small_net
 
 import eldenet
 from eldenet.model import DepthNet

@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 import torch
-from networks import picture, same_model, small_net
+from support.networks import picture, same_model, small_net
 from torch import Tensor, nn
 
 from eldenet.decoders.base import Decoder

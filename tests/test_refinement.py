@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from networks import picture, small_net
 from scipy.ndimage import gaussian_filter
+from support.networks import picture, small_net
 from torch import Tensor, nn
 
 from eldenet.configurable import Configurable

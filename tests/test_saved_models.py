@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from networks import same_model, small_net
+from support.networks import same_model, small_net
 from torch import nn
 
 import eldenet
@@ -20,11 +20,11 @@ from eldenet.configurable import build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.decoders.upconv import UpConvDecoder
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import InverseHead, LinearHead, LogHead
 from eldenet.model import DepthNet, EncoderDecoder
-from eldenet.predictor import DepthPredictor
 from eldenet.refinement import JointBilateral
-from eldenet.runlog import RunLog
+from eldenet.results.run_log import RunLog
 from eldenet.train import build_seeded_model
 
 

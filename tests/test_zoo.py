@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 import torch
-from networks import picture, small_net
+from support.networks import picture, small_net
 
 import eldenet
 from eldenet import config as cfg
-from eldenet import runtimes
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
+from eldenet.deploy import runtimes
+from eldenet.evaluation.cost import count_params
 from eldenet.heads import LogHead
 from eldenet.model import DepthNet
-from eldenet.profiling import count_params
 from eldenet.refinement import JointBilateral
-from eldenet.sources import PACKAGED, sha256
+from eldenet.results.fingerprints import PACKAGED, sha256
 
 NAMES = [
     "eldenet",

@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameStore, open_store
-from eldenet.data.roots import check_files, missing_files, one_of
+from eldenet.data.paths import check_files, missing_files, one_of
 from eldenet.geometry import resize_intrinsics, resize_sparse
 from eldenet.types import DepthSample, Frame
 

@@ -26,7 +26,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from eldenet.data.shards import default_cache
-from eldenet.resources import available_memory
+from eldenet.system.resources import available_memory
 from eldenet.types import Frame
 
 #: Of the slots, and of how eldenet's data sets read a frame: raise it when either changes.

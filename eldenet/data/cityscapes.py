@@ -12,11 +12,11 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.arrays import read_array, read_text
+from eldenet.data.array_files import read_array, read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
-from eldenet.data.roots import find_root, missing_files, one_of
+from eldenet.data.paths import find_root, missing_files, one_of
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.types import Frame
 

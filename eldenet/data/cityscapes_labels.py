@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.arrays import read_array
+from eldenet.data.array_files import read_array
 from eldenet.data.io import read_raw_depth
 
 NO_CLASS = 255

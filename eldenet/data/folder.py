@@ -6,10 +6,10 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.arrays import read_text
+from eldenet.data.array_files import read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.roots import csv_pairs, find_root, one_of
+from eldenet.data.paths import csv_pairs, find_root, one_of
 from eldenet.geometry import pinhole
 from eldenet.types import Frame
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.arrays import read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.formats import FORMATS, decode_picture
+from eldenet.data.array_files import read_array, read_bytes, read_exr, read_pfm
+from eldenet.data.file_checks import FORMATS, decode_picture
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.arrays import read_text
+from eldenet.data.array_files import read_text
 from eldenet.data.base import SampleOptions
-from eldenet.data.kitti_calibration import velodyne_to_image
-from eldenet.data.kitti_frames import KITTIFrames
+from eldenet.data.kitti_files import KITTIFrames
 from eldenet.data.kitti_layouts import (
     DEPTH_KINDS,
     DEPTH_TREE,
@@ -29,9 +28,10 @@ from eldenet.data.kitti_layouts import (
     scans,
     selection,
 )
+from eldenet.data.kitti_lidar import velodyne_to_image
 from eldenet.data.kitti_velodyne import PROJECTIONS, project_scan, read_scan
-from eldenet.data.roots import find_root, one_of
-from eldenet.data.scenes import hold_out
+from eldenet.data.paths import find_root, one_of
+from eldenet.data.splits import hold_out
 
 SPLITS = ("train", "val", "trainval", "test", "all")
 _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}
@@ -49,7 +49,7 @@ class KITTIDepth(KITTIFrames):
         raw_root: the folder of the pictures (``<date>/<drive>/image_02/data``) and calibration files; None
             looks into ``root``, and beside it.
         depth: "groundtruth" (eleven scans, cleaned: "improved") or "velodyne_raw" (one scan: "sparse").
-        split: "train" and "val" share no drive (:func:`~eldenet.data.scenes.hold_out`) and are parts of the
+        split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`) and are parts of the
             devkit's ``train``, as is "trainval", their sum; "test" is the devkit's ``val``; "all" is both.
         cameras: 2 (left), 3 (right) or both.
         list_file: list of frames, wherever they lie; "train" and "val" are then parts of it.
@@ -119,7 +119,7 @@ class KITTIRaw(KITTIFrames):
     Args:
         root: the folder of the dates; None for ``$ELDENET_DATA/kitti/raw``.
         projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_velodyne.project_scan`.
-        split: "train" and "val" share no drive (:func:`~eldenet.data.scenes.hold_out`); "trainval", "test"
+        split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
         cameras: 2 (left), 3 (right) or both.
         list_file: list of frames (BTS's, monodepth2's); None takes every scan.

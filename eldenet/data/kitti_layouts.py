@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from eldenet.data.arrays import read_text
+from eldenet.data.array_files import read_text
 
 PICTURES = (".png", ".jpg", ".jpeg")
 DEPTH_KINDS = ("groundtruth", "velodyne_raw")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.arrays import read_bytes
+from eldenet.data.array_files import read_bytes
 from eldenet.geometry import nearest_points
 
 PROJECTIONS = ("camera", "eigen")
@@ -41,7 +41,7 @@ def project_scan(
 
     Args:
         points: ``(N, 3)`` or ``(N, 4)`` in the LiDAR's frame [m].
-        matrix: ``(3, 4)``, see :func:`~eldenet.data.kitti_calibration.velodyne_to_image`.
+        matrix: ``(3, 4)``, see :func:`~eldenet.data.kitti_lidar.velodyne_to_image`.
         size: ``(height, width)`` of the picture [px].
         projection: "camera" or "eigen".
     """

@@ -11,11 +11,11 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.arrays import read_text
+from eldenet.data.array_files import read_text
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.roots import csv_pairs, find_root, one_of
-from eldenet.data.scenes import hold_out
+from eldenet.data.paths import csv_pairs, find_root, one_of
+from eldenet.data.splits import hold_out
 from eldenet.geometry import pinhole, resize_intrinsics
 from eldenet.types import Frame
 
@@ -129,7 +129,7 @@ class NYUDenseDepth(_NYUPairs):
     Args:
         root: the folder that holds ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/densedepth``.
         split: "train" and "val", parts of the training frames that share no scene
-            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of these, or "test" for the 654.
+            (:func:`~eldenet.data.splits.hold_out`), "trainval" for all of these, or "test" for the 654.
         encoding: of the depth files; None for DenseDepth's own.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
@@ -208,7 +208,7 @@ class NYUSync(_NYUPairs):
     Args:
         root: the folder that holds the scenes; None for ``$ELDENET_DATA/nyu_depth_v2/sync``, or
             ``$ELDENET_DATA/nyu_depth_v2/official_splits/test`` where ``split`` is "test".
-        split: "train" and "val", parts that share no scene (:func:`~eldenet.data.scenes.hold_out`); "all" and
+        split: "train" and "val", parts that share no scene (:func:`~eldenet.data.splits.hold_out`); "all" and
             "test" take every frame.
         list_file: list of ``image depth [focal]`` lines, relative to ``root`` even where they start with "/"
             (BTS's do); None takes every pair below ``root``.

@@ -10,8 +10,8 @@ import numpy as np
 from eldenet.data.base import SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYUFrames, is_val_frame, nyu_intrinsics
-from eldenet.data.roots import find_root, one_of
-from eldenet.data.scenes import hold_out
+from eldenet.data.paths import find_root, one_of
+from eldenet.data.splits import hold_out
 from eldenet.types import Frame
 
 HDF5_TREE = """
@@ -40,7 +40,7 @@ class NYUHDF5(NYUFrames):
     Args:
         root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.
         split: "train" and "val", parts of ``train`` that share no scene
-            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of it, or "test" for ``val/official``.
+            (:func:`~eldenet.data.splits.hold_out`), "trainval" for all of it, or "test" for ``val/official``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:

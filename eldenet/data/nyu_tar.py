@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, Unpack
 from eldenet.data.base import SampleOptions
 from eldenet.data.nyu import NYUFrames
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.roots import find_root, one_of
-from eldenet.data.scenes import hold_out
+from eldenet.data.paths import find_root, one_of
 from eldenet.data.shards import default_cache
+from eldenet.data.splits import hold_out
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -47,7 +47,7 @@ class NYUTar(NYUFrames):
     Args:
         root: the folder that holds ``data``; None for ``$ELDENET_DATA/nyu_depth_v2_hub``.
         split: "train" and "val", parts of the training frames that share no scene
-            (:func:`~eldenet.data.scenes.hold_out`), "trainval" for all of these, or "test".
+            (:func:`~eldenet.data.splits.hold_out`), "trainval" for all of these, or "test".
         index: folder for the places; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 

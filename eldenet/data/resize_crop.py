@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 
 from eldenet.data.base import SPARSE
+from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.geometry import crop_corner, crop_intrinsics, pinhole, resize_intrinsics, resize_sparse
-from eldenet.protocol import EvalProtocol
 from eldenet.types import Frame
 
 

@@ -7,4 +7,6 @@ from eldenet.data.shards import Generator
 class Rooms(RenderedScenes):
     """Furnished rooms, seen as a robot or a hand would hold the camera; the splits hold different rooms."""
 
-    generator = Generator("rooms", 1, "eldenet.simulation.render.render_room", {(96, 128): "fd67c9271919"})
+    generator = Generator(
+        "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
+    )

@@ -46,7 +46,7 @@ class Generator(NamedTuple):
         name: of the data set.
         version: of its frames.
         renderer: ``package.module.function`` of ``(split, index, (height, width), views) ->``
-            :class:`~eldenet.simulation.render.Views`, the frames of scene ``index``.
+            :class:`~eldenet.simulation.furnished_rooms.render.Views`, the frames of scene ``index``.
         digests: by ``(height, width)``, a suffix of the folder's name that results stored before the version
             counted alone know their frames by.
     """

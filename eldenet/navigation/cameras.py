@@ -12,10 +12,10 @@ from eldenet.perception.detectors import Detector, FixedDetections
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
-from eldenet.robot import ROBOT
 from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
+from eldenet.simulation.robot import ROBOT
 
 FEWEST_PIXELS = 20  # of an object that the simulator's detections name
 IN_FRONT = 0.15  # of a box's range: what depth shows nearer than that is something else
@@ -38,8 +38,8 @@ class Camera:
 
     Args:
         predictor: frame ``(H, W, 3)`` uint8 RGB -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.predictor.DepthPredictor`; None: the renderer's own depth (what a perfect network
-            would give).
+            :class:`eldenet.deploy.predictor.DepthPredictor`; None: the renderer's own depth (what a perfect
+            network would give).
         lifter: from detections and depth to boxes; None: depth alone feeds the sectors.
         detector: what finds objects in a frame; None: the simulator says where each object that shows enough
             pixels is in the frame, as an ideal detector would.
@@ -144,8 +144,8 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], np.ndarray] | No
         return None
     import torch
 
-    from eldenet import runtimes
-    from eldenet.predictor import DepthPredictor
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.predictor import DepthPredictor
 
     return DepthPredictor(runtimes.load(source, threads=torch.get_num_threads()))
 

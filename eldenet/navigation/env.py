@@ -7,8 +7,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from eldenet.navigation.crossings import TIME_LIMIT, Crossings, Event
-from eldenet.navigation.noise import NoisyRanges
+from eldenet.navigation.episodes import TIME_LIMIT, Crossings, Event
+from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import TrainingArenas
@@ -24,7 +24,7 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
 
     Args:
         progress: towards the way-point [m].
-        events: :class:`~eldenet.navigation.crossings.Event` numbers.
+        events: :class:`~eldenet.navigation.episodes.Event` numbers.
     """
     out: np.ndarray = PROGRESS_REWARD * progress + STEP_REWARD
     out = out + GOAL_REWARD * (events == Event.GOAL) + COLLISION_REWARD * (events == Event.COLLISION)
@@ -72,7 +72,7 @@ class ArenaNavVectorEnv(VectorEnv):
         physics: "kinematic" or "wheels".
         arenas: where to train; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 
@@ -168,7 +168,7 @@ class ArenaNavEnv(gym.Env):
         sensor: as of :class:`ArenaNavVectorEnv`.
         physics: "kinematic" or "wheels".
         time_limit: of an episode [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
 
@@ -236,7 +236,7 @@ class ArenaNavEnv(gym.Env):
 
     def render(self) -> np.ndarray | None:
         """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail begins with the first call."""
-        from eldenet.navigation.pictures import Scene
+        from eldenet.navigation.visualization import Scene
 
         if self.render_mode is None or self.crossings.worlds[0] is None:
             return None

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eldenet.navigation.crossings import GOAL_RADIUS, Crossings, Event
+from eldenet.navigation.episodes import GOAL_RADIUS, Crossings, Event
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import optimal_length
 from eldenet.navigation.sensors import Sensor
@@ -74,7 +74,7 @@ def cross(
         robots: under way at once.
         seed: of the sensor's errors.
         time_limit: of a crossing [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.crossings.Crossings`.
+        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
         advance: told how many crossings have ended, for a progress bar.
     """
     robots = min(robots, len(arenas))
@@ -151,6 +151,6 @@ def solved_by_all(tables: Sequence[Sequence[Crossing]]) -> np.ndarray:
 
 
 def as_rows(rows: Sequence[Crossing]) -> tuple[list[str], list[list[Any]]]:
-    """Header and rows for :func:`eldenet.record.write_rows`."""
+    """Header and rows for :func:`eldenet.results.run_record.write_rows`."""
     content = [asdict(row) for row in rows]
     return list(content[0]), [list(row.values()) for row in content]

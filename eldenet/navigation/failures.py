@@ -11,14 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from eldenet.navigation.arcs import STEP
-from eldenet.navigation.crossings import Crossings, Event
+from eldenet.navigation.collision_arcs import STEP
+from eldenet.navigation.episodes import Crossings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Crossing, Policy
 from eldenet.navigation.observer import HORIZON, Observer
-from eldenet.navigation.pictures import Scene
 from eldenet.navigation.sensors import Sensor
-from eldenet.robot import ROBOT
+from eldenet.navigation.visualization import Scene
 from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.robot import ROBOT
 
 KINDS = {
     "walker": "touched somebody who walks",
@@ -225,6 +225,6 @@ def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> 
 
 
 def as_rows(failures: Sequence[Failure]) -> tuple[list[str], list[list[Any]]]:
-    """Header and rows for :func:`eldenet.record.write_rows`."""
+    """Header and rows for :func:`eldenet.results.run_record.write_rows`."""
     names = [field.name for field in fields(Failure) if field.name != "picture"]
     return names, [[getattr(failure, name) for name in names] for failure in failures]

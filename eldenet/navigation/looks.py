@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eldenet.navigation.crossings import Crossings, Event
+from eldenet.navigation.episodes import Crossings, Event
 from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.simulation.arena_world import ArenaWorld

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eldenet.navigation.arcs import REACH, STEP, ArcTable, arc_table
-from eldenet.navigation.memory import MEMORY_REACH, Memory
-from eldenet.robot import ROBOT
+from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
+from eldenet.navigation.obstacle_memory import MEMORY_REACH, Memory
+from eldenet.simulation.robot import ROBOT
 
 SECTORS = 5
 HORIZON = 1.8  # of the arcs [s]
@@ -36,7 +36,7 @@ class Senses(NamedTuple):
     """What ``N`` robots sense at one moment.
 
     Attributes:
-        ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`eldenet.robot.Robot`.
+        ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
         odometry: ``(N, 3)`` x, y [m], heading [rad] by the wheels: drifts.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
     """

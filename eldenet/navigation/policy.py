@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
 POLICY = "policy.safetensors"  # of a training, in its run folder

@@ -17,7 +17,7 @@ import numpy as np
 
 from eldenet.navigation.looks import Looks
 from eldenet.navigation.observer import SECTORS
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
 EDGES = (0.3, 1.0, 2.0, 3.0, 4.5, 6.5, 10.0)  # of the distances that are told apart [m]
 MISSED = math.log(1.5)  # a thing that reads half as far again as it is was not seen; the reverse is a ghost

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that could touch the robot, with room for an error of the floor's [m]
 QUANTILE = 0.10  # of a column's pixels that is taken for its nearest surface

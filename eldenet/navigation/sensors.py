@@ -1,7 +1,7 @@
 """What feeds the sectors: the interface of all sensors, the simulator's own ranges, and wheel odometry.
 
 A :class:`Sensor` makes an :class:`Eye` per crossing; an eye looks and returns a :class:`Sight`. Ranges with a
-network's errors are in :mod:`eldenet.navigation.noise`, networks themselves in
+network's errors are in :mod:`eldenet.navigation.noisy_ranges`, networks themselves in
 :mod:`eldenet.navigation.cameras`.
 """
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D
 from eldenet.navigation.observer import SECTORS
-from eldenet.robot import ROBOT
 from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.robot import ROBOT
 
 Pose = tuple[float, float, float]
 FED_BY = ("simulator", "depth", "box")

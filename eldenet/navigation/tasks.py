@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eldenet.simulation.arenas import Arena, clearance_map, draw_crossing, generate_arena
-from eldenet.simulation.mjcf import Draw
+from eldenet.simulation.rendering.mjcf import Draw
 
 TASK_STREAM = 103  # beside arenas.SPLITS: further crossings of training arenas
 

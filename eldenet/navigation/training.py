@@ -10,10 +10,10 @@ from eldenet.navigation.dqn import CHECKPOINT, DQN
 from eldenet.navigation.evaluation import cross, summarise
 from eldenet.navigation.policy import POLICY, Navigator
 from eldenet.navigation.sensors import Sensor
-from eldenet.navigation.sources import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.record import environment, write_json
-from eldenet.runlog import RunLog
+from eldenet.navigation.versions import TRAINING_VERSION
+from eldenet.results.run_log import RunLog
+from eldenet.results.run_record import environment, read_record, write_json
 
 PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80
@@ -105,7 +105,7 @@ def _begun(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: it has other settings than ``fresh``, or it is not finished and another version began it.
     """
-    before: dict[str, Any] = {"version": None} | json.loads((folder / PROGRESS).read_text())
+    before: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
     if before["settings"] != json.loads(json.dumps(fresh["settings"])):
         raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
     learner.restore(folder / CHECKPOINT)

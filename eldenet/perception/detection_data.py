@@ -9,8 +9,8 @@ import numpy as np
 from eldenet.boxes import Detections2D
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.pictures import write_picture
 from eldenet.simulation.object_views import KINDS, NAMES, render_objects
+from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
 

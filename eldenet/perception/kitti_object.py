@@ -13,8 +13,8 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.data.io import read_image
-from eldenet.data.kitti_calibration import entry
-from eldenet.data.roots import find_root
+from eldenet.data.kitti_lidar import entry
+from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera
 
 TREE = """

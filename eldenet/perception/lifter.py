@@ -11,8 +11,8 @@ from eldenet.boxes import Boxes3D, Detections2D, wrap_half
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
-from eldenet.perception.methods import Known, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
+from eldenet.perception.solvers import Known, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 
 Method = Literal["refine", "lshape", "paper", "no_depth"]
 METHODS = ("refine", "lshape", "paper", "no_depth")

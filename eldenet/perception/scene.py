@@ -99,7 +99,7 @@ class Perception:
 
     Args:
         depth_model: frame ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.predictor.DepthPredictor`.
+            :class:`eldenet.deploy.predictor.DepthPredictor`.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
         camera: of the pictures.

@@ -9,11 +9,11 @@ import math
 import cv2
 import numpy as np
 
-from eldenet.robot import ROBOT
 from eldenet.simulation.arena_view import ArenaView, camera_pose
 from eldenet.simulation.arenas import SPLITS, Arena, cell_centre, clearance_map, generate_arena
-from eldenet.simulation.mjcf import Draw
-from eldenet.simulation.render import Views
+from eldenet.simulation.furnished_rooms.render import Views
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.robot import ROBOT
 
 #: First arena of every split of frames within navigation's training stream; far apart, so none is shared.
 FIRST_ARENA = {"train": 0, "val": 1_000_000, "test": 2_000_000}

@@ -6,12 +6,12 @@ its wheels meet both.
 
 from typing import TYPE_CHECKING
 
-from eldenet.robot import ROBOT
 from eldenet.simulation.arenas import SPLITS, Arena, Obstacle
-from eldenet.simulation.mjcf import Body, Draw, number, numbers
+from eldenet.simulation.rendering.mjcf import Body, Draw, number, numbers
+from eldenet.simulation.robot import ROBOT
 
 if TYPE_CHECKING:
-    from eldenet.simulation.materials import Materials
+    from eldenet.simulation.rendering.materials import Materials
 
 WALL_HEIGHT, CEILING = 2.0, 4.0  # [m]
 ROBOTS = ("none", "planar", "wheels")
@@ -41,7 +41,7 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> st
         raise ValueError(f"robot={robot!r}: choose one of {', '.join(ROBOTS)}")
     materials = None
     if look:
-        from eldenet.simulation.materials import Materials
+        from eldenet.simulation.rendering.materials import Materials
 
         materials = Materials(Draw((SPLITS.get(arena.split, 0), arena.density, arena.index, 1)))
     walls = _walls(arena, materials)

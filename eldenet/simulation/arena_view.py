@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.geometry import pinhole
-from eldenet.robot import ROBOT
 from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
 from eldenet.simulation.arenas import SPLITS, Arena
-from eldenet.simulation.camera import RayCamera, camera_rotation
-from eldenet.simulation.mjcf import Draw
-from eldenet.simulation.rooms import Room
-from eldenet.simulation.sensor import develop
-from eldenet.simulation.shading import Surfaces, shade
+from eldenet.simulation.furnished_rooms.rooms import Room
+from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
+from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.rendering.shading import Surfaces, shade
+from eldenet.simulation.robot import ROBOT
 
 
 class Photo(NamedTuple):

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.robot import ROBOT
 from eldenet.simulation.arena_mjcf import TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
-from eldenet.simulation.culling import SEEN_GROUPS
+from eldenet.simulation.rendering.culling import SEEN_GROUPS
+from eldenet.simulation.robot import ROBOT
 
 PHYSICS = ("kinematic", "wheels")
 #: Of the kinematic robot, as the wheels' motors give it [m/s2], [rad/s2].

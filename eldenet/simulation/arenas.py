@@ -1,7 +1,7 @@
 """One walled arena from one seed: cylinders, boxes, vehicles, people, a start and a goal that can be reached.
 
 An arena depends on ``(split, density, index)`` alone and is the same on every machine
-(:class:`~eldenet.simulation.mjcf.Draw`, four decimals). Seed streams: the layout comes from
+(:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). Seed streams: the layout comes from
 ``(SPLITS[split], density, movers, index)``; the splits share no stream, so no arena is in two of them.
 """
 
@@ -16,8 +16,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from eldenet.robot import ROBOT
-from eldenet.simulation.mjcf import Draw
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.robot import ROBOT
 
 #: First number of the seed of every split: no other stream of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}

@@ -6,12 +6,12 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.geometry import extent_of
-from eldenet.simulation.camera import RayCamera
-from eldenet.simulation.mjcf import Draw
-from eldenet.simulation.render import choose_pose, draw_intrinsics
-from eldenet.simulation.rooms import SPLITS, generate_room
-from eldenet.simulation.sensor import develop
-from eldenet.simulation.shading import Surfaces, shade
+from eldenet.simulation.furnished_rooms.render import choose_pose, draw_intrinsics
+from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
+from eldenet.simulation.rendering.camera import RayCamera
+from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.rendering.shading import Surfaces, shade
 from eldenet.simulation.street_views import render_street
 from eldenet.simulation.streets import NAMES as STREET_NAMES
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.camera import RayCamera, camera_rotation, cast_rays
-from eldenet.simulation.culling import SEEN_GROUPS, only_visible
-from eldenet.simulation.mjcf import Draw
-from eldenet.simulation.rooms import SPLITS
-from eldenet.simulation.sensor import develop
-from eldenet.simulation.shading import Surfaces, shade
+from eldenet.simulation.furnished_rooms.rooms import SPLITS
+from eldenet.simulation.rendering.camera import RayCamera, camera_rotation, cast_rays
+from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.culling import SEEN_GROUPS, only_visible
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.rendering.shading import Surfaces, shade
 from eldenet.simulation.streets import FAR, NAMES, STREAM, generate_scene
 
 #: Version of the frames of streets, halls and a detector's rooms. Golden frames in the tests watch over it.

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eldenet.simulation import household, vehicles
-from eldenet.simulation.materials import Materials, jitter
-from eldenet.simulation.mjcf import Body, Draw
-from eldenet.simulation.patterns import variants
-from eldenet.simulation.rooms import SPLITS, Room
+from eldenet.simulation import vehicles
+from eldenet.simulation.furnished_rooms import household
+from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
+from eldenet.simulation.rendering.materials import Materials, jitter
+from eldenet.simulation.rendering.mjcf import Body, Draw
+from eldenet.simulation.rendering.patterns import variants
 
 KINDS = ("street", "hall")
 NAMES = ("car", "van", "truck", "person", "box", "pillar")
@@ -41,7 +42,7 @@ _MAKERS: dict[str, Callable[..., None]] = {
 
 
 class Scene(NamedTuple):
-    """A scene before it is seen: what :func:`eldenet.simulation.shading.shade` needs, and the objects."""
+    """A scene before it is seen: what :func:`~.rendering.shading.shade` needs, and the objects."""
 
     room: Room
     names: list[str]

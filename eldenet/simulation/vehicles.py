@@ -1,14 +1,14 @@
 """Things that stand in a street: cars, vans, trucks, pillars and cartons, of boxes and cylinders.
 
-As the furniture, a maker fills a :class:`~eldenet.simulation.mjcf.Body` whose front looks along +y. Lengths
+As the furniture, a maker fills a :class:`~.rendering.mjcf.Body` whose front looks along +y. Lengths
 run along y, widths along x. A vehicle touches its box ``length`` x ``width`` x ``height`` on all sides.
 """
 
 from typing import NamedTuple
 
-from eldenet.simulation.materials import any_color
-from eldenet.simulation.mjcf import Body, Draw, Palette
-from eldenet.simulation.patterns import variants
+from eldenet.simulation.rendering.materials import any_color
+from eldenet.simulation.rendering.mjcf import Body, Draw, Palette
+from eldenet.simulation.rendering.patterns import variants
 
 _SLICES = 5  # of a slanted windscreen
 

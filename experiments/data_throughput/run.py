@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eldenet.resources import prepare_environment
+from eldenet.system.resources import prepare_environment
 
 prepare_environment()
 
@@ -28,11 +28,11 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from torch.utils.data import DataLoader, Dataset  # noqa: E402
 
-from eldenet.data.loading import EpochSampler, _quiet_worker, training_loader  # noqa: E402
+from eldenet.data.loaders import EpochSampler, _quiet_worker, training_loader  # noqa: E402
 from eldenet.data.nyu import NYULabelled  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
-from eldenet.record import environment, write_rows  # noqa: E402
-from eldenet.resources import choose_resources  # noqa: E402
+from eldenet.results.run_record import environment, write_rows  # noqa: E402
+from eldenet.system.resources import choose_resources  # noqa: E402
 
 HERE = Path(__file__).parent
 SIZE, BATCH, ROUNDS = (228, 304), 32, 12
@@ -129,12 +129,12 @@ def measure(workers: int) -> list[dict[str, object]]:
 def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
     """Return the seconds of waiting for data and of steps in each epoch, for the default network."""
     import eldenet
+    from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.losses.base import WeightedSum, WeightedTerm
     from eldenet.losses.pointwise import L1Loss
     from eldenet.losses.ssim import SSIMLoss
-    from eldenet.protocol import EvalProtocol
-    from eldenet.schedules import constant
-    from eldenet.trainer import Trainer
+    from eldenet.training.optim import constant
+    from eldenet.training.trainer import Trainer
 
     marks = [(0.0, 0.0)]
 

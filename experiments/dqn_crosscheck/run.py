@@ -24,7 +24,7 @@ from eldenet.navigation.policy import Navigator
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.record import environment
+from eldenet.results.run_record import environment
 
 HERE = Path(__file__).parent
 ROBOTS = 16

@@ -8,8 +8,8 @@ from pathlib import Path
 import torch
 
 import eldenet
+from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.model import EncoderDecoder
-from eldenet.profiling import count_macs, count_params
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "networks.md"

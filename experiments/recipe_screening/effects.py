@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t
 
-from eldenet.record import read_run
-from eldenet.studies.plan import Study, StudyRow, read_study
-from eldenet.tables import to_markdown
+from eldenet.results.run_record import read_run
+from eldenet.results.studies.plan import Study, StudyRow, read_study
+from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).resolve().parent
 METRICS = ("delta1", "rmse", "abs_rel")

@@ -10,7 +10,7 @@ import numpy as np
 from eldenet.data.nyu import NYULabelled
 from eldenet.data.rooms import Rooms
 from eldenet.data.statistics import depth_statistics
-from eldenet.pictures import colour_depth, stack_rows, write_picture
+from eldenet.visualization import colour_depth, stack_rows, write_picture
 
 HERE = Path(__file__).parent
 COLUMNS = ("p5", "median", "p95", "frame_median", "frame_median_std", "frame_range", "gradient")

@@ -10,14 +10,14 @@ from pathlib import Path
 import torch
 
 import eldenet
-from eldenet import runtimes
 from eldenet.config import build_protocol, build_split, compose
-from eldenet.evaluation import PER_IMAGE_HEADER, evaluate
+from eldenet.deploy import runtimes
+from eldenet.deploy.runtimes.module import RuntimeNetwork
+from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.export import export
-from eldenet.record import environment
-from eldenet.runtimes.scored import RuntimeNetwork
-from eldenet.studies.statistics import paired_interval
-from eldenet.tables import to_markdown
+from eldenet.results.run_record import environment
+from eldenet.results.statistics import paired_interval
+from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).parent
 WORK = Path("runs/table1_efficiency/precision")

@@ -12,10 +12,10 @@ import yaml
 
 import eldenet
 from eldenet.benchmark import benchmark
-from eldenet.benchmark_tables import draw, notes_of, text_of
-from eldenet.benchmarking import COLUMNS
 from eldenet.config import compose
-from eldenet.tables import to_latex, to_markdown
+from eldenet.deploy.benchmarking.measure import COLUMNS
+from eldenet.deploy.benchmarking.tables import draw, notes_of, text_of
+from eldenet.results.tables import to_latex, to_markdown
 
 HERE = Path(__file__).parent
 

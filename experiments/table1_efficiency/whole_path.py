@@ -11,12 +11,12 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet import runtimes
-from eldenet.exporting import write_onnx
-from eldenet.predictor import DepthPredictor
-from eldenet.profiling import median_ms, percentile_ms, time_interleaved
-from eldenet.record import environment
-from eldenet.tables import to_markdown
+from eldenet.deploy import runtimes
+from eldenet.deploy.files import write_onnx
+from eldenet.deploy.predictor import DepthPredictor
+from eldenet.evaluation.cost import median_ms, percentile_ms, time_interleaved
+from eldenet.results.run_record import environment
+from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).parent
 SIZES = ((224, 224), (120, 160))

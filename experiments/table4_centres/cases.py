@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import Detector, merge_cyclists
 from eldenet.perception.kitti_object import KittiObjects
 from eldenet.perception.lifter import LARGE, SMALL
-from eldenet.perception.scores import pair_up
-from eldenet.predictor import DepthPredictor
+from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
 
 SIZES = {"street": (256, 832), "hall": (240, 320)}

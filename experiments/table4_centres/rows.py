@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from cases import Setting
 
-from eldenet.perception.scores import Pairs, bootstrap, by_distance, summary
-from eldenet.record import environment
+from eldenet.perception.matching_metrics import Pairs, bootstrap, by_distance, summary
+from eldenet.results.run_record import environment
 
 COLUMNS = (
     "depth", "2D boxes", "method", "objects", "frames", "accuracy", "median_m", "bev_25", "bev_50", "3d_50",

@@ -18,15 +18,15 @@ from speed import lifting, stages
 
 import eldenet
 from eldenet.boxes import Boxes3D
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.perception.detectors import ROAD_NAMES
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import KittiObjects
 from eldenet.perception.lifter import METHODS, BoxLifter
+from eldenet.perception.matching_metrics import Pairs, compare
 from eldenet.perception.onnx_detector import OnnxDetector
-from eldenet.perception.scores import Pairs, compare
-from eldenet.pictures import write_picture
-from eldenet.predictor import DepthPredictor
-from eldenet.record import write_rows
+from eldenet.results.run_record import write_rows
+from eldenet.visualization import write_picture
 
 HERE = Path(__file__).parent
 SIGMA_SCENES = 40  # training scenes on which a network's errors on objects are measured

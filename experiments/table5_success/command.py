@@ -10,7 +10,7 @@ from inputs import TRUTH, check_inputs
 from methods import LEARNED, PLANNERS, VARIANTS
 from rows import Row, course_name
 
-from eldenet.navigation.crossings import GOALS
+from eldenet.navigation.episodes import GOALS
 
 HERE = Path(__file__).parent
 COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, walking people

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eldenet.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import bootstrap_interval
 from eldenet.navigation.evaluation import Crossing
 from eldenet.navigation.statistics import mcnemar
 

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
-from eldenet.navigation.noise import NoisyRanges, errors_file
+from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
-from eldenet.navigation.sources import TRAINING_VERSION
-from eldenet.sources import located
+from eldenet.navigation.versions import TRAINING_VERSION
+from eldenet.renames import renamed
+from eldenet.results.fingerprints import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
@@ -138,7 +139,7 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
     made = json.loads(note.read_text())
     config = compose("navigate", ["mode=train", *options])
     asked = json.loads(json.dumps({name: plain(config[name]) for name in SETTINGS}))
-    there = {"goal": "known"} | made["config"]
+    there = {"goal": "known"} | renamed(made["config"])
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:
         raise ValueError(f"{folder} was trained with another {', '.join(others)}: delete it, or give --runs")

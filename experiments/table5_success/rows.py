@@ -23,9 +23,9 @@ from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.evaluation import Crossing, Policy, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
-from eldenet.navigation.sources import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.record import environment, write_json, write_rows
+from eldenet.navigation.versions import EPISODE_VERSION
+from eldenet.results.run_record import environment, write_json, write_rows
 from eldenet.simulation.arenas import Arena, arenas_hash
 
 HERE = Path(__file__).parent

@@ -22,8 +22,8 @@ from panels import draw_panels
 from rows import measure
 
 from eldenet.navigation.evaluation import Crossing, summarise
-from eldenet.record import environment, write_rows
-from eldenet.robot import ROBOT
+from eldenet.results.run_record import environment, write_rows
+from eldenet.simulation.robot import ROBOT
 
 HERE = Path(__file__).parent
 

@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from methods import LEARNED, PLANNERS
 
-from eldenet.navigation.crossings import Crossings, Event
+from eldenet.navigation.episodes import Crossings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Policy
-from eldenet.navigation.pictures import Scene
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
-from eldenet.pictures import write_picture
+from eldenet.navigation.visualization import Scene
 from eldenet.simulation.arenas import Arena, generate_arena
+from eldenet.visualization import write_picture
 
 HERE = Path(__file__).parent
 SIDE, TITLE = 320, 42  # size of a panel and height of its two lines of text [px]

@@ -24,9 +24,9 @@ from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
 
-from eldenet.bootstrap import bootstrap_interval  # noqa: E402
+from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
-from eldenet.record import environment, write_rows  # noqa: E402
+from eldenet.results.run_record import environment, write_rows  # noqa: E402
 
 # (physics, sensor, course) -> method -> episodes of every training
 Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]

@@ -14,11 +14,11 @@ from pathlib import Path
 import torch
 
 from eldenet.navigation.env import ArenaNavVectorEnv
-from eldenet.navigation.noise import NoisyRanges
+from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import TrainingArenas
-from eldenet.record import environment
+from eldenet.results.run_record import environment
 
 HERE = Path(__file__).parent
 ROBOTS, ROUNDS = 64, 450  # about four episodes a robot, as often as training crosses each arena

@@ -12,21 +12,21 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from eldenet.resources import prepare_environment
+from eldenet.system.resources import prepare_environment
 
 prepare_environment()
 
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.data.loading import EpochSampler, training_loader  # noqa: E402
+from eldenet.data.loaders import EpochSampler, training_loader  # noqa: E402
 from eldenet.data.rooms import Rooms  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
 from eldenet.losses.base import WeightedSum, WeightedTerm  # noqa: E402
 from eldenet.losses.pointwise import L1Loss  # noqa: E402
 from eldenet.losses.ssim import SSIMLoss  # noqa: E402
-from eldenet.record import environment  # noqa: E402
-from eldenet.resources import choose_resources  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.resources import choose_resources  # noqa: E402
 
 HERE = Path(__file__).parent
 BATCH = 32

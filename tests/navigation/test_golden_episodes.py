@@ -11,8 +11,8 @@ import pytest
 from eldenet.navigation.evaluation import cross
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
-from eldenet.navigation.sources import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.navigation.versions import EPISODE_VERSION
 
 GOLDEN = Path(__file__).parent / "golden" / f"episodes-v{EPISODE_VERSION}.json"
 

@@ -14,8 +14,8 @@ from eldenet.data.arenas import Arenas
 from eldenet.data.rooms import Rooms
 from eldenet.data.shards import encode_depth
 from eldenet.simulation.arena_frames import render_arena
+from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.object_views import render_objects
-from eldenet.simulation.render import render_room
 from eldenet.simulation.street_views import STREETS_VERSION, render_street
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -13,8 +13,8 @@ import numpy as np
 
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.dwa import DynamicWindow
-from eldenet.robot import ROBOT
 from eldenet.simulation.arenas import INFLATION, RESOLUTION, SIDE, Arena, clearance_map
+from eldenet.simulation.robot import ROBOT
 
 CARROT = 1.3  # how far ahead on the path the target lies [m]; nearer is safer and slower
 REPLAN_EVERY = 5  # control periods, on a map that grows

@@ -1,16 +1,16 @@
 """The dynamic window approach: of the arcs that can be driven next, the best that hits nothing.
 
 Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997. The arcs' collision
-times and clearances come from one table (:mod:`eldenet.navigation.arcs`).
+times and clearances come from one table (:mod:`eldenet.navigation.collision_arcs`).
 """
 
 from typing import Any
 
 import numpy as np
 
-from eldenet.navigation.arcs import REACH, STEP, arc_table
+from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.observer import SECTORS, Observer, Senses
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
 SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]

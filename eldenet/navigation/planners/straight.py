@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.navigation.observer import Senses
-from eldenet.robot import ROBOT
+from eldenet.simulation.robot import ROBOT
 
 
 class Straight:

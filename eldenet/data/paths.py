@@ -1,0 +1,99 @@
+"""Finding a data set on disk: its root (``data.root``, or below ELDENET_DATA), its list, all of its files."""
+
+import csv
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from eldenet.data.array_files import read_text
+
+VARIABLE = "ELDENET_DATA"
+
+
+def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:
+    """Find the folder of a data set.
+
+    Args:
+        root: the folder itself, or None for ``$ELDENET_DATA/<default>``.
+        default: the data set's folder below ELDENET_DATA; None where there is no usual one.
+        must_contain: what must lie in the folder, relative to it; one missing entry is an error.
+        tree: the expected tree, for the message.
+
+    Raises:
+        FileNotFoundError: saying what was looked for, where, and what to set.
+    """
+    expected = f"Expected tree:\n{tree.strip()}"
+    advice = "set data.root to the data set's folder"
+    if default is not None:
+        advice += f", or {VARIABLE} so that ${VARIABLE}/{default} is it"
+    if root is None:
+        base = os.environ.get(VARIABLE)
+        if not base or default is None:
+            raise FileNotFoundError(f"no place given for the data set: {advice}. {expected}")
+        root = Path(base) / default
+    folder = Path(root).expanduser()
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is not a folder: {advice}. {expected}")
+    missing = [entry for entry in must_contain if not (folder / entry).exists()]
+    if missing:
+        raise FileNotFoundError(
+            f"{folder} does not hold {', '.join(missing)}: is data.root right? {expected}"
+        )
+    return folder
+
+
+def missing_files(root: Path, files: Sequence[str]) -> list[str]:
+    """Those of ``files``, relative to ``root``, that are not there.
+
+    Each folder is listed once, so fifty thousand frames take a moment even on a network drive.
+    """
+    listed: dict[Path, set[str]] = {}
+    missing = []
+    for file in files:
+        path = root / file
+        if path.parent not in listed:
+            listed[path.parent] = set(os.listdir(path.parent)) if path.parent.is_dir() else set()
+        if path.name not in listed[path.parent]:
+            missing.append(file)
+    return missing
+
+
+def check_files(root: Path, files: Sequence[str]) -> None:
+    """Make sure that every file, relative to ``root``, is there: no frame is skipped in silence.
+
+    Raises:
+        FileNotFoundError: naming the first ten missing files and how many there are.
+    """
+    missing = [str(root / file) for file in missing_files(root, files)]
+    if missing:
+        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+        raise FileNotFoundError(
+            f"{len(missing)} of {len(files)} files are missing: {', '.join(missing[:10])}{more}. Complete "
+            "the data set, or leave these frames out (on_error: skip)"
+        )
+
+
+def csv_pairs(table: Path) -> list[tuple[str, str]]:
+    """Lines ``image,depth`` of a CSV without a header; empty lines are passed over.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: naming a line that is no pair, or a file that is no text or holds no line.
+    """
+    pairs = []
+    text = read_text(table, "fetch or write the list of frames again")
+    for number, row in enumerate(csv.reader(text.splitlines()), 1):
+        if not row:
+            continue
+        if len(row) != 2 or not all(cell.strip() for cell in row):
+            raise ValueError(f"{table}, line {number}: wants image,depth but holds {str(row)[:200]}")
+        pairs.append((row[0].strip(), row[1].strip()))
+    if not pairs:
+        raise ValueError(f"{table} is empty: fetch or write the list of frames again")
+    return pairs
+
+
+def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
+    """Refuse a setting that is none of the allowed words."""
+    if value not in allowed:
+        raise ValueError(f"{name}={value!r}: give one of {', '.join(allowed)}")

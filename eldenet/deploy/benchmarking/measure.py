@@ -1,0 +1,296 @@
+"""Latency of many networks on many runtimes, measured so that the ratios can be believed."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from eldenet.deploy import runtimes
+from eldenet.evaluation.cost import median_ms, percentile_ms, time_interleaved
+from eldenet.model import DepthNet
+
+COLUMNS = (
+    *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
+    *("params", "gmacs", "gflops", "latency_ms_p50", "latency_ms_p95", "fps", "throughput_img_s"),
+    *("peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak", "ratio_latency"),
+)
+KEY = COLUMNS[:8]
+PEAK_SIDE = 1024  # of the square matrices whose product gives the peak
+PEAK_DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
+ROWS_FILE = "rows.jsonl"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row to measure: what identifies it."""
+
+    model: str
+    height: int
+    width: int
+    batch: int
+    runtime: str
+    precision: str
+    threads: int
+    device: str
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The columns that name a row."""
+        return tuple(asdict(self).values())
+
+    @property
+    def group(self) -> tuple[Any, ...]:
+        """Cases of one group are measured in turns; ratios are taken within it."""
+        return (self.height, self.width, self.batch, self.runtime, self.threads, self.device)
+
+
+@dataclass(frozen=True)
+class Network:
+    """What a case runs, and what is known of it without running.
+
+    Attributes:
+        source: file or folder for :func:`eldenet.deploy.runtimes.load`; None: it could not be made.
+        params: number of parameters.
+        macs: multiply-adds of one image, of the network as it is defined.
+        run_macs: of its inference form, which is what runs: the FLOP/s reached are counted in these.
+        failed: why there is no source.
+    """
+
+    source: Path | None
+    params: int | None = None
+    macs: int | None = None
+    run_macs: int | None = None
+    failed: str | None = None
+
+
+def measure_group(
+    cases: Sequence[Case],
+    networks: Mapping[Case, Network],
+    *,
+    reference: str,
+    rounds: int = 7,
+    seconds: float = 0.2,
+    memory: bool = True,
+    trusted_modules: Sequence[str] = (),
+) -> list[dict[str, Any]]:
+    """Measure the cases of one group in interleaved rounds, with the machine's matrix product among them.
+
+    Args:
+        cases: of one runtime, thread count and device; a study's may have several inputs, each model one.
+        networks: of every case.
+        reference: model whose fp32 row has ``ratio_latency`` 1.
+        rounds: turns that each case gets.
+        seconds: of each turn.
+        memory: measure each case's memory, in a process of its own.
+        trusted_modules: packages whose classes a model folder's config may name.
+
+    Returns:
+        One row per case: the columns, and "failed" (a reason, or None) and "peak_gflops_per_s".
+    """
+    ready, rows = {}, {}
+    for case in cases:
+        network = networks[case]
+        rows[case] = {**dict.fromkeys(COLUMNS), **asdict(case), **static_columns(network)}
+        rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None}
+        if network.source is not None:
+            try:
+                ready[case] = call_of(case, network.source, rows[case], trusted_modules)
+            except Exception as error:  # a runtime's failure is the row's result
+                rows[case]["failed"] = reason_of(error)
+    if not ready:
+        return list(rows.values())
+    peaks = {f"peak {name}": peak_call(cases[0], name) for name in _peak_precisions(ready)}
+    calls = {**{str(case.key): call for case, call in ready.items()}, **peaks}
+    times = time_interleaved(calls, rounds=rounds, seconds=seconds)
+    for case in ready:
+        network, peak = networks[case], times.get(f"peak {case.precision}")
+        row = rows[case] | timed_columns(case, times[str(case.key)], network.run_macs)
+        if peak is not None and row["gflops_per_s"] is not None:
+            row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / min(peak) / 1e9  # the best call
+            row["share_of_peak"] = row["gflops_per_s"] / row["peak_gflops_per_s"]
+        if memory and network.source is not None:
+            row["peak_memory_mb"] = memory_of(case, network.source, trusted_modules)
+        rows[case] = row
+    base = next((rows[case] for case in ready if (case.model, case.precision) == (reference, "fp32")), None)
+    for case in ready if base is not None else ():
+        rows[case]["ratio_latency"] = rows[case]["latency_ms_p50"] / base["latency_ms_p50"]  # type: ignore[index]
+    return list(rows.values())
+
+
+def reason_of(error: Exception) -> str:
+    """One line for the table."""
+    lines = str(error).splitlines() or [""]
+    return lines[0] if isinstance(error, ValueError | ImportError) else f"{type(error).__name__}: {lines[0]}"
+
+
+def static_columns(network: Network) -> dict[str, Any]:
+    """What is known without running."""
+    macs = network.macs
+    return {
+        "params": network.params,
+        "gmacs": None if macs is None else macs / 1e9,
+        "gflops": None if macs is None else 2 * macs / 1e9,
+        "file_mb": None if network.source is None else _megabytes(network.source),
+    }
+
+
+def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[str, Any]:
+    """From the times of one call [s]. ``fps`` counts calls, ``throughput_img_s`` images."""
+    median = median_ms(times)
+    return {
+        "latency_ms_p50": median,
+        "latency_ms_p95": percentile_ms(times, 95),
+        "fps": 1e3 / median,
+        "throughput_img_s": 1e3 * case.batch / median,
+        "gflops_per_s": None if macs is None else 2 * macs * case.batch / median / 1e6,
+    }
+
+
+def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequence[str] = ()) -> Any:
+    """The call to time; run once, so that it works and whatever is compiled is compiled."""
+    network = _load(case, source, trusted_modules)
+    images = network.prepared(_images(case))
+    row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"
+
+    def call() -> None:
+        network.run_prepared(images)
+        network.synchronise()
+
+    call()
+    return call
+
+
+def _load(case: Case, source: Path, trusted_modules: Sequence[str]) -> runtimes.Runtime:
+    return runtimes.load(
+        source,
+        case.runtime,
+        case.precision,
+        threads=case.threads,
+        device=case.device,
+        trusted_modules=trusted_modules,
+    )
+
+
+def _images(case: Case) -> np.ndarray:
+    shape = (case.batch, 3, case.height, case.width)
+    return np.random.default_rng(0).random(shape, dtype=np.float32)
+
+
+def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
+    """Precisions whose peak torch can measure: none on a device that torch does not run on."""
+    device = next(iter(cases)).device
+    if device != "cpu" and not (device in ("cuda", "tensorrt") and torch.cuda.is_available()):
+        return []
+    return [name for name in PEAK_DTYPES if any(case.precision == name for case in cases)]
+
+
+def peak_call(case: Case, precision: str) -> Any:
+    """A product of two square matrices with the threads and on the device of ``case``."""
+    target = torch.device("cuda" if case.device in ("cuda", "tensorrt") else "cpu")
+    left, right = (torch.rand(PEAK_SIDE, PEAK_SIDE).to(target, PEAK_DTYPES[precision]) for _ in range(2))
+
+    def call() -> None:
+        if target.type == "cpu":
+            torch.set_num_threads(case.threads)
+        torch.matmul(left, right)
+        if target.type == "cuda":
+            torch.cuda.synchronize()
+
+    return call
+
+
+def _megabytes(source: Path) -> float:
+    if source.is_dir():
+        return sum(file.stat().st_size for file in source.rglob("*.safetensors")) / 1e6
+    files = [source, source.with_suffix(".bin")] if source.suffix == ".xml" else [source]
+    return sum(file.stat().st_size for file in files) / 1e6
+
+
+# --- memory -------------------------------------------------------------------------------------------------
+
+
+def memory_of(case: Case, source: Path, trusted_modules: Sequence[str] = ()) -> float | None:
+    """What loading and running a case adds to a fresh process [MB]: at its peak, torch imported before.
+
+    On CUDA: what it takes of the device. None where that cannot be measured (Linux alone counts so).
+    """
+    module = "eldenet.deploy.benchmarking.measure"
+    code = f"import sys; from {module} import print_memory; print_memory(*sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(asdict(case)), str(source), *trusted_modules],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": str(case.threads)},
+    )
+    return float(done.stdout.split()[-1]) if done.returncode == 0 else None
+
+
+def print_memory(case: str, source: str, *trusted_modules: str) -> None:
+    """Measure in this process; :func:`memory_of` starts it."""
+    this = Case(**json.loads(case))
+    cuda = this.device in ("cuda", "tensorrt")
+    images = _images(this)
+    before = torch.cuda.mem_get_info()[0] if cuda else _resident_kib("VmRSS")
+    network = _load(this, Path(source), trusted_modules)
+    for _ in range(3):
+        network.run(images)
+    if cuda:
+        print((before - torch.cuda.mem_get_info()[0]) / 1e6)  # noqa: T201
+    else:
+        print((_resident_kib("VmHWM") - before) * 1024 / 1e6)  # noqa: T201
+
+
+def _resident_kib(kind: str) -> int:
+    """Memory of this process now ("VmRSS") or at its peak ("VmHWM"), as Linux counts.
+
+    ``ru_maxrss`` would not do: a process inherits its parent's.
+    """
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(kind))
+
+
+# --- rows on disk -------------------------------------------------------------------------------------------
+
+
+def fingerprint(model: DepthNet) -> str:
+    """What tells two networks of one name apart: 8 hex digits of the SHA-256 of config and weights."""
+    digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
+    for name, value in sorted(model.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:8]
+
+
+def read_rows(
+    folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
+) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Rows measured so far by key, the newest wanted of each; a line that a kill cut short is left out."""
+    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
+    if (folder / ROWS_FILE).is_file():
+        for line in (folder / ROWS_FILE).read_text().splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            if wanted(row):
+                rows[tuple(row["key"])] = row
+    return rows
+
+
+def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Add rows at the end of the file; what a kill cut short stays a line of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ROWS_FILE
+    cut_short = path.is_file() and not path.read_text().endswith("\n")
+    with path.open("a") as file:
+        file.write("\n" * cut_short)
+        file.writelines(json.dumps(row) + "\n" for row in rows)

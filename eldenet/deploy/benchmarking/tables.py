@@ -1,0 +1,147 @@
+"""What ``python -m eldenet.benchmark`` writes: tables, their notes, and the picture."""
+
+import statistics
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet import config as cfg
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from eldenet.results.run_log import RunLog
+
+
+def write_results(
+    config: "DictConfig", rows: Sequence[Mapping[str, Any]], output: Path, log: "RunLog"
+) -> None:
+    """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded), ``.png``, and the terminal."""
+    from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
+    from eldenet.results.run_record import write_rows
+    from eldenet.results.tables import to_latex, to_markdown
+
+    write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
+    cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
+    notes = notes_of(rows)
+    (output / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
+    (output / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
+    # a terminal is narrow: what all rows share is said once
+    same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
+    shown = [position for position, name in enumerate(COLUMNS) if name not in same]
+    log.table(
+        ", ".join(f"{name} {rows[0][name]}" for name in COLUMNS if name in same),
+        [COLUMNS[position] for position in shown],
+        [[line[position] for position in shown] for line in cells],
+    )
+    for note in notes:
+        log.say(note)
+    drawn = draw(config, rows, output / "results.png")
+    log.say(f"written to {output}: results.md, .csv, .tex{', .png' if drawn else ''}, rows.jsonl")
+
+
+def text_of(name: str, value: Any) -> str:
+    """A figure as a table shows it."""
+    if value is None:
+        return "-"
+    if not isinstance(value, float):
+        return f"{value:,}" if name == "params" else str(value)
+    if name in ("gmacs", "gflops", "share_of_peak", "ratio_latency"):
+        return f"{value:.3f}"
+    return f"{value:.1f}" if abs(value) >= 100 else f"{value:.2f}"
+
+
+def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What makes the figures believable: machine, versions, how they were measured, and what failed."""
+    notes = []
+    for row in rows:
+        versions = ", ".join(f"{name} {version}" for name, version in row["versions"].items() if version)
+        notes.append(f"{row['processor']}, {row['cores']} cores; {versions}")
+        notes.append(
+            f"latency: median of one call, {row['rounds']} interleaved rounds of {row['seconds']} s for each "
+            f"row; ratio_latency to {row['reference']}, fp32, in the same rounds; 1 MAC = 2 FLOPs"
+        )
+        notes.append(f"made by `{row['command']}`")
+    notes.append(
+        "fps: calls per second; peak_memory_mb: added to a process by loading and running; share_of_peak: of "
+        "the best matrix product's FLOP/s in the same precision and rounds (torch); gmacs and gflops are of "
+        "the network as it is defined, gflops_per_s of its inference form (eldenet.deploy.fold)"
+    )
+    failed = [
+        f"not measured: {row['model']}, {row['runtime']}, {row['precision']}: {row['failed']}"
+        for row in rows
+        if row["failed"]
+    ]
+    return list(dict.fromkeys(notes + failed))
+
+
+def read_accuracies(config: "DictConfig", models: Collection[str]) -> tuple[dict[str, float], str]:
+    """Accuracy of the models whose runs ``accuracies`` holds, mean over their seeds, and what it is.
+
+    Raises:
+        FileNotFoundError: there is no run.
+        ValueError: ``accuracy`` is no metric; the runs do not compare (other frames, another protocol); or
+            runs of one name differ in more than their seed.
+    """
+    from eldenet.data.paths import one_of
+    from eldenet.evaluation.metrics import METRICS
+    from eldenet.results.comparison import find_runs, group_rows, refuse_mixtures
+    from eldenet.results.tables import heading
+
+    if not config.accuracies:
+        return {}, ""
+    name = str(config.accuracy)
+    one_of("accuracy", name, METRICS)
+    runs = [run for run in find_runs(cfg.plain(config.accuracies)) if str(run["model"]) in models]
+    if not runs:
+        return {}, ""
+    try:
+        refuse_mixtures(runs, costs=False)
+        rows = {row.model: row.values("metrics", name) for row in group_rows(runs)}
+    except ValueError as error:
+        raise ValueError(f"accuracies={cfg.plain(config.accuracies)}: {error}") from error
+    title = f"{heading(name, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
+    return {model: statistics.fmean(values) for model, values in rows.items() if values}, title
+
+
+def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) -> bool:
+    """Accuracy over latency where accuracies are given, else parameters over latency."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    from eldenet.results.plots import name_points
+
+    accuracy, title = read_accuracies(config, {row["model"] for row in rows})
+    given = bool(config.accuracies)
+    shown = [row for row in rows if row["latency_ms_p50"] and (not given or row["model"] in accuracy)]
+    if not shown:
+        return False
+    figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
+    series: dict[str, list[Mapping[str, Any]]] = {}
+    for row in shown:
+        label = (
+            f"{row['runtime']}, {row['precision']}, {row['height']}x{row['width']}, batch {row['batch']}, "
+        )
+        series.setdefault(f"{label}{row['threads']} threads", []).append(row)
+    points: dict[str, list[tuple[float, float]]] = {}  # of each model
+    for label, members in series.items():
+        latency = [row["latency_ms_p50"] for row in members]
+        heights = [accuracy[row["model"]] if given else row["params"] / 1e6 for row in members]
+        axes.scatter(latency, heights, label=label, s=24)
+        for row, x, y in zip(members, latency, heights, strict=True):
+            points.setdefault(row["model"], []).append((x, y))
+    axes.margins(x=0.18)
+    axes.set(
+        xscale="log",
+        xlabel=f"latency [ms], {shown[0]['processor']}",
+        ylabel=title if given else "parameters [M]",
+        yscale="linear" if given else "log",
+    )
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7, loc="upper left")
+    name_points(axes, points)
+    figure.savefig(path, dpi=150)
+    pyplot.close(figure)
+    return True

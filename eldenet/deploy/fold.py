@@ -1,0 +1,113 @@
+"""The inference form of a network: the same numbers from fewer operations."""
+
+import copy
+
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torchvision.models.resnet import BasicBlock, Bottleneck
+
+from eldenet.backbones.resnet import ResNet
+from eldenet.decoders.upconv import PARITIES, UpConv2d
+from eldenet.layers import DepthwiseConv2d
+from eldenet.model import DepthNet
+
+RESNET_PARTS = (ResNet, BasicBlock, Bottleneck)
+PLAIN = (nn.Conv2d, DepthwiseConv2d)  # and no subclass, which may do more than its base
+
+
+def fold(model: DepthNet) -> DepthNet:
+    """A copy of ``model`` for inference, in eval mode; its depth differs by rounding alone.
+
+    - Batch normalisations that follow their convolution in an ``nn.Sequential`` are folded into it, and
+      those of torchvision's ResNet blocks. Subclasses of either stay: they may do more than their base.
+    - Every up-convolution, whichever form it had, becomes one 3x3 convolution on the small map, its
+      activation there too, and a pixel shuffle: see :func:`merge_upconv`.
+
+    It cannot be trained or saved; it is for :mod:`eldenet.deploy.runtimes` and the exports.
+    """
+    folded = copy.deepcopy(model).eval()
+    for part in list(folded.modules()):
+        if isinstance(part, nn.Sequential):
+            _fold_sequence(part)
+        elif isinstance(part, RESNET_PARTS):
+            _fold_numbered(part)
+    for part in list(folded.modules()):
+        for name, child in list(part.named_children()):
+            if isinstance(child, UpConv2d):
+                setattr(part, name, merge_upconv(child.weight, None))
+    folded.network = nn.Sequential(folded.network, _Unblock())
+    return folded.requires_grad_(False)
+
+
+class _Unblock(nn.Module):
+    """Changes nothing: ``(B, 1, h, w) -> (B, 1, h, w)``.
+
+    ONNX Runtime keeps channels in blocks of 16 until an operation does not know blocks. A raw map has one
+    channel: resizing it and bringing it to metres in blocks takes 16 times the work.
+    """
+
+    def forward(self, raw: Tensor) -> Tensor:
+        return raw.squeeze(1).unsqueeze(1)
+
+
+def _fold_numbered(part: nn.Module) -> None:
+    """Fold ``bn1`` into ``conv1`` and so on, in place: torchvision's blocks name them so, and run them so."""
+    for number in (1, 2, 3):
+        conv, norm = getattr(part, f"conv{number}", None), getattr(part, f"bn{number}", None)
+        if type(conv) in PLAIN and type(norm) is nn.BatchNorm2d:
+            setattr(part, f"conv{number}", fuse_conv_bn_eval(conv, norm))  # type: ignore[type-var]
+            setattr(part, f"bn{number}", nn.Identity())
+
+
+def _fold_sequence(sequence: nn.Sequential) -> None:
+    """Fold what follows each other in ``sequence``, in place; folded layers become identities."""
+    parts = dict(sequence.named_children())
+    names = [*parts, ""]
+    for name, after, last in zip(names, names[1:], names[2:], strict=False):
+        layer, norm = parts[name], parts[after]
+        if type(norm) is not nn.BatchNorm2d:  # timm's has its activation inside
+            continue
+        if type(layer) in PLAIN:
+            parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
+            parts[after] = nn.Identity()
+        elif isinstance(layer, UpConv2d):
+            scale = norm.weight / (norm.running_var + norm.eps).sqrt()  # type: ignore[operator,union-attr]
+            bias = norm.bias - norm.running_mean * scale  # type: ignore[operator]
+            relu = parts.get(last)
+            moves = isinstance(relu, nn.ReLU)  # beside its convolution it costs nothing
+            parts[name] = merge_upconv(
+                layer.weight * scale[:, None, None, None], bias, nn.ReLU(inplace=True) if moves else None
+            )
+            parts[after] = nn.Identity()
+            if moves:
+                parts[last] = nn.Identity()
+    for name, part in parts.items():
+        sequence._modules[name] = part
+
+
+def merge_upconv(weight: Tensor, bias: Tensor | None, activation: nn.Module | None = None) -> nn.Sequential:
+    """One 3x3 convolution and a pixel shuffle: the operator of :class:`~eldenet.decoders.upconv.UpConv2d`.
+
+    The kernels 3x3, 3x2, 2x3 and 2x2 stand in one 3x3 kernel each, filled up with zeros: 36 taps for 25, but
+    one convolution with four times the channels for four small ones. On CPUs that is as fast or faster, and
+    no maps have to be interleaved by hand.
+
+    Args:
+        weight: ``(out, in, 5, 5)``.
+        bias: ``(out,)`` or None.
+        activation: of each value, run before the shuffle.
+    """
+    out_channels, in_channels = weight.shape[:2]
+    kernels = weight.new_zeros(out_channels, 4, in_channels, 3, 3)
+    for number, (rows, cols, (left, _, top, _)) in enumerate(PARITIES):
+        part = weight.detach()[:, :, rows, cols]
+        first_row, first_col = 1 - top, 1 - left  # padded by 1 at the top or left: the kernel starts there
+        kernels[
+            :, number, :, first_row : first_row + part.shape[2], first_col : first_col + part.shape[3]
+        ] = part
+    conv = nn.Conv2d(in_channels, 4 * out_channels, 3, padding=1, bias=bias is not None)
+    conv.weight = nn.Parameter(kernels.flatten(0, 1))
+    if bias is not None:
+        conv.bias = nn.Parameter(bias.detach().repeat_interleave(4))
+    layers = [conv, nn.PixelShuffle(2)] if activation is None else [conv, activation, nn.PixelShuffle(2)]
+    return nn.Sequential(*layers)

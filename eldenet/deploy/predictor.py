@@ -1,0 +1,130 @@
+"""A trained network behind one call: camera frame in, metres out."""
+
+import numpy as np
+import torch
+
+from eldenet.data.base import resize_frame
+from eldenet.deploy.runtimes.base import Runtime
+from eldenet.model import DepthNet, size_of_frames
+from eldenet.system.resources import full_fp32
+from eldenet.types import Frame
+
+MAX_SIDE = 640
+DEEPEST_MILLIMETRES = 65535
+
+
+class DepthPredictor:
+    """Depth of camera frames of any size, one at a time.
+
+    ``predictor = DepthPredictor(eldenet.load("runs/my-run")); depth = predictor(frame)``
+
+    The frame is resized to the scale that the network was trained at, and the depth is brought back to the
+    frame's own size (bilinear), so that the frame's own intrinsics hold for it. A resize does not change
+    depth. A network whose training cropped frames sees the whole frame here, at the scale of those crops.
+    Metres are metres for cameras with about the field of view of the training camera's whole frames.
+
+    Args:
+        model: put into eval mode, and moved to ``device``; or a network under another runtime
+            (:func:`eldenet.deploy.runtimes.load`).
+        input_size: ``(height, width)`` that the network sees [px]; None: what the model wants for whole
+            frames (:func:`eldenet.model.size_of_frames`), or else the frame's own, its longer side at most
+            ``max_side``.
+        max_side: see ``input_size`` [px].
+        device: where to compute, of a model; None: on the CPU. A runtime has its own.
+
+    Raises:
+        ValueError: a size is none, or not the one that a file was exported for; or a device for a runtime.
+    """
+
+    def __init__(
+        self,
+        model: DepthNet | Runtime,
+        input_size: tuple[int, int] | None = None,
+        *,
+        max_side: int = MAX_SIDE,
+        device: str | torch.device | None = None,
+    ) -> None:
+        if input_size is None:
+            input_size = size_of_frames(model.info)
+        if input_size is not None and (len(input_size) != 2 or min(input_size) < 1):
+            raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
+        if max_side < 1:
+            raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
+        self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
+        self.max_side = max_side
+        if isinstance(model, Runtime):
+            if device is not None:
+                raise ValueError(
+                    f"device={device} is for a model; this network runs under {model.runtime} on "
+                    f"{model.device}: give device to eldenet.deploy.runtimes.load"
+                )
+            if model.fixed_size and self.input_size != model.fixed_size:
+                raise ValueError(
+                    f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
+                    "only: export one for another size"
+                )
+            self.model: DepthNet | Runtime = model
+        else:
+            self.device = torch.device(device or "cpu")
+            self.model = model.to(self.device).eval()
+            if self.device.type == "cuda":
+                full_fp32()  # as under the other runtimes
+
+    def size_for(self, height: int, width: int) -> tuple[int, int]:
+        """``(height, width)`` at which the network sees a frame of ``height`` x ``width`` [px]."""
+        if self.input_size is not None:
+            return self.input_size
+        scale = min(1.0, self.max_side / max(height, width))
+        return max(1, round(height * scale)), max(1, round(width * scale))
+
+    def __call__(self, frame: np.ndarray) -> np.ndarray:
+        """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m].
+
+        Raises:
+            ValueError: the frame is not of that shape and type, or the network's depth is not finite.
+        """
+        if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
+            raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
+        size = (frame.shape[0], frame.shape[1])
+        depth = self._depth(frame)
+        if not np.isfinite(depth).all():
+            raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
+        return depth if depth.shape == size else enlarged(depth, size)
+
+    def _depth(self, frame: np.ndarray) -> np.ndarray:
+        """Depth at the size that the network gives it."""
+        if isinstance(self.model, Runtime):
+            if self.model.camera_size is not None:
+                return self.model(resized(frame, self.model.camera_size)[None])[0, 0]
+            return self.model(as_image(resized(frame, self.size_for(*frame.shape[:2]))))[0, 0]
+        image = torch.from_numpy(as_image(resized(frame, self.size_for(*frame.shape[:2]))))
+        with torch.inference_mode():
+            return self.model(image.to(self.device))[0, 0].float().cpu().numpy()
+
+
+def resized(frame: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """``frame (H, W, 3)`` uint8 at another size, as training and evaluation resize."""
+    nothing = np.empty((0, 0), np.float32)
+    return resize_frame(Frame(frame, nothing, None, ""), size, resize_depth=False).image
+
+
+def as_image(frame: np.ndarray) -> np.ndarray:
+    """``frame (H, W, 3)`` uint8 -> ``(1, 3, H, W)`` float32 in [0, 1]."""
+    return np.ascontiguousarray(frame.transpose(2, 0, 1))[None].astype(np.float32) / np.float32(255.0)
+
+
+def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Depth ``(h, w)`` at another size: bilinear, by half pixels (``align_corners=False``)."""
+    import cv2
+
+    return cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def to_millimetres(depth: np.ndarray) -> np.ndarray:
+    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) for what is unknown, and beyond 65.535 m.
+
+    :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
+    """
+    millimetres = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
+    fits = (millimetres > 0) & (millimetres <= DEEPEST_MILLIMETRES)
+    return np.where(fits, millimetres, 0).astype(np.uint16)

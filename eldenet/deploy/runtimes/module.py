@@ -1,0 +1,72 @@
+"""An exported file where a torch module is wanted: to score it as any model, and to say what it costs."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from eldenet.deploy.runtimes.base import Runtime
+from eldenet.evaluation.cost import CostReport, median_ms, peak_memory_mb, percentile_ms, time_interleaved
+
+
+class RuntimeNetwork(nn.Module):
+    """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime; no parameters, no gradient.
+
+    Raises:
+        ValueError: the file takes camera frames, or another size than the images have, or fewer at once.
+    """
+
+    def __init__(self, network: Runtime) -> None:
+        super().__init__()
+        if network.takes_frames:
+            raise ValueError("this file takes camera frames: to score it, export it without camera=")
+        self.network = network
+        self.info = network.info
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Metres, on the image's device."""
+        if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
+            raise ValueError(
+                f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
+                f"{tuple(image.shape[-2:])}: leave input_size=model, or export it at their size"
+            )
+        batch = self.network.fixed_batch
+        if batch is None:
+            return self.network(image.float())
+        if len(image) > batch:
+            raise ValueError(f"this file takes {batch} images at once: give batch_size={batch}")
+        filled = torch.cat([image, image[-1:].expand(batch - len(image), -1, -1, -1)])  # the last of a set
+        return self.network(filled.float())[: len(image)]
+
+
+def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
+    """As :func:`eldenet.evaluation.cost.measure_cost`; the counts are those that the file states.
+
+    A file of a fixed batch is timed at that batch alone: of another than 1 no latency of one image is known.
+    """
+    one, batch = network.fixed_batch or 1, network.fixed_batch or batch
+    calls = {}
+    for name, number in (("one", one), ("many", batch)):
+        images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
+        calls[name] = lambda images=images: network.run_prepared(images)
+    with torch.inference_mode():
+        times = time_interleaved(calls, synchronise=network.synchronise)
+    gmacs = float(network.metadata.get("gmacs", "nan"))
+    of_one = times["one"] if one == 1 else [math.nan]
+    return CostReport(
+        params=int(network.metadata.get("params", 0)),
+        gmacs=gmacs,
+        gflops=2 * gmacs,
+        latency_ms_p50=median_ms(of_one),
+        latency_ms_p95=percentile_ms(of_one, 95),
+        throughput_img_s=1e3 * batch / median_ms(times["many"]),
+        peak_memory_mb=peak_memory_mb(torch.device("cpu")),
+        height=size[0],
+        width=size[1],
+        batch=batch,
+        runtime=network.runtime,
+        precision=network.precision,
+        threads=network.threads,
+        device=network.device,
+    )

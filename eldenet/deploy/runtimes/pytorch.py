@@ -1,0 +1,100 @@
+"""torch itself: eager, channels_last, or compiled."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from eldenet.deploy.fold import fold
+from eldenet.deploy.runtimes.base import Runtime, refuse
+from eldenet.model import DepthNet
+from eldenet.system.resources import full_fp32
+
+DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
+
+
+class TorchRuntime(Runtime):
+    """A folded copy of a :class:`~eldenet.model.DepthNet`.
+
+    Lower precisions hold for the network; normalisation and the head stay in fp32, which is not TF32.
+
+    Args:
+        model: stays as it is.
+        layout: "torch" (contiguous), "torch_channels_last" or "torch_compile" (channels_last, compiled).
+        precision: "fp32", "bf16", or on CUDA "fp16".
+        threads: of torch, process-wide, while this runs.
+        device: "cpu" or "cuda".
+        metadata: what is known of the model.
+
+    Raises:
+        ValueError: a precision or device that torch does not have here.
+    """
+
+    def __init__(
+        self,
+        model: DepthNet,
+        layout: str = "torch",
+        *,
+        precision: str = "fp32",
+        threads: int = 1,
+        device: str = "cpu",
+        metadata: Mapping[str, str] | None = None,
+    ) -> None:
+        if device not in ("cpu", "cuda"):
+            raise ValueError(f"device={device!r}: torch runs on cpu or cuda")
+        if device == "cuda" and not torch.cuda.is_available():
+            raise ValueError("device=cuda, but torch sees no CUDA device: use device=cpu")
+        allowed = ("fp32", "bf16", "fp16") if device == "cuda" else ("fp32", "bf16")
+        refuse(precision, allowed, layout, "for int8 export a file (python -m eldenet.export precision=int8)")
+        if device == "cuda":
+            full_fp32()
+        name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
+        super().__init__(precision, threads, name, metadata or {})
+        self.runtime = layout
+        self.target = torch.device(device)
+        self.layout = torch.contiguous_format if layout == "torch" else torch.channels_last
+        network = fold(model)
+        if precision in DTYPES:
+            network.network = _Cast(network.network, DTYPES[precision])
+        self.network: Any = network.to(self.target).to(memory_format=self.layout)
+        if layout == "torch_compile":
+            # weights are constants from here on: the compiler lays them out once, for the fastest kernels
+            self.network = torch.compile(self.network, dynamic=False, options={"freezing": device == "cpu"})
+
+    @property
+    def fixed_size(self) -> None:
+        """None: torch takes any size."""
+        return None
+
+    def prepared(self, images: np.ndarray) -> Tensor:
+        """On the device, in the layout."""
+        return torch.from_numpy(images).to(self.target).contiguous(memory_format=self.layout)
+
+    @torch.no_grad()
+    def run_prepared(self, images: Tensor) -> Tensor:
+        """Tensors in, tensors out."""
+        if self.target.type == "cpu" and torch.get_num_threads() != self.threads:
+            torch.set_num_threads(self.threads)
+        return self.network(images)
+
+    def run(self, images: np.ndarray) -> np.ndarray:
+        """Arrays in, arrays out."""
+        return self.run_prepared(self.prepared(images)).cpu().numpy()
+
+    def synchronise(self) -> None:
+        """Wait for the GPU."""
+        if self.target.type == "cuda":
+            torch.cuda.synchronize(self.target)
+
+
+class _Cast(nn.Module):
+    """A network of lower precision: its input is brought to it; the head casts the raw map back."""
+
+    def __init__(self, network: nn.Module, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.network, self.dtype = network.to(dtype), dtype
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.network(image.to(self.dtype))

@@ -1,0 +1,183 @@
+"""What a model costs: parameters, multiply-adds, latency, throughput - and on what that was measured."""
+
+import itertools
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from eldenet.model import eval_mode
+
+
+@dataclass(frozen=True)
+class CostReport:
+    """Cost of one forward pass. A latency means nothing without the last columns.
+
+    Attributes:
+        params: number of parameters.
+        gmacs: multiply-adds of one image [1e9]; convolutions and matrix products, as torch counts them.
+        gflops: floating-point operations of one image [1e9]: 2 x gmacs.
+        latency_ms_p50: median time of one image, batch 1 [ms].
+        latency_ms_p95: 95th percentile [ms].
+        throughput_img_s: images per second at ``batch``.
+        peak_memory_mb: of the process (CPU) or the device (CUDA) [MB].
+        height: of the input [px].
+        width: of the input [px].
+        batch: for the throughput.
+        runtime: what executed the model.
+        precision: fp32, bf16, ...
+        threads: torch's threads.
+        device: "cpu" or the accelerator's name.
+    """
+
+    params: int
+    gmacs: float
+    gflops: float
+    latency_ms_p50: float
+    latency_ms_p95: float
+    throughput_img_s: float
+    peak_memory_mb: float
+    height: int
+    width: int
+    batch: int
+    runtime: str
+    precision: str
+    threads: int
+    device: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every column by name."""
+        return asdict(self)
+
+
+def count_params(model: nn.Module) -> int:
+    """Number of parameters."""
+    return sum(parameter.numel() for parameter in model.parameters())
+
+
+def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
+    """Multiply-adds of one image of ``size`` (height, width): convolutions and matrix products.
+
+    Convention: one MAC is two FLOPs; biases, normalisation and activations are not counted.
+    """
+    from torch.utils.flop_counter import FlopCounterMode
+
+    image = _image(model, 1, size)
+    with eval_mode(model), FlopCounterMode(display=False) as counter, torch.inference_mode():
+        model(image)
+    return counter.get_total_flops() // 2
+
+
+def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
+    return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device_of(model))
+
+
+def device_of(model: nn.Module) -> torch.device:
+    """Where a model is; the CPU if it has neither parameters nor buffers."""
+    tensors = itertools.chain(model.parameters(), model.buffers())
+    return next((tensor.device for tensor in tensors), torch.device("cpu"))
+
+
+def peak_memory_mb(device: torch.device) -> float:
+    """Most memory so far [MB]: of the device on CUDA, else of this process."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 1e6
+    unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def time_interleaved(
+    calls: Mapping[str, Callable[[], object]],
+    *,
+    rounds: int = 5,
+    seconds: float = 0.2,
+    synchronise: Callable[[], object] | None = None,
+    warm_up: int = 3,
+) -> dict[str, list[float]]:
+    """Time several calls in turns, so that a machine that slows down or speeds up hits all of them alike.
+
+    Args:
+        calls: name -> what to time.
+        rounds: turns that each call gets.
+        seconds: of each turn; at least three calls are timed in it.
+        synchronise: waits until the device has finished; called before each start and before each stop.
+        warm_up: calls before each turn that are not timed: another call had the caches.
+
+    Returns:
+        Name -> the time of every timed call [s].
+    """
+    wait = synchronise or (lambda: None)
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            for _ in range(warm_up):
+                call()
+            wait()
+            end, done = time.perf_counter() + seconds, 0
+            while done < 3 or time.perf_counter() < end:
+                start = time.perf_counter()
+                call()
+                wait()
+                times[name].append(time.perf_counter() - start)
+                done += 1
+    return times
+
+
+def median_ms(times: Sequence[float]) -> float:
+    """Median [ms] of times [s]."""
+    return 1e3 * statistics.median(times)
+
+
+def percentile_ms(times: Sequence[float], percent: float) -> float:
+    """Percentile [ms] of times [s]."""
+    return 1e3 * torch.tensor(times, dtype=torch.float64).quantile(percent / 100).item()
+
+
+def measure_cost(
+    model: nn.Module, size: tuple[int, int], *, batch: int = 8, seconds: float = 1.0
+) -> CostReport:
+    """Measure a model as it stands (torch eager, fp32, channels_last, eval) on its own device.
+
+    Args:
+        model: image ``(B, 3, H, W)`` -> depth.
+        size: ``(height, width)`` of the input [px].
+        batch: for the throughput.
+        seconds: to spend on each of the two timings; the device is synchronised and warmed up.
+    """
+    device = device_of(model)
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
+    model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
+    one, many = (
+        _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
+    )
+    with eval_mode(model), torch.inference_mode():
+        times = time_interleaved(
+            {"one": lambda: model(one), "many": lambda: model(many)},
+            rounds=5,
+            seconds=seconds / 5,
+            synchronise=torch.cuda.synchronize if device.type == "cuda" else None,
+        )
+    macs = count_macs(model, size)
+    return CostReport(
+        params=count_params(model),
+        gmacs=macs / 1e9,
+        gflops=2 * macs / 1e9,
+        latency_ms_p50=median_ms(times["one"]),
+        latency_ms_p95=percentile_ms(times["one"], 95),
+        throughput_img_s=1e3 * batch / median_ms(times["many"]),
+        peak_memory_mb=peak_memory_mb(device),
+        height=size[0],
+        width=size[1],
+        batch=batch,
+        runtime="torch",
+        precision="fp32",
+        threads=torch.get_num_threads(),
+        device=torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+    )

@@ -1,0 +1,162 @@
+"""Depth metrics: a number never travels without the rules that made it."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from eldenet.evaluation.protocol import EvalProtocol
+
+__all__ = ["LOWER_IS_BETTER", "METRICS", "UNITS", "DepthMetrics", "EvalProtocol", "error_sums", "metrics_of"]
+
+METRICS = ("mse", "rmse", "mae", "abs_rel", "delta1", "delta2", "delta3", "log10", "silog", "ssim")
+LOWER_IS_BETTER = frozenset(("mse", "rmse", "mae", "abs_rel", "log10", "silog"))
+CLASS_METRICS = ("abs_rel", "rmse", "delta1")
+UNITS = {"mse": "m^2", "rmse": "m", "mae": "m"}  # the others are pure numbers
+
+
+def error_sums(prediction: Tensor, depth: Tensor, counts: Tensor, *, ssim_range: float) -> Tensor:
+    """Sums over the scored pixels of each image ``(B, 12)`` float64; sums add up, means do not.
+
+    Columns: pixels; e^2; |e|; |e|/depth; delta 1.25, 1.25^2, 1.25^3; |log10 ratio|; ln ratio; (ln ratio)^2;
+    SSIM; pixels that SSIM counts (no unknown one in the window).
+    """
+    from eldenet.losses.ssim import eroded, ssim_map
+
+    columns = [(values, counts) for values in _pixel_errors(prediction, depth, counts)]
+    safe_depth = depth.float().masked_fill(~counts, 1.0)
+    safe = prediction.float().masked_fill(~counts, 1.0)
+    structure = ssim_map(safe, safe_depth, window=11, value_range=ssim_range)
+    full_window = eroded(counts, 11)
+    columns += [(structure, full_window), (torch.ones_like(structure), full_window)]
+    # single precision per pixel, double for the sums: hundreds of millions of pixels add up
+    return torch.stack(
+        [(values * where).flatten(1).sum(1, dtype=torch.float64) for values, where in columns], dim=1
+    )
+
+
+def class_sums(prediction: Tensor, depth: Tensor, counts: Tensor, labels: Tensor, classes: int) -> Tensor:
+    """The sums of :func:`error_sums` over each class's scored pixels ``(classes, 12)``; SSIM's two are 0.
+
+    ``labels`` is ``(B, 1, H, W)``; a label that is no class (255) counts nowhere.
+    """
+    counts = counts & (labels < classes)
+    of_class = labels[counts].long()
+    columns = [
+        torch.bincount(of_class, weights=values[counts].double(), minlength=classes)
+        for values in _pixel_errors(prediction, depth, counts)
+    ]
+    return torch.stack([*columns, *2 * [torch.zeros_like(columns[0])]], dim=1)
+
+
+def _pixel_errors(prediction: Tensor, depth: Tensor, counts: Tensor) -> list[Tensor]:
+    """The first ten columns of :func:`error_sums`, pixel by pixel."""
+    safe_depth = depth.float().masked_fill(~counts, 1.0)
+    safe = prediction.float().masked_fill(~counts, 1.0)
+    error = (safe - safe_depth).abs()
+    # without a clamp a prediction may be 0 or negative: no delta counts it, and its logarithm is undefined
+    ratio = torch.maximum(safe / safe_depth, safe_depth / safe).masked_fill(safe <= 0, math.inf)
+    log_ratio = (safe / safe_depth).log()
+    return [
+        torch.ones_like(error),
+        error.square(),
+        error,
+        error / safe_depth,
+        *(ratio < 1.25**power for power in (1, 2, 3)),
+        log_ratio.abs() / math.log(10),
+        log_ratio,
+        log_ratio.square(),
+    ]
+
+
+def metrics_of(sums: Tensor) -> Tensor:
+    """Metrics ``(..., 10)`` in the order of ``METRICS`` from sums ``(..., 12)``; NaN where nothing counts.
+
+    Convention: SILog is ``100 * sqrt(var(ln ratio))`` as in BTS; log10 is a mean absolute difference;
+    delta counts ratios strictly below the threshold; AbsRel divides by the ground truth.
+    """
+    pixels = sums[..., 0]
+    mse, mae, abs_rel, d1, d2, d3, log10, mean_log, mean_log_square = (
+        sums[..., column] / pixels for column in range(1, 10)
+    )
+    silog = 100 * (mean_log_square - mean_log.square()).clamp(min=0).sqrt()
+    ssim = sums[..., 10] / sums[..., 11]
+    return torch.stack([mse, mse.sqrt(), mae, abs_rel, d1, d2, d3, log10, silog, ssim], dim=-1)
+
+
+class DepthMetrics(Metric):
+    """Metrics of a whole data set under one protocol; states are sums, so processes and batches add up.
+
+    Args:
+        protocol: the rules.
+        sync: ``compute`` adds up the sums of all processes, where several run; then each must call it.
+        classes: names of the semantic classes, by their number in ``labels``, for :meth:`by_class`.
+    """
+
+    full_state_update = False
+    pooled: Tensor
+    image_sums: Tensor
+    image_counts: Tensor
+    class_sums: Tensor
+
+    def __init__(self, protocol: EvalProtocol, *, sync: bool = True, classes: Sequence[str] = ()) -> None:
+        super().__init__(sync_on_compute=sync)
+        self.protocol, self.classes = protocol, tuple(classes)
+        self.set_dtype(torch.float64)
+        zeros = torch.zeros(len(METRICS), dtype=torch.float64)
+        self.add_state("pooled", torch.zeros(12, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("image_sums", zeros, dist_reduce_fx="sum")
+        self.add_state("image_counts", zeros.clone(), dist_reduce_fx="sum")
+        by_class = torch.zeros(len(self.classes), 12, dtype=torch.float64)
+        self.add_state("class_sums", by_class, dist_reduce_fx="sum")
+        self.rows = torch.empty(0)
+
+    def update(self, prediction: Tensor, depth: Tensor, mask: Tensor, labels: Tensor | None = None) -> None:
+        """Add a batch: ``prediction (B, 1, h, w)`` [m], ``depth (B, 1, H, W)`` [m], ``mask`` bool.
+
+        ``labels (B, 1, H, W)`` are for :meth:`by_class`. ``rows`` then holds the metrics of each image of
+        this batch ``(B, 10)``.
+
+        Raises:
+            ValueError: a prediction that counts is not finite, or a size is not the protocol's.
+        """
+        counts = self.protocol.scored(depth, mask)
+        prediction = self.protocol.prepare(prediction.float(), depth, counts)
+        prediction, depth = self.protocol.compared(prediction, depth)
+        sums = error_sums(prediction, depth, counts, ssim_range=self.protocol.largest)
+        self.rows = metrics_of(sums)
+        # an image without a pixel to score is left out; a NaN of one that has some is not
+        defined = sums[:, :1].expand_as(self.rows) > 0
+        defined = torch.cat([defined[:, :-1], sums[:, 11:] > 0], dim=1)
+        self.pooled += sums.sum(0)
+        self.image_sums += self.rows.where(defined, 0.0).sum(0)
+        self.image_counts += defined.sum(0)
+        if labels is not None and self.classes:
+            self.class_sums += class_sums(prediction, depth, counts, labels, len(self.classes))
+
+    def by_class(self) -> dict[str, dict[str, float]]:
+        """Class -> ``abs_rel``, ``rmse``, ``delta1`` and ``pixels``, for those that were met.
+
+        Convention: all pixels of a class are pooled, whatever the protocol's average: a class may have but a
+        few of them in an image.
+        """
+        with self.sync_context(should_sync=self.sync_on_compute):
+            sums = self.class_sums.clone()
+        errors = {}
+        for name, row in zip(self.classes, sums, strict=True):
+            if row[0] > 0:
+                values = dict(zip(METRICS, metrics_of(row).tolist(), strict=True))
+                errors[name] = {m: values[m] for m in CLASS_METRICS} | {"pixels": int(row[0])}
+        return errors
+
+    def compute(self) -> dict[str, float]:
+        """Metrics by name, with ``images`` and ``pixels`` that were scored."""
+        values = (
+            metrics_of(self.pooled)
+            if self.protocol.average == "pixel"
+            else self.image_sums / self.image_counts
+        )
+        result = dict(zip(METRICS, values.tolist(), strict=True))
+        return result | {"images": int(self.image_counts[0]), "pixels": int(self.pooled[0])}

@@ -1,0 +1,189 @@
+"""Pictures of a study: accuracy against cost, differences to a reference row, curves over the epochs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eldenet.results.statistics import Difference
+
+
+def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
+    """Places of the points ``(latency, metric)`` that no other is faster and better than, fastest first."""
+    front: list[int] = []
+    best, sign = float("-inf"), -1 if lower_is_better else 1
+    for index in sorted(range(len(points)), key=lambda place: (points[place][0], -sign * points[place][1])):
+        if sign * points[index][1] > best:
+            front.append(index)
+            best = sign * points[index][1]
+    return front
+
+
+def pareto_plot(
+    path: Path,
+    blocks: Mapping[str, Sequence[tuple[str, float, float]]],
+    *,
+    metric: str,
+    cost: str,
+    lower_is_better: bool,
+) -> None:
+    """One colour per block, its front as a line; rows are ``(name, cost, metric)``."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    from matplotlib.ticker import LogLocator
+
+    figure, axes = pyplot.subplots(figsize=(8, 5))
+    colors: dict[str, Any] = {}
+    for block, rows in blocks.items():
+        points = [(row[1], row[2]) for row in rows]
+        front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
+        line = axes.plot(*zip(*front, strict=True), "-", linewidth=1)[0]
+        axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
+        colors |= {row[0]: line.get_color() for row in rows}
+    axes.set_xscale("log")
+    axes.margins(x=0.25, y=0.1)  # names stand to the right of their points
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    axes.xaxis.set_minor_formatter("{x:g}")
+    axes.set_xlabel(cost)
+    axes.set_ylabel(metric)
+    axes.legend(fontsize=8, loc="best")  # clear of the points
+    axes.grid(alpha=0.3, which="both")
+    figure.tight_layout()
+    name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows}, colors)
+    figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
+    pyplot.close(figure)
+
+
+def name_points(
+    axes: Any,
+    points: Mapping[str, Sequence[tuple[float, float]]],
+    colors: Mapping[str, Any] | None = None,
+) -> None:
+    """Write each name beside its points ``(x, y)``, which lie on about one height, the highest first.
+
+    It goes right of the last or left of the first of them, within the axes and clear of other names,
+    points and the legend, where there is such a place. Call it last: it measures what is drawn.
+    """
+    axes.figure.draw_without_rendering()  # limits and layout are settled from here on
+    inside, legend = axes.get_window_extent(), axes.get_legend()
+    taken = [] if legend is None else [legend.get_window_extent()]
+    for name, own in sorted(points.items(), key=lambda row: -max(y for _, y in row[1])):
+        others = [point for other in points if other != name for point in points[other]]
+        pixels = axes.transData.transform(others) if others else []
+        for right, up in ((4, 4), (4, -9), (6, -2), (-4, 4), (-4, -9), (-6, -2)):
+            place, side = (max(own), "left") if right > 0 else (min(own), "right")
+            note = axes.annotate(
+                name,
+                place,
+                xytext=(right, up),
+                textcoords="offset points",
+                fontsize=7,
+                ha=side,
+                color=(colors or {}).get(name, "black"),
+            )
+            box = note.get_window_extent()
+            within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0
+            on_name = any(box.padded(4, 0).overlaps(other) for other in taken)
+            if within and not on_name and not any(box.padded(4).contains(*pixel) for pixel in pixels):
+                break
+            note.remove()
+        else:
+            axes.add_artist(note)  # no place is free: the last one
+        taken.append(box)
+
+
+def differences_plot(
+    path: Path,
+    blocks: Mapping[str, Mapping[str, Difference]],
+    *,
+    metric: str,
+    references: Mapping[str, str],
+) -> None:
+    """A line for every row: its difference to the reference row with the interval, the best on top.
+
+    Args:
+        path: of the picture.
+        blocks: block -> row -> difference; a panel for each block.
+        metric: what differs, in words.
+        references: block -> the row that its others are compared with.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    heights = [len(rows) for rows in blocks.values()]
+    figure, panels = pyplot.subplots(
+        len(blocks),
+        1,
+        figsize=(7, 1.0 * len(blocks) + 0.22 * sum(heights)),
+        squeeze=False,
+        height_ratios=heights,
+    )
+    for axis, (block, rows) in zip(panels[:, 0], blocks.items(), strict=True):
+        best_last = sorted(
+            rows.items(), key=lambda row: row[1].mean, reverse=next(iter(rows.values())).lower_is_better
+        )
+        for place, (_, found) in enumerate(best_last):
+            color = {"better": "C2", "worse": "C3"}.get(found.verdict, "C0")
+            axis.plot((found.low, found.high), (place, place), "-" if found.seeds else ":", color=color)
+            axis.plot(found.mean, place, "o", color=color, markersize=4)
+        axis.axvline(0, color="black", linewidth=0.8)
+        axis.set_yticks(range(len(best_last)), [name for name, _ in best_last], fontsize=7)
+        axis.set_ylim(-0.7, len(best_last) - 0.3)
+        axis.grid(alpha=0.3, axis="x")
+        axis.set_title(block, fontsize=9)
+        axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: images alone", fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    pyplot.close(figure)
+
+
+def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:
+    """Row -> epochs and values of each of its runs that has the curve."""
+    rows: dict[str, list[tuple[Any, Any]]] = {}
+    for name, curve in runs.items():
+        if key in curve:
+            rows.setdefault(name.rpartition("/")[0] or name, []).append((curve["epoch"], curve[key]))
+    return rows
+
+
+def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
+
+    A colour for each row: a thin line for every run, a thick one for their mean where there are several. The
+    axes hold all epochs but the first.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    panels = {"train_loss": "training loss", "val_loss": "validation loss"}
+    panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
+    figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
+    for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
+        rows = _by_row(runs, key)
+        for number, (row, curves) in enumerate(rows.items()):
+            for epochs, values in curves:
+                axis.plot(epochs, values, color=f"C{number}", linewidth=0.6, alpha=0.6)
+            shortest = min(len(epochs) for epochs, _ in curves)
+            mean = np.mean([values[:shortest] for _, values in curves], axis=0)
+            label = f"{row} ({len(curves)} seed{'s' if len(curves) > 1 else ''})"
+            axis.plot(curves[0][0][:shortest], mean, color=f"C{number}", linewidth=1.6, label=label)
+        axis.set_title(title, fontsize=9)
+        axis.grid(alpha=0.3)
+        later = [value for curves in rows.values() for _, values in curves for value in values[1:]]
+        if later:  # a bad first epoch would squeeze all that follows: it may lie beyond the axis
+            room = 0.05 * (max(later) - min(later)) or 0.1
+            axis.set_ylim(min(later) - room, max(later) + room)
+    axes[0, 0].legend(fontsize=7)
+    for axis in axes[1]:
+        axis.set_xlabel("epoch")
+    figure.tight_layout()
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    pyplot.close(figure)

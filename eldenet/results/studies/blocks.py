@@ -1,0 +1,260 @@
+"""The blocks of a study from its stored runs: one table per start class, nothing mixed, nothing invented."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from eldenet.evaluation.metrics import LOWER_IS_BETTER
+from eldenet.results import statistics
+from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
+from eldenet.results.statistics import Difference
+from eldenet.results.studies.latencies import Latencies
+from eldenet.results.studies.matching import outdated_search, stored_choice
+from eldenet.results.studies.plan import Study, StudyRow
+from eldenet.results.studies.stored import stored_runs
+from eldenet.results.tables import heading, protocol_line, training_line
+
+PUBLISHED = ("abs_rel", "rmse", "delta1")
+COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
+SEEN = "weights have seen"  # title of a column
+SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
+EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
+
+
+@dataclass
+class Block:
+    """One table: rows of one start class, compared with each other and with no other block.
+
+    The columns from ``published`` on are figures of others: a table of its own where people read.
+    """
+
+    name: str
+    titles: list[str]
+    rows: list[list[str]]
+    notes: list[str]
+    points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric
+    differences: dict[str, Difference]  # by row
+    reference: str  # the row that they are to; "" without one
+    published: int
+
+    def measured_here(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and rows without the published figures."""
+        return self.titles[: self.published], [row[: self.published] for row in self.rows]
+
+    def on_a_screen(self) -> tuple[list[str], list[list[str]]]:
+        """Those without the long texts of what weights have seen: they stand in the written table."""
+        kept = [place for place, title in enumerate(self.titles[: self.published]) if title != SEEN]
+        return [self.titles[place] for place in kept], [[row[place] for place in kept] for row in self.rows]
+
+    def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and rows of the published figures, where there are any."""
+        rows = [[row[0], *row[self.published :]] for row in self.rows]
+        titles = [self.titles[0], *self.titles[self.published :]]
+        return titles, [row for row in rows if set(row[1:]) - {"-"}]
+
+
+def read_expected(folder: Path) -> list[dict[str, str]]:
+    """Lines of ``expected.csv``: published figures with their sources, and what is known to be missing.
+
+    Raises:
+        ValueError: another header, or a figure without a source.
+    """
+    path = folder / "expected.csv"
+    if not path.is_file():
+        return []
+    with path.open(newline="") as lines:
+        reader = csv.DictReader(lines)
+        if tuple(reader.fieldnames or ()) != EXPECTED_HEADER:
+            raise ValueError(
+                f"{path} has the columns {reader.fieldnames}, needed are {list(EXPECTED_HEADER)}"
+            )
+        entries = list(reader)
+    for entry in entries:
+        if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
+            raise ValueError(f"{path}: {entry['row']} has a figure without its protocol and source")
+    return entries
+
+
+@dataclass(frozen=True)
+class Member:
+    """A row of a block with what is known of it.
+
+    Attributes:
+        row: of the plan.
+        grouped: its finished runs; None: there are none.
+        files: their ``per_image.csv``.
+        expected: its line of ``expected.csv``, if it has one.
+        planned: False for a rival that has that line only.
+        outdated: a setting that its stored runs were not made with, and which the plan names today.
+    """
+
+    row: StudyRow
+    grouped: Row | None
+    files: list[Path]
+    expected: Mapping[str, str] | None
+    planned: bool = True
+    outdated: str | None = None
+
+    @property
+    def runs(self) -> Sequence[Mapping[str, Any]]:
+        """Of the row, one per finished seed."""
+        return self.grouped.runs if self.grouped else []
+
+    @property
+    def status(self) -> str:
+        """How many seeds there are, or why there is none."""
+        if self.outdated:
+            return f"outdated: {self.outdated}"
+        if self.runs:
+            planned = len(self.row.seeds)
+            return f"{len(self.runs)} of {planned}" if len(self.runs) < planned else str(planned)
+        if self.row.given:
+            return self.row.missing_word
+        if self.planned or not self.expected:
+            return "not run"
+        return self.expected["status"] or "not run"
+
+    def text(self, group: str, name: str) -> str:
+        """Mean and spread of a metric or cost, "-" without runs."""
+        return self.grouped.text(group, name) if self.grouped else "-"
+
+    def published(self, name: str) -> str:
+        """A column of ``expected.csv``; its status where there is no source, such as "not published"."""
+        expected = self.expected or {}
+        return expected.get(name) or (expected.get("status") if name == "source" else None) or "-"
+
+
+def build_blocks(study: Study) -> list[Block]:
+    """All tables of a study, in the order of its plan.
+
+    Raises:
+        ValueError: runs of one block do not compare (other protocol or frames).
+    """
+    expected = read_expected(study.folder)
+    names = list(dict.fromkeys([row.block for row in study.rows] + [line["block"] for line in expected]))
+    return [_block(study, name, [line for line in expected if line["block"] == name]) for name in names]
+
+
+def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Block:
+    lines = {line["row"]: line for line in expected}
+    members = [_member(study, row, lines.get(row.name)) for row in study.rows if row.block == name]
+    known = {member.row.name for member in members}
+    for line in expected:  # rivals that have no run of ours
+        if line["row"] not in known:
+            members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line, planned=False))
+    latencies = Latencies.read(study)
+    for member in members:
+        if latencies and member.runs:
+            latencies.check(member.row, member.runs[0])
+    every = [run for member in members for run in member.runs]
+    notes = _notes(every, latencies)
+    columns: list[tuple[str, Callable[[Member], str]]] = [
+        ("row", lambda member: member.row.name),
+        ("seeds", lambda member: member.status),
+        (SEEN, lambda member: member.row.seen),
+    ]
+    for metric in study.columns:
+        title = heading(metric, every[0]) if every else metric
+        columns.append((title, partial(Member.text, group="metrics", name=metric)))
+    reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
+    differences = _differences(study, reference, members)
+    if reference is not None:
+        columns.append(
+            (
+                f"{study.compare} - {reference.row.name}'s [95 %]",
+                lambda member: differences[member.row.name].text if member.row.name in differences else "-",
+            )
+        )
+        notes.append(
+            f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
+            f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
+            f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
+            f"else of the {statistics.IMAGES_ALONE}, which says too little for a verdict"
+        )
+    if study.epoch == "last" and every:
+        notes.append("figures of the last epoch: the kept one was chosen on these very frames")
+    notes += _searches(study, members)
+    for cost in COUNTED if every else ():
+        columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
+    if latencies:
+        columns.append((f"{latencies.title} ↓", lambda member: latencies.text(member.row.name)))
+    published = len(columns)
+    if any(line[column] for line in expected for column in PUBLISHED):
+        for column in (*PUBLISHED, "protocol", "source"):
+            columns.append((f"published {column}", partial(Member.published, name=column)))
+    rows = [[cell(member) for _, cell in columns] for member in members]
+    for label, shown in constant_rows(every, study.columns):
+        cells = [label, "-", "depth of the training frames", *shown]
+        rows.append(cells + ["-"] * (len(columns) - len(cells)))
+    points = [point for member in members if (point := _point(study, member, latencies))]
+    compared = "" if reference is None else reference.row.name
+    return Block(name, [title for title, _ in columns], rows, notes, points, differences, compared, published)
+
+
+def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
+    stored = stored_runs(study, row)
+    if not stored.runs:
+        return Member(row, None, [], expected, outdated=stored.outdated)
+    try:
+        grouped = group_rows(stored.runs)
+        if len(grouped) > 1:
+            raise ValueError(f"the stored runs have the names {', '.join(one.model for one in grouped)}")
+    except ValueError as error:  # the other rows have their table
+        return Member(row, None, [], expected, outdated=f"{error}; train all of its seeds anew (rerun=true)")
+    return Member(row, grouped[0], stored.files, expected)
+
+
+def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> list[str]:
+    """What makes the figures believable."""
+    if not runs:
+        return ["no run is stored yet"]
+    refuse_mixtures(runs, costs=False)
+    sizes = sorted({(run["cost"]["height"], run["cost"]["width"]) for run in runs})
+    inputs = ", ".join(f"{height} x {width}" for height, width in sizes)
+    notes = [protocol_line(runs[0]), training_line(runs), f"GMACs at an input of {inputs}; 1 MAC = 2 FLOPs"]
+    return [*notes, latencies.line] if latencies else notes
+
+
+def _searches(study: Study, members: Sequence[Member]) -> list[str]:
+    """Notes on rows whose search for a learning rate ended at its edge, or was another one than today's."""
+    edges, others = [], []
+    for member in members:
+        choice = stored_choice(study, member.row) if member.runs else None
+        if choice is None:
+            continue
+        if choice.at_the_edge:
+            tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
+            edges.append(f"{member.row.name} ({choice.rate:g}; {tried})")
+        different = outdated_search(study, member.row, choice)
+        if different:
+            others.append(f"{member.row.name} ({'; '.join(different[:2])})")
+    found = {
+        "learning rate at the edge of the search, a better one may lie beyond": edges,
+        "learning rate chosen by other trials than sweep.yaml plans, made anew by rerun=true": others,
+    }
+    return [f"{words}: {', '.join(rows)}" for words, rows in found.items() if rows]
+
+
+def _differences(study: Study, reference: Member | None, members: Sequence[Member]) -> dict[str, Difference]:
+    """Of every row with runs but the reference itself."""
+    found = {}
+    for member in members:
+        if reference is None or member is reference or not member.runs:
+            continue
+        ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
+        seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
+        mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
+        found[member.row.name] = Difference(mean, low, high, seeds, study.compare in LOWER_IS_BETTER)
+    return found
+
+
+def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:
+    """Where a row lies in the plot: its benchmarked latency, else its multiply-adds."""
+    if member.grouped is None:
+        return None
+    cost = latencies.of(member.row.name) if latencies else float(member.runs[0]["cost"]["gmacs"])
+    values = member.grouped.values("metrics", study.compare)
+    return (member.row.name, cost, sum(values) / len(values)) if cost and values else None

@@ -1,0 +1,200 @@
+"""How fast and how steadily the runs of a study converged: curves, speed, fluctuation, and their table."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean, stdev
+from typing import Any
+
+import numpy as np
+
+from eldenet.results.studies.plan import Study
+from eldenet.results.studies.stored import stored_runs
+
+SHARE = 0.9  # of a curve's own descent
+MARGIN = 1.15  # above the level that every run reaches: a second level, met earlier
+WINDOW = 5  # epochs of the running mean
+CURVES = {"train_loss": "training loss", "val_loss": "validation loss", "val_mse": "MSE"}
+LOSSES = ("train_loss", "val_loss")  # they compare where the rows train with one loss
+FIGURES = ("epochs", "own", "early", "late", "fluctuation")
+TITLES = {
+    "epochs": "epochs",
+    "own": f"{SHARE:.0%} of its own descent [epoch]",
+    "early": f"at {MARGIN:g} x level [epoch]",
+    "late": "at level [epoch]",
+    "fluctuation": "fluctuation",
+}
+NOTES = (
+    f"level: the last value of the worst run of the block, so that every run reaches it; {MARGIN:g} x level "
+    "and level: the first epoch at which a run is there or below",
+    f"{SHARE:.0%} of its own descent: the first epoch at which a run has done that much of its way from its "
+    "first to its best value; a bad start makes it early, so it does not compare rows",
+    f"fluctuation: mean absolute distance from the running mean over {WINDOW} epochs in the second half of "
+    "the training, relative to the mean there",
+    "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
+    "mean ± sample standard deviation over the seeds; convergence.csv has every run",
+)
+
+
+def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
+    """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
+
+    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss of other terms, by their
+    classes, or of other maps than metres.
+    """
+    ssim, mae = (np.nan if row.get(name) is None else row[name] for name in ("val_ssim", "val_mae"))
+    values, loss = {"SSIMLoss": (1 - ssim) / 2, "L1Loss": mae}, 0.0
+    for term in run["config"]["loss"]["terms"].values():
+        kind = term["loss"]["_target_"].rpartition(".")[2]
+        if kind not in values or "teacher" in term or term.get("space", "metres") != "metres":
+            return None
+        loss += term["weight"] * values[kind]
+    return float(loss) if np.isfinite(loss) else None
+
+
+def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Training and validation curves of one run by their names, one value per validated epoch.
+
+    A curve with a gap is left out: sparse ground truth has no SSIM.
+    """
+    history = [row for row in run["training"]["history"] if "val_mse" in row]
+    found: dict[str, list[float]] = {
+        "epoch": [row["epoch"] for row in history],
+        "train_loss": [row["train_total"] for row in history],
+        "val_ssim": [row["val_ssim"] for row in history],
+        "val_mse": [row["val_mse"] for row in history],
+    }
+    losses = [validation_loss(run, row) for row in history]
+    if None not in losses:
+        found["val_loss"] = [loss for loss in losses if loss is not None]
+    return {name: values for name, values in found.items() if None not in values}
+
+
+def first_epoch(epochs: Sequence[float], values: Sequence[float], level: float) -> float | None:
+    """The first epoch at which a curve is at or below ``level``; None: at none."""
+    return next((epoch for epoch, value in zip(epochs, values, strict=True) if value <= level), None)
+
+
+def own_descent(epochs: Sequence[float], values: Sequence[float], share: float = SHARE) -> float | None:
+    """First epoch at which a falling curve has done ``share`` of its way from its first to its best value."""
+    return first_epoch(epochs, values, values[0] - share * (values[0] - min(values)))
+
+
+def fluctuation(values: Sequence[float]) -> float | None:
+    """Mean absolute distance from the running mean in the second half of a curve, relative to the mean there.
+
+    A steady descent is none. None: the second half has no epoch with a whole window around it.
+    """
+    whole = np.asarray(values, dtype=float)
+    first = max(len(whole) // 2, WINDOW // 2)
+    last = len(whole) - WINDOW // 2
+    if first >= last:
+        return None
+    smooth = np.convolve(whole, np.full(WINDOW, 1 / WINDOW), mode="valid")  # of places WINDOW // 2 and on
+    half = whole[first:last]
+    return float(np.abs(half - smooth[first - WINDOW // 2 :]).mean() / np.abs(half).mean())
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of one run in figures; None: it has none."""
+
+    block: str
+    row: str
+    seed: int
+    curve: str
+    level: float | None
+    figures: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """The curves of a study (``row/seed0`` -> name -> values) and what they come to."""
+
+    curves: Mapping[str, Mapping[str, list[float]]]
+    lines: Sequence[Line]
+
+    def by_run(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and cells, a line for every curve of every run."""
+        titles = ["run", "curve", "level", *TITLES.values()]
+        return titles, [
+            [
+                f"{line.row}/seed{line.seed}",
+                CURVES[line.curve],
+                _text([line.level], "level"),
+                *(_text([line.figures[name]], name) for name in FIGURES),
+            ]
+            for line in self.lines
+        ]
+
+    def by_row(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and cells, seeds together: mean and sample standard deviation."""
+        groups: dict[tuple[str, str], list[Line]] = {}
+        for line in self.lines:
+            groups.setdefault((line.row, line.curve), []).append(line)
+        titles = ["row", "curve", "seeds", "level", *TITLES.values()]
+        return titles, [
+            [
+                row,
+                CURVES[curve],
+                str(len(lines)),
+                _text([lines[0].level], "level"),
+                *(_text([line.figures[name] for line in lines], name) for name in FIGURES),
+            ]
+            for (row, curve), lines in groups.items()
+        ]
+
+
+def _text(values: Sequence[float | None], name: str) -> str:
+    """Mean ± sample standard deviation; "-" if one run has no value: a mean over the others would mislead."""
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return "-"
+    digits = {"level": 3, "fluctuation": 4}.get(name, 1)
+    if len(set(known)) == 1 and digits == 1:
+        return f"{known[0]:g}"  # an epoch
+    mean = f"{fmean(known):.{digits}f}"
+    return mean if len(known) == 1 else f"{mean} ± {stdev(known):.{digits}f}"
+
+
+def convergence(study: Study) -> Convergence:
+    """Speed and fluctuation of every stored run of a study; levels are a block's, as all comparisons are."""
+    blocks: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    for row in study.rows:
+        blocks.setdefault(row.block, []).extend((row.name, run) for run in stored_runs(study, row).runs)
+    found = {f"{name}/seed{run['seed']}": curves(run) for runs in blocks.values() for name, run in runs}
+    lines = []
+    for block, runs in blocks.items():
+        levels = _levels([run for _, run in runs], [found[f"{name}/seed{run['seed']}"] for name, run in runs])
+        for name, run in runs:
+            of_run = found[f"{name}/seed{run['seed']}"]
+            for curve in (key for key in CURVES if of_run.get(key)):
+                lines.append(_line(block, name, run["seed"], curve, of_run, levels[curve]))
+    return Convergence(found, lines)
+
+
+def _levels(
+    runs: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, list[float]]]
+) -> dict[str, float | None]:
+    """The worst last value of each curve; None for losses that are not one and the same."""
+    one_loss = len({json.dumps(run["config"]["loss"], sort_keys=True) for run in runs}) == 1
+    return {
+        key: max((curve[key][-1] for curve in found if curve.get(key)), default=None)
+        if one_loss or key not in LOSSES
+        else None
+        for key in CURVES
+    }
+
+
+def _line(
+    block: str, name: str, seed: int, curve: str, found: Mapping[str, list[float]], level: float | None
+) -> Line:
+    epochs, values = found["epoch"], found[curve]
+    figures = {
+        "epochs": float(epochs[-1]),
+        "own": own_descent(epochs, values),
+        "early": None if level is None else first_epoch(epochs, values, MARGIN * level),
+        "late": None if level is None else first_epoch(epochs, values, level),
+        "fluctuation": fluctuation(values),
+    }
+    return Line(block, name, int(seed), curve, level, figures)

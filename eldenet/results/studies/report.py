@@ -1,0 +1,84 @@
+"""What a study writes from its stored runs: ``results.md``, ``.csv``, ``.tex`` and its plots."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from eldenet.evaluation.metrics import LOWER_IS_BETTER
+from eldenet.results.plots import curves_plot, differences_plot, pareto_plot
+from eldenet.results.run_record import write_rows
+from eldenet.results.studies.blocks import Block, build_blocks
+from eldenet.results.studies.convergence import NOTES, convergence
+from eldenet.results.studies.latencies import Latencies
+from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.tables import WORDS, to_latex, to_markdown
+
+Cells = tuple[list[str], list[list[str]]]  # titles, rows
+
+
+def write_study_report(folder: str | Path) -> list[Block]:
+    """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
+    study = read_study(folder)
+    blocks = build_blocks(study)
+    tables = [table for block in blocks for table in _tables_of(block)]
+    markdown = [f"# {study.name}", ""]
+    markdown += [f"{level} {name}\n\n{to_markdown(*cells, notes)}" for level, name, cells, notes in tables]
+    latex = [to_latex(*cells, [name, *notes]) for _, name, cells, notes in tables]
+    if "convergence" in study.plots:
+        _add_convergence(study, markdown, latex)
+    points = {block.name: block.points for block in blocks if block.points}
+    if "pareto" in study.plots and points:
+        latencies = Latencies.read(study)
+        pareto_plot(
+            study.folder / "pareto.png",
+            points,
+            metric=WORDS.get(study.compare, study.compare),
+            cost=latencies.title if latencies else "GMACs",
+            lower_is_better=study.compare in LOWER_IS_BETTER,
+        )
+        markdown += ["![accuracy against cost](pareto.png)", ""]
+    differences = {block.name: block.differences for block in blocks if block.differences}
+    if "differences" in study.plots and differences:
+        differences_plot(
+            study.folder / "differences.png",
+            differences,
+            metric=WORDS.get(study.compare, study.compare),
+            references={block.name: block.reference for block in blocks},
+        )
+        markdown += ["![differences to the reference row, with 95 % intervals](differences.png)", ""]
+    place = study.folder.as_posix() if study.folder.name not in ("", "..") else study.name
+    markdown += [f"Made by `python -m eldenet.report study={place}`.", ""]
+    (study.folder / "results.md").write_text("\n".join(markdown))
+    (study.folder / "results.tex").write_text("\n".join(latex))
+    _write_csv(study, blocks)
+    return blocks
+
+
+def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
+    """Heading level, name, cells and notes of a block's tables."""
+    tables = [("##", block.name, block.measured_here(), block.notes)]
+    titles, rows = block.published_elsewhere()
+    if rows:
+        notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
+        tables.append(("###", f"{block.name}: published elsewhere", (titles, rows), notes))
+    return tables
+
+
+def _add_convergence(study: Study, markdown: list[str], latex: list[str]) -> None:
+    found = convergence(study)
+    cells = found.by_row()
+    markdown += ["## convergence", "", to_markdown(*cells, NOTES)]
+    latex.append(to_latex(*cells, ["convergence", *NOTES]))
+    write_rows(study.folder / "convergence.csv", *found.by_run())
+    if found.curves:
+        curves_plot(study.folder / "convergence.png", found.curves)
+        markdown += ["![curves](convergence.png)", ""]
+
+
+def _write_csv(study: Study, blocks: Sequence[Block]) -> None:
+    """All blocks in one file, published figures included: a column for every title that any of them has."""
+    titles = list(dict.fromkeys(title for block in blocks for title in block.titles))
+    cells = [
+        (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
+    ]
+    table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
+    write_rows(study.folder / "results.csv", ["block", *titles], table)

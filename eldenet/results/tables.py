@@ -1,0 +1,172 @@
+"""How a table looks: numbers, titles, the lines that make it believable, Markdown and LaTeX."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from eldenet.evaluation.metrics import CLASS_METRICS, LOWER_IS_BETTER, UNITS
+from eldenet.results.run_record import RUN_FILE
+
+if TYPE_CHECKING:
+    from eldenet.results.run_log import RunLog
+
+COLUMNS = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
+COSTS = ("params", "gmacs", "gflops", "latency_ms_p50", "throughput_img_s")
+WORDS = {
+    "abs_rel": "AbsRel",
+    "rmse": "RMSE",
+    "mae": "MAE",
+    "mse": "MSE",
+    "silog": "SILog",
+    "ssim": "SSIM",
+} | {f"delta{power}": f"δ{power}" for power in (1, 2, 3)}
+
+
+def number(name: str, value: float | None) -> str:
+    """A value as a table shows it."""
+    if value is None:
+        return "-"
+    if name == "params":
+        return f"{value / 1e6:.3f} M"
+    if name in ("latency_ms_p50", "latency_ms_p95"):
+        return "-" if math.isnan(value) else f"{value:.2f}"  # a file of a fixed batch has none
+    if name == "throughput_img_s":
+        return f"{value:.0f}"
+    return f"{value:.3f}"
+
+
+def heading(name: str, run: Mapping[str, Any]) -> str:
+    """Column title with unit and direction; an inverse depth has no unit."""
+    costs = {
+        "params": "params ↓",
+        "gmacs": "GMACs ↓",
+        "gflops": "GFLOPs ↓",
+        "latency_ms_p50": "latency [ms] ↓",
+        "throughput_img_s": "img/s ↑",
+    }
+    if name in costs:
+        return costs[name]
+    unit = f" [{UNITS[name].replace('^2', '²')}]" if name in UNITS else ""
+    unit = "" if run["protocol"].get("inverse_scale") else unit
+    return f"{WORDS.get(name, name)}{unit} {'↓' if name in LOWER_IS_BETTER else '↑'}"
+
+
+def protocol_line(run: Mapping[str, Any]) -> str:
+    """One line that says under which rules the metrics were made."""
+    rules = run["protocol"]
+    parts = [
+        f"protocol {rules['name']}: {rules['ground_truth']} ground truth",
+        f"{rules['min_depth']:g} to {rules['max_depth']:g} m",
+        _scored_part(rules),
+        f"mean per {rules['average']}",
+        f"{rules['scale']} scale",
+    ]
+    if rules["flip"] != "none":
+        parts.append("mirror averaged")
+    if rules.get("inverse_scale"):
+        parts.append(f"scored as inverse depth, {rules['inverse_scale']:g} m / depth")
+    return ", ".join(parts) + (
+        f"; {run['data']}/{run['split']} {run['split_hash']}, {run['metrics']['images']} images"
+    )
+
+
+def _scored_part(rules: Mapping[str, Any]) -> str:
+    """What of the camera's frame is scored: what it is cut and resized to, then the crop within that."""
+    steps = []
+    if rules["frame_box"]:
+        steps.append(f"cut to {tuple(rules['frame_box'])}")
+    if isinstance(rules["resize"], Sequence):
+        steps.append(f"resized to {tuple(rules['resize'])}")
+    elif rules["resize"]:
+        steps.append(f"resized by {rules['resize']:g}")
+    place = f"{tuple(rules['frame_crop'] or ())} at the {rules['frame_anchor']}"
+    if rules["frame_crop"] and not rules["paste"]:
+        steps.append(f"cut to {place}")
+    if rules["frame_size"]:
+        steps.append(f"resized to {tuple(rules['frame_size'])}")
+    if rules["crop"]:
+        crop = f"crop {tuple(rules['crop'])}"
+    elif rules["crop_fractions"]:
+        crop = f"crop {tuple(round(share, 4) for share in rules['crop_fractions'])} of height and width"
+    else:
+        crop = "all of it scored" if steps else "no crop"
+    if rules["paste"]:
+        crop += f", scored where predicted: {place}"
+    return f"frame {', then '.join(steps)}, {crop}" if steps else crop
+
+
+def cost_line(run: Mapping[str, Any]) -> str:
+    """One line that says what the costs were measured on."""
+    cost = run["cost"]
+    return (
+        f"costs: {cost['runtime']}, {cost['precision']}, {cost['threads']} threads, {cost['device']} "
+        f"({run['hardware']['processor']}), input {cost['height']} x {cost['width']}, latency at batch 1 "
+        f"(median), throughput at batch {cost['batch']}; 1 MAC = 2 FLOPs"
+    )
+
+
+def training_line(runs: Sequence[Mapping[str, Any]]) -> str:
+    """One line that says what the runs of a table were trained on."""
+    used = set()
+    for run in runs:
+        machine = run["hardware"].get("accelerator") or run["hardware"]["processor"]
+        used.add(f"{run['resources']['precision']} on {machine}, torch {run['versions']['torch']}")
+    return f"trained in {'; '.join(sorted(used))}; {min(run['date'] for run in runs)[:10]} and later"
+
+
+def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
+    """Print what one run reached, beside the constant predictor, and what it costs."""
+    names = ("model", *(heading(name, run) for name in COLUMNS))
+    rows = [
+        [label, *(number(name, run[group][name]) for name in COLUMNS)]
+        for label, group in ((str(run["model"]), "metrics"), ("constant predictor", "constant_predictor"))
+        if run[group] is not None
+    ]
+    log.table(protocol_line(run), names, rows)
+    classes = run.get("errors_by_class") or {}
+    if classes:
+        rows = [
+            [name, *(number(metric, errors[metric]) for metric in CLASS_METRICS), f"{errors['pixels']:,}"]
+            for name, errors in classes.items()
+        ]
+        columns = ["class", *(heading(metric, run) for metric in CLASS_METRICS), "pixels"]
+        log.table("errors by class, all of its pixels pooled", columns, rows)
+    log.table(
+        cost_line(run),
+        [heading(name, run) for name in COSTS],
+        [[number(name, run["cost"][name]) for name in COSTS]],
+    )
+    weights = ", model/ ..." if (log.folder / "model").is_dir() else ""  # an evaluation writes none
+    log.say(f"written to {log.folder}: {RUN_FILE}, per_image.csv, predictions.png{weights}")
+
+
+def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+    """A Markdown table with the notes that make it believable below."""
+
+    def line(cells: Sequence[str]) -> str:
+        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+    lines = [line(titles), f"|---|{'---:|' * (len(titles) - 1)}", *map(line, rows)]
+    return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
+
+
+def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+    """A booktabs table."""
+    swaps: dict[str, str | int | None] = {
+        **{sign: f"\\{sign}" for sign in "_&%#${}"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "δ": r"$\delta$",
+        "±": r"$\pm$",
+        "↓": r"$\downarrow$",
+        "↑": r"$\uparrow$",
+        "²": "$^2$",
+    }
+
+    def line(cells: Sequence[str]) -> str:
+        return " & ".join(cell.translate(str.maketrans(swaps)) for cell in cells) + r" \\"
+
+    body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
+    head = [f"% {note}" for note in notes] + [r"\begin{tabular}{l" + "r" * (len(titles) - 1) + "}"]
+    return "\n".join([*head, *body, r"\end{tabular}", ""])

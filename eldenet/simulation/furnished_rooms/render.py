@@ -1,0 +1,110 @@
+"""Frames of a room: choose cameras, cast, shade, develop."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from eldenet.geometry import pinhole
+from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room, generate_room
+from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
+from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.rendering.shading import Surfaces, shade
+
+
+class Views(NamedTuple):
+    """All frames of one room.
+
+    Attributes:
+        image: ``(V, H, W, 3)`` uint8 RGB.
+        depth: ``(V, H, W)`` float32 [m], 0 = nothing within reach.
+        intrinsics: ``(V, 3, 3)`` float64 [px].
+        position: ``(V, 3)`` float64 camera centres in the room [m].
+        rotation: ``(V, 3, 3)`` float64 world from camera.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    intrinsics: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
+    """Render the frames of room ``index`` of a split at ``(height, width)`` [px]."""
+    import mujoco
+
+    cv2.setNumThreads(0)
+    room = generate_room(split, index)
+    model = mujoco.MjModel.from_xml_string(room.text)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    surfaces = Surfaces(model, data)
+    draw = Draw((SPLITS[split], index, 1))
+    frames = []
+    for view in range(views):
+        camera = RayCamera(size, draw_intrinsics(draw, size))
+        position, rotation = choose_pose(room, model, data, camera.intrinsics, size, draw)
+        hits = camera.cast(model, data, position, rotation)
+        linear = shade(room, model, data, surfaces, hits, size, position, float(camera.intrinsics[0, 0]))
+        seed = (SPLITS[split], index, 2, view)
+        image = develop(linear, Draw(seed), (*seed, 1))
+        depth = hits.depth.astype(np.float32).reshape(size)
+        frames.append((image, depth, camera.intrinsics, position, rotation))
+    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+
+
+def draw_intrinsics(draw: Draw, size: tuple[int, int]) -> np.ndarray:
+    """Around the Kinect's 63 degrees: focal length 0.76-0.88 of the width, pixels nearly square."""
+    height, width = size
+    fx = width * draw.uniform(0.76, 0.88)
+    fy = fx * draw.uniform(0.98, 1.07)
+    cx = (width - 1) / 2 + width * draw.uniform(-0.02, 0.02)
+    cy = (height - 1) / 2 + height * draw.uniform(-0.03, 0.03)
+    return pinhole(fx, fy, cx, cy)
+
+
+def choose_pose(
+    room: Room, model: object, data: object, intrinsics: np.ndarray, size: tuple[int, int], draw: Draw
+) -> tuple[np.ndarray, np.ndarray]:
+    """A camera that a robot (0.25-1.0 m) or a hand (1.2-1.8 m) would hold, with something to see.
+
+    Candidates are probed with a handful of rays; the first that is neither nose to wall nor empty is taken.
+    """
+    height, width = size
+    probe_size = (9, 12)
+    scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
+    probe = RayCamera(probe_size, scale @ intrinsics)
+    sx, sy, h = room.size
+    nearest = draw.uniform(0.4, 1.0)
+    wanted = draw.uniform(0.7, 3.2)
+    things = draw.integer(3, 14)  # geoms in view: few frames show a bare wall
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for _ in range(12):
+        z = draw.uniform(0.25, 1.0) if draw.chance(0.3) else draw.uniform(1.2, min(1.8, h - 0.2))
+        x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
+        yaw = draw.uniform(-np.pi, np.pi)
+        if draw.chance(0.65):  # look across the room rather than at the next wall
+            yaw = float(np.arctan2(-y, -x)) + draw.uniform(-0.7, 0.7)
+        pitch = draw.uniform(-0.55, 0.04) if z > 1.1 else draw.uniform(-0.15, 0.25)
+        roll = draw.uniform(-0.06, 0.06) if draw.chance(0.7) else draw.uniform(-0.2, 0.2)
+        if any(
+            a - 0.2 < x < c + 0.2 and b - 0.2 < y < e + 0.2 and z < top + 0.2
+            for a, b, c, e, top in room.obstacles
+        ):
+            continue
+        position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
+        depth, geoms = probe.probe(model, data, position, rotation)
+        low, middle = np.partition(depth, (4, len(depth) // 2))[[4, len(depth) // 2]]
+        miss = (
+            max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle)) + max(0.0, float(middle) - 7.0)
+        )
+        miss += 0.15 * max(0, things - len(np.unique(geoms)))
+        if best is None or miss < best[0]:
+            best = (miss, position, rotation)
+        if miss == 0.0:
+            break
+    if best is None:  # every candidate stood in furniture: look down from the middle of the room
+        return np.array([0.0, 0.0, min(1.7, h - 0.2)]), camera_rotation(draw.uniform(-np.pi, np.pi), -0.3)
+    return best[1], best[2]

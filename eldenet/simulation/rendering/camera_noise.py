@@ -1,0 +1,53 @@
+"""What a cheap camera makes of light: exposure, colour cast, tone curve, blur, vignette, noise."""
+
+import cv2
+import numpy as np
+
+from eldenet.simulation.rendering.mjcf import Draw
+
+
+def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray:
+    """Develop linear RGB ``(H, W, 3)`` float32 into an image ``(H, W, 3)`` uint8.
+
+    Args:
+        linear: light; changed in place.
+        draw: settings of this frame.
+        seed: of the pixel noise.
+    """
+    height, width, _ = linear.shape
+    level = float(cv2.mean(cv2.resize(linear, (16, 12), interpolation=cv2.INTER_AREA))[1])
+    gain = draw.uniform(0.08, 0.30) / max(level, 0.02)  # automatic exposure, more or less right
+    cast = [gain * draw.uniform(0.9, 1.35), gain, gain * draw.uniform(0.65, 1.15)]
+    linear *= np.array(cast, dtype=np.float32)
+    if draw.chance(0.6):
+        linear *= _vignette(height, width, draw.uniform(0.0, 0.35))
+    bleed = draw.uniform(0, 0.02)  # stray light lifts the blacks
+    linear += np.float32(bleed * 0.3)
+    # a shoulder that lets windows and lamps burn out softly, then the display's gamma
+    shoulder = np.float32(draw.uniform(0.6, 1.6))
+    np.divide(
+        linear * (1 + shoulder * np.float32(0.35)), 1 + shoulder * np.float32(0.35) * linear, out=linear
+    )
+    np.clip(linear, 0, 1, out=linear)
+    image = cv2.pow(linear, 1 / draw.uniform(1.8, 2.4))
+    # one filter for both: a soft lens below zero, the camera's own sharpening above
+    edge = draw.uniform(-0.8, 0.8)
+    image = cv2.addWeighted(image, 1 + edge, cv2.GaussianBlur(image, (0, 0), 0.7 * width / 160), -edge, 0)
+    contrast, saturation = draw.uniform(1.2, 2.1), draw.uniform(0.6, 1.35)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    image = (grey + (image - grey) * np.float32(saturation) - np.float32(0.45)) * np.float32(
+        contrast
+    ) + np.float32(0.45)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    noise = rng.integers(
+        0, 256, (2, *image.shape), dtype=np.uint8
+    )  # two dice: close to a Gaussian, and the same everywhere
+    strength = np.float32(draw.pick((0.004, 0.008, 0.012, 0.02, 0.03)) / 104.0)
+    image += (noise[0].astype(np.float32) + noise[1] - np.float32(255)) * strength
+    return np.clip(image * 255 + np.float32(0.5), 0, 255).astype(np.uint8)
+
+
+def _vignette(height: int, width: int, amount: float) -> np.ndarray:
+    y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, width, dtype=np.float32)[None]
+    return (1 - np.float32(amount) * (x * x + y * y) / 2)[..., None]

@@ -1,0 +1,201 @@
+"""Checkpoints: all state of a training as tensors and plain values, safe against a kill while writing."""
+
+import functools
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from eldenet.renames import renamed
+
+LAST, BEST = "last.pt", "best.pt"
+
+
+@dataclass
+class Progress:
+    """How far a training is; part of every checkpoint, plain values only."""
+
+    epoch: int = 0  # the epoch that is running, or comes next
+    batch: int = 0  # batches of that epoch that are done
+    step: int = 0  # optimiser updates so far
+    best_epoch: int = -1
+    best_value: float = math.nan
+    sums: dict[str, float] = field(default_factory=dict)  # of the losses of this epoch's batches
+    history: list[dict[str, float]] = field(default_factory=list)
+    seconds: float = 0.0  # spent in training steps, over all sittings
+    waited: float = 0.0  # [s] for batches between the steps, the workers' start included
+
+
+@dataclass
+class TrainingState:
+    """Everything that a training needs in order to go on as if it had never stopped.
+
+    Attributes:
+        model: the network, not wrapped.
+        ema: its averaged copy, or None.
+        optimizer: as prepared for the device.
+        scheduler: of the learning rate.
+        loss: its own parameters, if it has any (a distillation's projections; never a teacher).
+        scaler: of fp16 gradients, or None.
+        progress: how far it is.
+        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser, monitor ...).
+    """
+
+    model: nn.Module
+    ema: nn.Module | None
+    optimizer: Any
+    scheduler: Any
+    loss: nn.Module
+    scaler: Any
+    progress: Progress
+    identity: Mapping[str, Any]
+
+    def save(self, path: Path) -> None:
+        """Write all of it.
+
+        Raises:
+            FloatingPointError: a weight is NaN or infinite; the file that stood there stays.
+        """
+        self.refuse_broken()
+        state = {
+            "model": self.model.state_dict(),
+            "ema": None if self.ema is None else self.ema.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "scheduler": self.scheduler.state_dict(),
+            "loss": self.loss.state_dict(),
+            "scaler": None if self.scaler is None else self.scaler.state_dict(),
+            "progress": asdict(self.progress),
+            "identity": json.dumps(self.identity, sort_keys=True, default=str),
+            "torch_rng": torch.get_rng_state(),
+            # of this process's device: as on the CPU, all processes go on with the first one's
+            "cuda_rng": torch.cuda.get_rng_state() if torch.cuda.is_initialized() else None,
+        }
+        save_checkpoint(path, state)
+
+    def refuse_broken(self) -> None:
+        """Raise FloatingPointError where a weight is NaN or infinite."""
+        if not is_finite(self.model.state_dict()):
+            raise FloatingPointError(
+                f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
+                "good checkpoint. Try a lower optimizer.lr or trainer.gradient_clip=1"
+            )
+
+    def restore(self, path: Path) -> None:
+        """Take everything over from a checkpoint file or run folder.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: it is damaged, or belongs to another training.
+        """
+        state = load_checkpoint(path)
+        theirs = renamed(json.loads(state["identity"]))
+        ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
+        different = [name for name in ours if theirs.get(name, ours[name]) != ours[name]]
+        if different:
+            raise ValueError(
+                f"{path} belongs to another training: {', '.join(different)} differ (there "
+                f"{[theirs.get(name) for name in different]}, here {[ours[name] for name in different]}). "
+                "Resume with the settings of its run: config.yaml in its run folder"
+            )
+        self.model.load_state_dict(state["model"])
+        if self.ema is not None:
+            self.ema.load_state_dict(state["ema"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.scheduler.load_state_dict(state["scheduler"])
+        self.loss.load_state_dict(state.get("loss", {}))  # checkpoints of before have none, as plain losses
+        if self.scaler is not None and state["scaler"] is not None:
+            self.scaler.load_state_dict(state["scaler"])
+        torch.set_rng_state(state["torch_rng"])
+        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # those of before have none
+            torch.cuda.set_rng_state(state["cuda_rng"])
+        for name, value in state["progress"].items():
+            setattr(self.progress, name, value)
+
+
+def described(factory: Callable[..., Any]) -> dict[str, Any]:
+    """What a factory will make, in plain values, so that a checkpoint can tell one from another."""
+    function = factory.func if isinstance(factory, functools.partial) else factory
+    options = factory.keywords if isinstance(factory, functools.partial) else {}
+    return {"name": getattr(function, "__name__", type(function).__name__)} | options
+
+
+def bring_best(source: Path, folder: Path, progress: Progress) -> None:
+    """Copy the best epoch of the run that ``source`` belongs to into the run folder ``folder``.
+
+    A best epoch that lies before the point of resuming must be found in the new run folder too.
+
+    Raises:
+        FileNotFoundError: ``progress`` has a best epoch, but its weights are not beside ``source``.
+    """
+    old = (source if source.is_dir() else source.parent.parent).resolve()
+    if progress.best_epoch > 0 and not (old / "model").is_dir():
+        raise FileNotFoundError(
+            f"the best epoch so far is {progress.best_epoch}, but its weights are not in {old / 'model'}: "
+            "keep the checkpoint in its run folder, and give that"
+        )
+    if old == folder.resolve():
+        return
+    if (old / "checkpoints" / BEST).is_file():
+        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        shutil.copy2(old / "checkpoints" / BEST, folder / "checkpoints" / BEST)
+    if (old / "model").is_dir():
+        shutil.copytree(old / "model", folder / "model", dirs_exist_ok=True)
+
+
+def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
+    """Write ``state`` to ``path`` at once: a reader finds the old file or the new one, never half of one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with unfinished.open("wb") as file:
+        torch.save(dict(state), file)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def checkpoint_file(path: str | Path) -> Path:
+    """The checkpoint that is meant: ``path`` itself, or the last one of the run folder ``path``.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    path = Path(path)
+    path = path / "checkpoints" / LAST if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
+        )
+    return path
+
+
+def load_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Read a checkpoint that :func:`save_checkpoint` wrote; nothing in it is executed.
+
+    Args:
+        path: the file, or a run folder, whose ``checkpoints/last.pt`` is taken.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: the file is no checkpoint of ours, or is damaged.
+    """
+    path = checkpoint_file(path)
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises many kinds for a damaged or foreign file
+        raise ValueError(f"{path} can't be read as a checkpoint ({type(error).__name__}: {error})") from error
+    if not isinstance(state, dict) or "progress" not in state:
+        raise ValueError(f"{path} is no training checkpoint of eldenet: it has no entry 'progress'")
+    return state
+
+
+def is_finite(tensors: Mapping[str, Tensor]) -> bool:
+    """Whether every floating tensor is free of NaN and infinity."""
+    floats = [tensor for tensor in tensors.values() if tensor.is_floating_point()]
+    return all(bool(torch.isfinite(tensor).all()) for tensor in floats)

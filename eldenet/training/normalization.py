@@ -1,0 +1,90 @@
+"""Which mean and standard deviation the images are normalised by: ``normalisation`` of ``train.yaml``."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldenet.results.run_record import write_json
+
+if TYPE_CHECKING:
+    from eldenet.data.base import DepthDataset
+    from eldenet.model import DepthNet
+
+FILE = "normalisation.json"
+FRAMES = 512
+
+
+def normalisation(
+    choice: str | Mapping[str, Any], train_set: "DepthDataset", *, resumed: Path | None = None
+) -> dict[str, list[float]]:
+    """The arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; none for its own, ImageNet's.
+
+    Args:
+        choice: "imagenet"; "dataset" for those of ``FRAMES`` seeded frames of ``train_set``; or
+            ``{mean, std}`` per channel, RGB in [0, 1].
+        train_set: read for "dataset" alone.
+        resumed: folder of the run that is gone on with: its numbers are taken, not drawn again.
+
+    Raises:
+        ValueError: for another choice, or numbers that cannot be.
+    """
+    if isinstance(choice, Mapping):
+        if set(choice) != {"mean", "std"}:
+            raise ValueError(f"normalisation={dict(choice)}: give mean and std, three numbers each")
+        return {name: _three(name, choice[name]) for name in ("mean", "std")}
+    if choice not in ("imagenet", "dataset"):
+        raise ValueError(f"normalisation={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
+    if choice == "imagenet":
+        return {}
+    if resumed is not None and (resumed / FILE).is_file():
+        known = json.loads((resumed / FILE).read_text())
+        return {name: _three(name, known[name]) for name in ("mean", "std")}
+    from eldenet.data.statistics import channel_statistics
+
+    found = channel_statistics(train_set, frames=FRAMES)
+    # five digits: no machine's last bit makes another network of it
+    return {
+        name: [round(v, 5) for v in values] for name, values in (("mean", found.mean), ("std", found.std))
+    }
+
+
+def keep_normalisation(model: "DepthNet", start: "DepthNet", *, chosen: bool) -> str:
+    """Weights mean something only behind the normalisation that they were trained with: give it to ``model``.
+
+    Args:
+        model: that starts from the weights of ``start``; changed in place, its ``config`` too.
+        start: whose mean and standard deviation are taken over.
+        chosen: the user asked for those of ``model``: they stay.
+
+    Returns:
+        What to say of it; nothing where the two are alike.
+    """
+    if all(getattr(model, name).equal(getattr(start, name)) for name in ("mean", "std")):
+        return ""
+    theirs, ours = (
+        f"mean {network.config['mean']}, std {network.config['std']}" for network in (start, model)
+    )
+    if chosen:
+        return f"weights: trained with images normalised by {theirs}; the chosen {ours} stays"
+    for name in ("mean", "std"):
+        getattr(model, name).copy_(getattr(start, name))
+        model.config[name] = list(start.config[name])
+    return (
+        f"weights: their normalisation is taken over, {theirs} (normalisation={{mean, std}} chooses another)"
+    )
+
+
+def write_normalisation(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
+    """Keep what "dataset" came to in the run's folder."""
+    if choice == "dataset":
+        write_json(folder / FILE, {**chosen, "frames": f"at most {FRAMES} of the training split"})
+
+
+def _three(name: str, values: Sequence[float]) -> list[float]:
+    numbers = [float(v) for v in values] if isinstance(values, Sequence) and None not in values else []
+    low = 0.0 if name == "mean" else 1e-6
+    if len(numbers) != 3 or not all(math.isfinite(v) and low <= v <= 1 for v in numbers):
+        raise ValueError(f"normalisation {name}={values}: give three numbers, RGB in [0, 1], std above 0")
+    return numbers

@@ -1,0 +1,317 @@
+"""One visible training loop. To change a step, subclass :class:`Trainer` and write ``train_step``."""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from eldenet.data.base import DepthDataset
+from eldenet.data.loaders import EpochSampler, to_device, training_loader
+from eldenet.evaluation.evaluator import evaluate, sample_rows
+from eldenet.evaluation.metrics import LOWER_IS_BETTER, METRICS
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.losses.base import WeightedSum
+from eldenet.model import DepthNet
+from eldenet.results.run_log import RunLog
+from eldenet.system.resources import Resources, make_accelerator, seed_everything
+from eldenet.training.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
+from eldenet.training.ema import WeightAverage, average_gradients
+from eldenet.training.loss_meter import LossMeter, timed
+from eldenet.training.optim import build_optimizer
+
+IDENTITY = ("monitor", "seed", "accumulate", "epochs", "backbone_lr", "ema_decay")  # as a checkpoint's
+
+
+class Trainer:
+    """Trains a :class:`DepthNet`; on one device or several (``accelerate launch``, ``torchrun``).
+
+    Args:
+        optimizer: parameters -> optimiser.
+        scheduler: (optimiser, total_steps, steps_per_epoch) -> schedule, stepped once per update.
+        epochs: passes over the training set.
+        batch_size: images per process and batch.
+        accumulate: batches per update.
+        gradient_clip: largest norm of the gradient; None: not clipped.
+        backbone_lr: learning rate of the network's backbone, as a factor of the optimiser's.
+        ema_decay: decay per update of an exponential moving average of the weights, which is then what is
+            evaluated and saved; None: none.
+        channels_last: memory layout of images and weights.
+        monitor: metric that chooses the best epoch.
+        checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
+        evaluate_every: epochs between validations; the last epoch always has one.
+        seed: of order, augmentation and anything random in the network.
+    """
+
+    def __init__(
+        self,
+        *,
+        optimizer: Callable[..., torch.optim.Optimizer],
+        scheduler: Callable[..., torch.optim.lr_scheduler.LRScheduler],
+        epochs: int,
+        batch_size: int = 32,
+        accumulate: int = 1,
+        gradient_clip: float | None = None,
+        backbone_lr: float = 1.0,
+        ema_decay: float | None = None,
+        channels_last: bool = True,
+        monitor: str = "delta1",
+        checkpoint_every: int = 200,
+        evaluate_every: int = 1,
+        seed: int = 0,
+    ) -> None:
+        if monitor not in METRICS:
+            raise ValueError(f"monitor={monitor!r}: choose one of {METRICS}")
+        counts = {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate}
+        counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
+        for name, value in counts.items():
+            if not (isinstance(value, int) and value >= 1):
+                raise ValueError(f"{name}={value}: a whole number, 1 or more, is needed")
+        if gradient_clip is not None and not gradient_clip > 0:
+            raise ValueError(f"gradient_clip={gradient_clip}: above 0 is needed, or null for no clipping")
+        if seed < 0:
+            raise ValueError(f"seed={seed}: 0 or more is needed")
+        self.make_optimizer, self.make_scheduler = optimizer, scheduler
+        self.epochs, self.batch_size, self.accumulate = epochs, batch_size, accumulate
+        self.gradient_clip, self.ema_decay, self.channels_last = gradient_clip, ema_decay, channels_last
+        self.monitor, self.checkpoint_every, self.evaluate_every = monitor, checkpoint_every, evaluate_every
+        self.seed, self.backbone_lr = seed, backbone_lr
+
+    def fit(
+        self,
+        model: DepthNet,
+        train_set: DepthDataset,
+        val_set: DepthDataset,
+        loss: WeightedSum,
+        protocol: EvalProtocol,
+        folder: Path,
+        resources: Resources,
+        *,
+        ckpt_path: str | Path | None = None,
+        info: dict[str, Any] | None = None,
+        sources: Mapping[str, str | None] | None = None,
+    ) -> Progress:
+        """Train; the best epoch's weights end in ``folder/model``, all state in ``folder/checkpoints``.
+
+        Args:
+            model: trained in place.
+            train_set: augmented.
+            val_set: scored after every epoch.
+            loss: what is minimised.
+            protocol: of the validation.
+            folder: of the run.
+            resources: device, precision, threads and workers.
+            ckpt_path: checkpoint to go on from; the result is that of an uninterrupted run.
+            info: facts to keep beside the weights, in ``config.json``.
+            sources: fingerprints of the weights that the network was given: a training goes on with these.
+
+        Raises:
+            FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
+        """
+        self.info, self.sources = info or {}, dict(sources or {})
+        self._set_up(model, train_set, val_set, loss, protocol, folder, resources, ckpt_path)
+        progress, batches = self.progress, self.sampler.batches
+        for epoch in range(progress.epoch, self.epochs):
+            self.sampler.epoch, self.sampler.start = epoch, progress.batch
+            self.model.train()
+            with self.log.bar(
+                f"epoch {epoch + 1}/{self.epochs}",
+                batches * self.batch_size,
+                progress.batch * self.batch_size,
+            ) as bar:
+                for batch in timed(self.loader, progress):
+                    started = time.monotonic()
+                    progress.batch += 1
+                    update = progress.batch % self.accumulate == 0 or progress.batch == batches
+                    batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
+                    self.meter.add(progress.step, self.train_step(batch, update=update))
+                    progress.step += update
+                    progress.seconds += time.monotonic() - started
+                    if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
+                        self._save(LAST)
+                    bar.advance(
+                        len(batch["name"]), f"loss {progress.sums.get('total', 0.0) / progress.batch:.4f}"
+                    )
+            self._end_epoch(epoch)
+        self.log.close()
+        del self.loader  # its workers end with it
+        return progress
+
+    def train_step(self, batch: dict[str, Any], *, update: bool) -> dict[str, Tensor]:
+        """Forward, loss, backward and, if ``update``, one step of the optimiser.
+
+        Returns:
+            The detached loss terms by name, ``total`` first.
+        """
+        with self.accelerator.autocast():
+            prediction = self.model(batch["image"])
+        total, terms = self.loss(prediction, batch["depth"], batch["mask"], batch["image"])
+        self.accelerator.backward(total / self._batches_of_this_update())
+        if update:
+            average_gradients(self.loss, self.accelerator)  # its own parameters: the model's are in DDP
+            if self.gradient_clip is not None:
+                self.accelerator.clip_grad_norm_(self.model.parameters(), self.gradient_clip)
+            self.optimizer.step()
+            self.optimizer.zero_grad(set_to_none=True)
+            self.scheduler.step()
+            if self.average is not None:
+                self.average.update(self.bare_model, self.progress.step)
+        return {"total": total.detach()} | {name: value.detach() for name, value in terms.items()}
+
+    def _batches_of_this_update(self) -> int:
+        """``accumulate``, but for the epoch's last update, which has what is left."""
+        earlier = (self.progress.batch - 1) // self.accumulate * self.accumulate
+        return min(self.accumulate, self.sampler.batches - earlier)
+
+    # ------------------------------------------------------------------ before
+
+    def _set_up(
+        self,
+        model: DepthNet,
+        train_set: DepthDataset,
+        val_set: DepthDataset,
+        loss: WeightedSum,
+        protocol: EvalProtocol,
+        folder: Path,
+        resources: Resources,
+        ckpt_path: str | Path | None,
+    ) -> None:
+        seed_everything(self.seed)
+        self.accelerator = make_accelerator(resources)
+        self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
+        self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
+        loss.attach(model, self.accelerator.autocast)
+        self.loss = loss.to(self.accelerator.device)
+        if self.channels_last:
+            model.to(memory_format=torch.channels_last)
+        self.train_set = train_set
+        self.sampler = EpochSampler(
+            len(train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
+        )
+        self.loader = training_loader(
+            train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
+        )
+        steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
+        optimizer = build_optimizer(self.make_optimizer, model, self.loss, backbone_lr=self.backbone_lr)
+        self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        # accelerate's autocast would stay on the model, in validation too; train_step has its own
+        self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
+        self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)
+        self.average = None if self.ema_decay is None else WeightAverage(model, self.ema_decay)
+        self.progress = Progress()
+        self.state = TrainingState(
+            model=model,
+            ema=None if self.average is None else self.average.model,
+            optimizer=self.optimizer,
+            scheduler=self.scheduler,
+            loss=self.loss,
+            scaler=self.accelerator.scaler,
+            progress=self.progress,
+            identity={
+                **{name: getattr(self, name) for name in IDENTITY},
+                "model": model.config,
+                "training split": train_set.split_hash,
+                "validation split": val_set.split_hash,
+                "protocol": protocol.as_dict(),
+                "batch_size": self.batch_size * self.processes,
+                "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
+                "scheduler": described(self.make_scheduler),
+                "teacher": loss.identity,
+                "precision": resources.precision,
+                "sources": self.sources,
+            },
+        )
+        if ckpt_path is not None:
+            self.state.restore(Path(ckpt_path))
+            if self.accelerator.is_main_process:
+                bring_best(Path(ckpt_path), folder, self.progress)
+        self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
+        # an epoch's points stand at its last step: a run that goes on from there keeps them
+        self.log = RunLog(
+            folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
+        )
+
+    # ------------------------------------------------------------------ after an epoch
+
+    def _end_epoch(self, epoch: int) -> None:
+        self.meter.look()
+        progress = self.progress
+        losses = {f"train_{name}": value / progress.batch for name, value in progress.sums.items()}
+        row: dict[str, float] = {
+            "epoch": epoch + 1,
+            "step": progress.step,
+            "lr": float(self.scheduler.get_last_lr()[0]),
+        }
+        row |= losses
+        progress.epoch, progress.batch = epoch + 1, 0
+        progress.sums.clear()
+        better = False
+        if (epoch + 1) % self.evaluate_every == 0 or epoch + 1 == self.epochs:
+            self.state.refuse_broken()
+            metrics = self._validate()
+            row |= {f"val_{name}": metrics[name] for name in METRICS}
+            better = self._is_better(metrics[self.monitor])
+            if better:
+                progress.best_epoch, progress.best_value = epoch + 1, metrics[self.monitor]
+        progress.history.append(row)
+        self.log.scalars(progress.step, {name.replace("_", "/", 1): value for name, value in row.items()})
+        self.log.history(progress.history)
+        shown = "  ".join(
+            f"{name} {row[name]:.4f}"
+            for name in ("train_total", "val_delta1", "val_abs_rel", "val_rmse")
+            if name in row
+        )
+        self.log.say(f"epoch {epoch + 1:3d}/{self.epochs}  {shown}{'  *' if better else ''}")
+        if better:
+            self._save(BEST)
+            if self.accelerator.is_main_process:
+                self._best_candidate().save_pretrained(self.folder / "model", info=self._info())
+        self._save(LAST)
+
+    def _best_candidate(self) -> DepthNet:
+        return self.bare_model if self.average is None else self.average.model
+
+    def _info(self) -> dict[str, Any]:
+        return self.info | {
+            "protocol": self.protocol.name,
+            "epoch": self.progress.best_epoch,
+            self.monitor: self.progress.best_value,
+            "train_split_hash": self.train_set.split_hash,
+        }
+
+    def _validate(self) -> dict[str, float]:
+        model = self._best_candidate()
+        if self.processes > 1:
+            for buffer in model.buffers():  # BatchNorm's are each process's own: score what is saved
+                torch.distributed.broadcast(buffer, 0)
+        with self.log.bar("validation", len(self.val_set)) as bar:
+            result = evaluate(
+                model,
+                self.val_set,
+                self.protocol,
+                device=self.accelerator.device,
+                batch_size=self.batch_size,
+                workers=self.workers,
+                rank=self.rank,
+                processes=self.processes,
+                advance=bar.advance,
+            )
+        if self.accelerator.is_main_process:
+            self.log.picture(
+                "validation", self.progress.step, sample_rows(model, self.val_set, self.protocol)
+            )
+        return result.metrics
+
+    def _is_better(self, value: float) -> bool:
+        best = self.progress.best_value
+        if math.isnan(best):
+            return True
+        return value < best if self.monitor in LOWER_IS_BETTER else value > best
+
+    def _save(self, name: str) -> None:
+        self.meter.look()
+        if self.accelerator.is_main_process:
+            self.state.save(self.folder / "checkpoints" / name)

@@ -1,0 +1,284 @@
+"""The commands as a user types them: from another folder, with a typo, resumed, swept, reported."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support import layouts
+
+from eldenet.config import compose
+from eldenet.train import train
+
+TINY = (
+    "data.size=[32,40]",
+    "data.input_size=[32,40]",
+    "data.frames={train: 16, val: 8, test: 8}",
+    "trainer.epochs=1",
+    "trainer.batch_size=8",
+    "model=eldenet_s",
+)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory, cache) -> Path:
+    """A run folder, made by the command itself."""
+    import os
+    import subprocess
+    import sys
+
+    folder = tmp_path_factory.mktemp("elsewhere")
+    finished = subprocess.run(
+        [sys.executable, "-m", "eldenet.train", *TINY, "run_dir=run"],
+        cwd=folder,
+        env={**os.environ, "ELDENET_CACHE": cache},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+    assert finished.returncode == 0, finished.stderr
+    for text in ("epoch", "AbsRel", "constant", "params", "protocol rooms", "run.json"):
+        assert text in finished.stdout, finished.stdout
+    return folder / "run"
+
+
+def test_train_leaves_everything_that_was_promised(trained):
+    for name in ("run.json", "per_image.csv", "predictions.png", "config.yaml", "history.csv"):
+        assert (trained / name).is_file(), name
+    run = json.loads((trained / "run.json").read_text())
+    assert run["model"] == "eldenet_s"
+    assert run["protocol"]["name"] == "rooms"
+    assert run["metrics"]["images"] == 8
+    assert run["config"]["trainer"]["epochs"] == 1
+    assert run["resources"]["threads"] + run["resources"]["workers"] <= run["resources"]["cores"]
+    for group, key in (
+        ("metrics", "delta1"),
+        ("constant_predictor", "abs_rel"),
+        ("cost", "gmacs"),
+        ("cost", "latency_ms_p50"),
+        ("versions", "torch"),
+        ("hardware", "processor"),
+        ("training", "best_epoch"),
+    ):
+        assert run[group][key] is not None, (group, key)
+    assert len(run["split_hash"]) == 16
+    assert {"date", "command", "seed", "git"} <= run.keys()
+
+
+def test_per_image_rows_average_to_the_metrics(trained):
+    with (trained / "per_image.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    run = json.loads((trained / "run.json").read_text())
+    for name in ("abs_rel", "rmse", "delta1"):
+        mean = sum(float(row[name]) for row in rows) / len(rows)
+        assert mean == pytest.approx(run["metrics"][name], rel=1e-6)
+
+
+def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command):
+    finished = run_command(
+        "evaluate", f"checkpoint={trained}", *TINY[:3], "run_dir=evaluation", cwd=trained.parent
+    )
+    assert finished.returncode == 0, finished.stderr
+    # and no model/, which an evaluation does not write
+    assert finished.stdout.rstrip().endswith("run.json, per_image.csv, predictions.png")
+    first = json.loads((trained / "run.json").read_text())
+    second = json.loads((trained.parent / "evaluation" / "run.json").read_text())
+    assert second["metrics"] == pytest.approx(first["metrics"])
+    assert second["model"] == "eldenet_s"
+    finished = run_command(
+        "report", f"runs=[{trained}]", "output=tables/first", "costs=false", cwd=trained.parent
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert "eldenet_s" in (trained.parent / "tables" / "first.md").read_text()
+    assert {path.suffix for path in (trained.parent / "tables").iterdir()} == {".md", ".csv", ".tex"}
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("train", ["trainer.epohcs=3"], "epohcs"),
+        ("train", ["model=eldenett"], "eldenett"),
+        ("train", ["experiment=rooms_full"], "+experiment"),
+        ("train", [*TINY, "trainer.monitor=accuracy"], "monitor='accuracy'"),
+        ("train", [*TINY, "runtime.device=cuda"], "device=cuda"),
+        ("train", [*TINY, "ckpt_path=none.pt"], "no checkpoint at none.pt"),
+        ("train", [*TINY, "protocol=nyu_bts"], "protocol nyu_bts scores raw ground truth"),
+        ("train", ["data=nyu_mat", "data.root=/nowhere"], "/nowhere"),
+        ("evaluate", ["checkpoint=eldenet_s", "data=kitti_raw", "++data.test.split=val"], "(data.val...)"),
+        ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
+        ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
+        ("report", ["runs=[nowhere]"], "no such file or folder: nowhere"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
+    finished = run_command(command, *arguments, CUDA_VISIBLE_DEVICES="")
+    assert finished.returncode == 1
+    assert message in finished.stderr + finished.stdout
+    assert "Traceback" not in finished.stderr + finished.stdout
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *("trainer.monitor=accuracy", "ckpt_path=none.pt", "weights=nowhere", "weights=resnet18_upconv"),
+        *("model.backbone.scale=0.33", ["teacher=nowhere", "loss=ssim_l1_distill"]),
+    ],
+)
+def test_a_wrong_setting_shows_before_minutes_of_rendering(run_command, tmp_path, wrong):
+    words = [wrong] if isinstance(wrong, str) else wrong
+    cache = tmp_path / "empty"
+    finished = run_command("train", *words, ELDENET_CACHE=str(cache))
+    assert finished.returncode == 1
+    assert words[0].partition("=")[2] in finished.stderr
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ("protocol.size=[480,640]", "defined on ground truth of (480, 640) pixels, this one has (48, 64)"),
+        ("protocol.frame_crop=[228,304]", "crop=[228, 304] does not fit"),
+    ],
+)
+def test_frames_that_cannot_be_scored_show_before_the_first_epoch(tmp_path, rule, message):
+    root = layouts.folder(tmp_path / "data")
+    words = ["data=folder", f"data.root={root}", "model=eldenet_s", "protocol=folder", rule]
+    with pytest.raises(ValueError, match=re.escape(message)):
+        train(compose("train", words), tmp_path / "run")
+    assert not (tmp_path / "run" / "checkpoints").exists()
+
+
+def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
+    assert run_command("train", "trainer.monitor=accuracy").returncode == 1
+    assert not list(tmp_path.glob("runs/*"))
+    (tmp_path / "mine").mkdir()
+    assert run_command("train", "trainer.monitor=accuracy", "run_dir=mine").returncode == 1
+    assert (tmp_path / "mine").is_dir()  # named by the user
+    assert run_command("report", "runs=[nowhere]", cwd=tmp_path / "mine").returncode == 1
+    assert (tmp_path / "mine").is_dir()  # where a command without a run folder was typed
+
+
+def test_a_run_folder_holds_one_run(trained, run_command):
+    for command, message in (
+        (("train", *TINY), "holds another run already (run.json)"),
+        (("evaluate", f"checkpoint={trained}", *TINY[:3]), "holds a training"),
+    ):
+        before = (trained / "run.json").read_bytes()
+        finished = run_command(*command, f"run_dir={trained}")
+        assert finished.returncode == 1
+        assert message in finished.stderr
+        assert (trained / "run.json").read_bytes() == before
+
+
+def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_command):
+    finished = run_command(
+        *("evaluate", f"checkpoint={trained}", "data.size=[32,40]", "data.input_size=[16,20]", TINY[2]),
+        *("split=train", "run_dir=a run/of mine"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    run = json.loads((trained.parent / "a run" / "of mine" / "run.json").read_text())
+    assert run["metrics"]["images"] == 16
+    assert run["metrics"]["pixels"] > 16 * 16 * 20
+    assert run["seed"] == 0
+    trained_at = json.loads((trained / "run.json").read_text())["config"]["data"]["input_size"]
+    assert [run["cost"]["height"], run["cost"]["width"]] == trained_at
+    assert "data.input_size=[16, 20] is not used" in finished.stdout
+
+
+def test_evaluate_says_that_a_network_is_not_trained(run_command):
+    words = (
+        "checkpoint=eldenet_s",
+        *TINY[:2],
+        "data.frames={train: 8, val: 8, test: 8}",
+        "run_dir=untrained",
+    )
+    finished = run_command("evaluate", *words)
+    assert finished.returncode == 0, finished.stderr
+    assert "eldenet_s is a freshly initialised network" in finished.stdout
+
+
+@pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
+def test_evaluate_at_another_size(trained, run_command, choice, size):
+    finished = run_command(
+        *("evaluate", f"checkpoint={trained}", *TINY[:3], "data.input_size=[16,20]", f"input_size={choice}"),
+        f"run_dir=at_{size[0]}",
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    cost = json.loads((trained.parent / f"at_{size[0]}" / "run.json").read_text())["cost"]
+    assert [cost["height"], cost["width"]] == size
+
+
+def test_evaluate_scores_exported_files(trained, run_command):
+    pytest.importorskip("onnxruntime")
+    exported = trained.parent / "exported.onnx"
+    finished = run_command(
+        *("export", f"checkpoint={trained}", f"output={exported}", "checks=1", "format=onnx"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    finished = run_command(
+        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:3], "run_dir=of_the_file"),
+        cwd=trained.parent,
+    )
+    assert finished.returncode == 0, finished.stderr
+    first = json.loads((trained / "run.json").read_text())
+    second = json.loads((trained.parent / "of_the_file" / "run.json").read_text())
+    assert second["metrics"] == pytest.approx(first["metrics"], rel=1e-3)
+    assert second["cost"]["runtime"] == "onnxruntime"
+    assert [second["cost"][name] for name in ("params", "gmacs")] == pytest.approx(
+        [first["cost"][name] for name in ("params", "gmacs")], rel=1e-5
+    )
+    assert "eldenet_s" in finished.stdout
+
+
+def test_a_sweep_goes_on_after_a_job_that_failed(run_command, tmp_path):
+    finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "hydra.sweep.dir=sweep")
+    assert finished.returncode == 1
+    assert "error: monitor='wrong'" in finished.stderr
+    assert (tmp_path / "sweep" / "1" / "run.json").is_file()
+    finished = run_command("train", "-m", *TINY, "seed=0,1", "run_dir=mine")
+    assert finished.returncode == 1
+    assert "hydra.sweep.dir" in finished.stderr
+
+
+def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
+    import os
+    import subprocess
+    import sys
+
+    import eldenet
+    from eldenet.config import instantiate
+    from eldenet.evaluation.evaluator import evaluate
+
+    finished = subprocess.run(
+        [
+            *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
+            *("-m", "eldenet.train", *TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:]),
+            *("runtime.threads=1", "runtime.workers=0", "trainer.monitor=abs_rel", "run_dir=run"),
+        ],
+        cwd=tmp_path,
+        env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+    assert finished.returncode == 0, finished.stderr[-2000:]
+    assert finished.stdout.count("epoch   1/1") == finished.stdout.count("training and 7 validation") == 1
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert run["metrics"]["images"] == 8
+    # both halves of the validation were scored with the weights and statistics that were saved
+    data = compose("train", [*TINY[:2], f"data.root={cache}"]).data
+    val_set = instantiate(data.val, frames=7, resize_depth=False)
+    saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data.protocol)).metrics
+    assert run["training"]["best_value"] == pytest.approx(saved["abs_rel"], rel=1e-6)
+
+
+def test_cfg_job_shows_the_config_from_any_folder(run_command):
+    finished = run_command("train", "--cfg", "job")
+    assert finished.returncode == 0
+    assert "eldenet.backbones.pplcnet.PPLCNet" in finished.stdout

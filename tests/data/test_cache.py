@@ -1,0 +1,198 @@
+"""Cached frames are the frames: to the last digit, after any change, kill or race; one copy serves all."""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import layouts
+from support.frame_caches import count_reads, reads_of, same
+from support.synthetic import SyntheticDepth
+
+from eldenet.data import cache as cache_module
+from eldenet.data.base import DepthDataset
+from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
+from eldenet.data.folder import FolderDataset
+from eldenet.data.io import ENCODINGS
+from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
+from eldenet.data.nyu import NYUDenseDepth, NYULabelled, NYUSync
+from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
+from eldenet.data.nyu_tar import NYUTar
+from eldenet.data.transforms import Augmentation
+
+pytestmark = pytest.mark.usefixtures("store_folder")
+
+
+Builder = Callable[..., DepthDataset]
+ADAPTERS: dict[str, Callable[[Path], Builder]] = {
+    "labelled": lambda root: lambda **o: NYULabelled(_once(layouts.labelled, root), **o),
+    "densedepth": lambda root: (
+        lambda **o: NYUDenseDepth(_once(layouts.densedepth, root), split="trainval", **o)
+    ),
+    "sync": lambda root: lambda **o: NYUSync(_once(layouts.sync, root), **o),
+    "hdf5": lambda root: lambda **o: NYUHDF5(_once(layouts.hdf5, root), split="trainval", **o),
+    "mat": lambda root: lambda **o: NYUMat(_once(layouts.mat, root), split="all", **o),
+    "tar": lambda root: lambda **o: NYUTar(_once(layouts.tar, root), split="trainval", **o),
+    "folder": lambda root: lambda **o: FolderDataset(_once(layouts.folder, root), max_depth=10, **o),
+    "cityscapes": lambda root: lambda **o: Cityscapes(_once(layouts.cityscapes, root), split="trainval", **o),
+    "mtan": lambda root: (
+        lambda **o: CityscapesMTAN(_once(layouts.cityscapes_mtan, root), split="trainval", **o)
+    ),
+    "kitti": lambda root: (
+        lambda **o: KITTIDepth(_once(layouts.kitti_depth, root) / "depth", split="all", **o)
+    ),
+    "kitti_raw": lambda root: lambda **o: KITTIRaw(_once(layouts.kitti_raw, root), split="all", **o),
+    "selection": lambda root: (
+        lambda **o: KITTISelection(_once(layouts.kitti_selection, root), frames=None, **o)
+    ),
+}
+
+
+def _once(write: Callable[[Path], Path], root: Path) -> Path:
+    if not any(root.iterdir()):
+        write(root)
+    return root
+
+
+@pytest.mark.parametrize("kind", ["ram", "disk"])
+@pytest.mark.parametrize("name", sorted(ADAPTERS))
+def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path) -> None:
+    build = ADAPTERS[name](tmp_path)
+    # frames of their own sizes, as KITTI's, and frames made small
+    for load_size in (None, (30, 40)):
+        options = {"transform": Augmentation(), "input_size": (24, 32), "load_size": load_size}
+        plain, cached = build(**options), build(cache=kind, **options)
+        expected = [plain[3, index] for index in range(len(plain))]
+        assert all(same(cached[3, index], expected[index]) for index in range(len(plain)))
+        reads = count_reads(cached)
+        assert all(same(cached[3, index], expected[index]) for index in range(len(plain)))
+        assert reads == []
+        if kind == "disk":
+            later = build(cache=kind, **options)
+            later.open_cache()
+            reads = count_reads(later)
+            assert all(same(later[3, index], expected[index]) for index in range(len(plain)))
+            assert reads == []
+
+
+def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
+    options = {"load_size": (12, 16), "resize_depth": False}
+    plain = NYULabelled(layouts.labelled(tmp_path), **options)
+    for kind in ("ram", "disk"):
+        cached = NYULabelled(tmp_path, cache=kind, **options)
+        assert all(same(cached[0], plain[0]) for _ in range(2))
+        assert cached[0]["depth"].shape == (1, 48, 64)
+
+
+@pytest.mark.parametrize("kind", ["ram", "disk"])
+def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, caplog) -> None:
+    layouts.folder(tmp_path, count=3)
+    large = layouts.content((60, 80))
+    layouts.picture(tmp_path / "images/f002.png", large.rgb)
+    layouts.picture(tmp_path / "depths/f002.png", large.millimetres)
+    plain, cached = (FolderDataset(tmp_path, max_depth=10, cache=cache) for cache in ("none", kind))
+    for _ in range(2):
+        assert all(same(cached[index], plain[index]) for index in range(3))
+    assert caplog.text.count("larger than the first frame") == 1
+
+
+# --- what makes a frame be read again -----------------------------------------------------------------------
+
+
+def test_changed_settings_read_everything_again(tmp_path: Path, monkeypatch) -> None:
+    root = layouts.labelled(tmp_path)
+    usual = {"cache": "disk", "load_size": (12, 16)}
+    every = list(range(len(NYULabelled(root))))
+    assert reads_of(NYULabelled(root, **usual)) == every
+    assert reads_of(NYULabelled(root, **usual, max_depth=5.0, seed=7, input_size=(6, 8))) == []  # come later
+    for changes in (
+        {"load_size": (13, 16)},
+        {"encoding": "nyu8"},
+        {"resize_depth": False},
+        {"load_size": None},
+    ):
+        assert reads_of(NYULabelled(root, **(usual | changes))) == every, changes
+    assert reads_of(NYULabelled(root, **usual, split="val")) == [0, 1]
+    drawn = NYULabelled(root, **usual)
+    drawn.draw_subset(1, seed=0)
+    assert reads_of(drawn) == [0]
+    assert reads_of(NYULabelled(root, **usual)) == []
+    monkeypatch.setattr(cache_module, "VERSION", cache_module.VERSION + 1)
+    assert reads_of(NYULabelled(root, **usual)) == every
+    import cv2
+
+    monkeypatch.setattr(cv2, "__version__", "99")
+    assert reads_of(NYULabelled(root, **usual)) == every
+
+
+def test_every_adapter_names_its_settings(tmp_path: Path) -> None:
+    def pair(build: Builder, **change) -> None:
+        one, other = build().frame_settings(), build(**change).frame_settings()
+        assert one != other, change
+
+    layouts.folder(tmp_path / "folder")
+    pair(lambda **o: FolderDataset(tmp_path / "folder", max_depth=10, **o), intrinsics=[9, 9, 3, 4])
+    pair(lambda **o: FolderDataset(tmp_path / "folder", max_depth=10, **o), encoding="tum")
+    layouts.mat(tmp_path / "mat")
+    pair(lambda **o: NYUMat(tmp_path / "mat", split="all", **o), ground_truth="raw")
+    layouts.cityscapes_mtan(tmp_path / "mtan")
+    pair(lambda **o: CityscapesMTAN(tmp_path / "mtan", val_frames=1, **o), inverse_scale=2.5)
+    layouts.kitti_raw(tmp_path / "raw")
+    raw = lambda **o: KITTIRaw(tmp_path / "raw", split="all", **o)  # noqa: E731
+    pair(raw, projection="eigen")
+    before = raw().frame_settings()
+    file = tmp_path / "raw/2011_09_26/calib_velo_to_cam.txt"
+    file.write_text(file.read_text().replace("-0.0763", "-0.0764"))
+    assert raw().frame_settings() != before
+    descriptions = {encoding.description for encoding in ENCODINGS.values()}
+    assert len(descriptions) == len(ENCODINGS)
+
+
+def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
+    root, options = layouts.labelled(tmp_path), {"cache": "disk", "load_size": (12, 16)}
+    assert len(reads_of(NYULabelled(root, **options))) == 2
+    path = root / "data/nyu2_train/labeled_out/0030.png"
+    old = path.stat()
+    content = np.random.default_rng(1).integers(1, 255, (48, 64)).astype(np.uint8)
+    while True:  # another picture of the same number of bytes, with the old time of change
+        layouts.picture(path, content)
+        size = path.stat().st_size
+        if size <= old.st_size:
+            path.write_bytes(path.read_bytes() + bytes(old.st_size - size))
+            break
+        content[np.random.default_rng(0).integers(0, 48)] = 90
+        content[: content.shape[0] // 2] = 90
+    os.utime(path, ns=(old.st_atime_ns, old.st_mtime_ns))
+    again = NYULabelled(root, **options)
+    index = again.names.index("labeled_out/0030")
+    assert reads_of(again) == [index]
+    assert same(again[index], NYULabelled(root, load_size=(12, 16))[index])
+    assert reads_of(NYULabelled(root, **options)) == []
+
+
+def test_changed_code_of_an_adapter_is_noticed(tmp_path: Path, monkeypatch) -> None:
+    root = layouts.labelled(tmp_path / "data")
+    module = tmp_path / "adapter_of_a_user.py"
+    monkeypatch.syspath_prepend(str(tmp_path))
+    base = "from eldenet.data.nyu import NYULabelled\n\n\nclass Mine(NYULabelled):\n    pass\n"
+    counts = []
+    for text in (base, base, base + "# a change\n"):
+        module.write_text(text)
+        sys.modules.pop("adapter_of_a_user", None)
+        import adapter_of_a_user
+
+        counts.append(len(reads_of(adapter_of_a_user.Mine(root, cache="disk"))))
+    assert counts == [2, 0, 2]
+
+
+def test_an_adapter_without_files_is_told_so() -> None:
+    with pytest.raises(ValueError, match=r"SyntheticDepth does not say which files.*cache=ram"):
+        SyntheticDepth(3, cache="disk")[0]
+
+
+@pytest.mark.parametrize("wrong", [True, False, "memory"])
+def test_an_unknown_cache_is_refused(wrong) -> None:
+    with pytest.raises(ValueError, match=f"cache={wrong!r}: give one of none, ram, disk"):
+        SyntheticDepth(3, cache=wrong)

@@ -1,0 +1,176 @@
+"""``check_data`` on whole and on damaged data sets: everything wrong is named, nothing stops it."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support import layouts
+
+from eldenet.check_data import _bars, check
+from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.folder import FolderDataset
+from eldenet.data.inspection import check_split, spread
+from eldenet.train import remembered
+
+
+def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
+    good = check(compose("check_data", [*overrides, f"run_dir={folder}"]))
+    return good, json.loads((folder / "check.json").read_text())
+
+
+def test_a_whole_data_set(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    root = layouts.folder(tmp_path / "data")
+    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.intrinsics=[60,61,32,24]")
+    assert good
+    assert report["faults"] == []
+    train, val = report["splits"]  # test is val here, and is read once
+    assert report["same_frames"] == {"test": "val"}
+    assert (train["frames"], val["frames"], train["looked_at"]) == (9, 1, 9)
+    assert train["sizes"] == {"48 x 64": 9}
+    assert train["intrinsics"] == [60, 61, 32, 24]
+    metres = layouts.SMALL.millimetres[layouts.SMALL.millimetres > 0] / 1000
+    assert train["valid"] == pytest.approx(metres.size / layouts.SMALL.metres.size)
+    assert train["percentiles"]["p50"] == pytest.approx(np.median(metres), rel=0.01)
+    assert train["percentiles"]["p95"] == pytest.approx(np.percentile(metres, 95), rel=0.01)
+    assert sum(train["histogram"]) == 9 * metres.size
+    np.testing.assert_allclose(train["mean"], layouts.SMALL.rgb.mean((0, 1)) / 255, atol=1e-3)
+    np.testing.assert_allclose(train["std"], layouts.SMALL.rgb.std((0, 1)) / 255, atol=1e-3)
+    sheet = cv2.imread(str(tmp_path / "out/contact_sheet.png"))
+    assert sheet.shape[1] == 4 * 256 + 3 * 2
+    shown = capsys.readouterr().out
+    assert "all is well" in shown
+    assert train["split_hash"] in shown
+
+
+def test_everything_wrong_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    root = layouts.folder(tmp_path / "data", count=40)
+    for i in range(12):
+        (root / f"depths/f{i:03d}.png").unlink()
+    cut = root / "images/f020.png"
+    cut.write_bytes(cut.read_bytes()[:-30])
+    layouts.picture(root / "depths/f021.png", layouts.SMALL.eight)
+    layouts.picture(root / "depths/f022.png", layouts.SMALL.millimetres * 0)
+    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.val_names=[f039]")
+    assert not good
+    train = report["splits"][0]
+    assert (train["frames"], train["looked_at"], len(train["missing"])) == (27, 27, 12)
+    assert sorted(train["unreadable"]) == ["f020", "f021"]
+    assert train["without_depth"] == ["f022"]
+    shown = capsys.readouterr().out
+    for text in (
+        "12 frames without all of their files",
+        "depths/f009.*",
+        "... and 2 more",
+        "f020.png is cut",
+    ):
+        assert text in shown
+    assert "holds uint8, encoding 'mm' wants uint16" in shown
+    assert "depths/f010" not in shown
+
+
+def test_a_split_that_cannot_be_opened_does_not_hide_the_others(tmp_path: Path) -> None:
+    root = layouts.sync(tmp_path / "sync")
+    good, report = run(
+        tmp_path / "out", "data=nyu_sync", f"data.root={root}", f"data.test_root={tmp_path / 'nowhere'}"
+    )
+    assert not good
+    assert [part["frames"] for part in report["splits"]] == [1, 1, 0]
+    assert "nowhere is not a folder" in report["faults"][0]
+
+
+def test_ground_truth_that_the_protocol_does_not_score_is_a_fault(tmp_path: Path) -> None:
+    """A training would refuse it; ``protocol=`` is the training's."""
+    root = layouts.folder(tmp_path / "data")
+    words = ("data=folder", f"data.root={root}", "data.ground_truth=sparse")
+    assert run(tmp_path / "out", *words)[0]
+    good, report = run(tmp_path / "out", *words, "protocol=nyu_bts")
+    assert not good
+    (fault,) = report["faults"]  # test is val here
+    assert fault.startswith("val: protocol nyu_bts scores raw ground truth, this data set has sparse")
+    assert report["splits"][1]["looked_at"] == 1
+
+
+def test_frames_in_two_splits_are_a_fault(tmp_path: Path) -> None:
+    root = layouts.sync(tmp_path / "sync")
+    good, report = run(tmp_path / "out", "data=nyu_sync", f"data.root={root}", f"data.test_root={root}")
+    assert not good
+    assert report["faults"][0].startswith("train and test: 1 frames are in both")
+
+
+def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
+    mine, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
+    words = ("data=folder", f"data.root={mine}")
+    good, report = run(tmp_path / "out", *words, f"data.test_root={other}")
+    assert good
+    assert [part["frames"] for part in report["splits"]] == [9, 1, 10]
+    good, report = run(tmp_path / "out", *words, "data.test_split=all")
+    assert not good
+    assert [line for line in report["faults"] if "are in both" in line] == [
+        "train and test: 9 frames are in both:",
+        "val and test: 1 frames are in both:",
+    ]
+    config = compose("train", [*words, "data.test_split=all"])
+    train, val, test = (
+        build_split(config, name, build_protocol(config)) for name in ("train", "val", "test")
+    )
+    assert (remembered(train, val), remembered(train, test)) == (0, 9)
+
+
+def test_all_frames_missing_is_a_fault(tmp_path: Path) -> None:
+    root = layouts.densedepth(tmp_path)
+    for path in (root / "data/nyu2_train").rglob("*.jpg"):
+        path.unlink()
+    good, report = run(tmp_path / "out", "data=nyu_densedepth", f"data.root={root}")
+    assert not good
+    assert "all 1 frames were left out" in report["splits"][0]["fault"]
+    assert report["splits"][2]["frames"] == 1
+
+
+def test_rooms_are_checked_too(tmp_path: Path, cache: str) -> None:
+    overrides = ["data.size=[32,40]", "data.input_size=[32,40]", f"data.root={cache}", "frames=3"]
+    good, report = run(tmp_path, *overrides, "data.frames={train: 16, val: 8, test: 8}", "samples=0")
+    assert good
+    assert [part["looked_at"] for part in report["splits"]] == [3, 3, 3]
+    assert not (tmp_path / "contact_sheet.png").exists()
+
+
+def test_the_command_ends_with_1(tmp_path: Path, run_command) -> None:
+    root = layouts.folder(tmp_path / "data")
+    arguments = ["data=folder", f"data.root={root}", "run_dir=out"]
+    assert run_command("check_data", *arguments).returncode == 0
+    (root / "images/f000.png").unlink()
+    finished = run_command("check_data", *arguments)
+    assert finished.returncode == 1
+    assert "images/f000" in finished.stdout
+    assert "Traceback" not in finished.stderr
+    finished = run_command("check_data", *arguments, "frames=0")
+    assert finished.returncode == 1
+    assert "frames=0" in finished.stderr
+
+
+def test_a_sample_of_frames(tmp_path: Path) -> None:
+    assert spread(10, None) == list(range(10))
+    assert spread(10, 3) == [0, 4, 9]
+    assert spread(3, 10) == [0, 1, 2]
+    assert spread(5, 1) == [0]
+    done: list[int] = []
+    data = FolderDataset(layouts.folder(tmp_path), max_depth=5.0)
+    found = check_split("train", data, frames=4, advance=done.append)
+    assert (found.looked_at, sum(done), len(found.names)) == (4, 4, 10)
+    assert 0.3 < found.outside < 0.7  # half of the depths lie beyond 5 m
+    assert found.percentiles["p99"] < 5.05
+
+
+def test_bars() -> None:
+    assert _bars([0, 1, 100, 50]) == " ▁█▄"
+    assert _bars([]) == _bars([0]) == "-"
+
+
+def test_real_labelled_frames(tmp_path: Path) -> None:
+    layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
+    good, report = run(tmp_path, "data=nyu_labelled", "frames=8")
+    assert good
+    assert [part["frames"] for part in report["splits"]] == [665, 130]
+    assert report["splits"][0]["intrinsics"][0] == pytest.approx(518.8579)

@@ -1,0 +1,185 @@
+"""Anyone's own pictures with depth."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.layouts import real_folder
+
+from eldenet.data.folder import FolderDataset
+
+RNG = np.random.default_rng(0)
+RGB = np.repeat(RNG.integers(0, 255, (20, 30, 1), dtype=np.uint8), 3, axis=-1)
+MILLIMETRES = RNG.integers(500, 9000, (20, 30)).astype(np.uint16)
+MILLIMETRES[3, 4] = 0
+
+
+def tree(root: Path, count: int = 2, images: str = "images", depths: str = "depths") -> Path:
+    for folder in (images, depths):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    for i in range(count):
+        cv2.imwrite(str(root / images / f"f{i:03d}.png"), RGB)
+        cv2.imwrite(str(root / depths / f"f{i:03d}.png"), MILLIMETRES)
+    return root
+
+
+def test_two_folders(tmp_path: Path) -> None:
+    data = FolderDataset(tree(tmp_path), intrinsics=[100, 90, 15, 10], max_depth=8.0, input_size=(10, 15))
+    assert data.names == ["f000", "f001"]
+    assert data.ground_truth == "raw"
+    frame = data.load_frame(1)
+    np.testing.assert_array_equal(frame.depth, (MILLIMETRES / 1e3).astype(np.float32))
+    sample = data[0]
+    assert sample["image"].shape == (3, 10, 15)
+    np.testing.assert_allclose(sample["intrinsics"], [[50, 0, 7.25], [0, 45, 4.75], [0, 0, 1]], rtol=1e-6)
+    full = FolderDataset(tmp_path, max_depth=8.0)[0]
+    expected = (MILLIMETRES > 0) & (MILLIMETRES <= 8000)
+    np.testing.assert_array_equal(full["mask"][0], expected)
+    assert not full["intrinsics"].any()
+    np.testing.assert_allclose(full["image"][0] * 255, RGB[..., 0], atol=1e-3)
+
+
+def test_subfolders_and_npy(tmp_path: Path) -> None:
+    tree(tmp_path / "images", 1, "a", "unused")
+    for path in (tmp_path / "images/unused").iterdir():
+        path.unlink()
+    (tmp_path / "gt/a").mkdir(parents=True)
+    np.save(tmp_path / "gt/a/f000.npy", (MILLIMETRES / 1e3).astype(np.float32))
+    data = FolderDataset(tmp_path, depths="gt", encoding="metres", max_depth=10.0, ground_truth="inpainted")
+    assert data.names == ["a/f000"]
+    assert data.ground_truth == "inpainted"
+    np.testing.assert_array_equal(data.load_frame(0).depth, (MILLIMETRES / 1e3).astype(np.float32))
+
+
+def test_csv(tmp_path: Path) -> None:
+    tree(tmp_path)
+    (tmp_path / "pairs.csv").write_text(
+        "images/f001.png,depths/f000.png\n\nimages/f000.png,depths/f001.png\n"
+    )
+    data = FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
+    assert data.names == ["images/f000", "images/f001"]
+    assert data.pairs[0] == ("images/f000.png", "depths/f001.png")
+    (tmp_path / "pairs.csv").write_text("images/f001.png,depths/f000.png,518.8\n")
+    with pytest.raises(ValueError, match=r"pairs\.csv, line 1"):
+        FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
+    (tmp_path / "pairs.csv").write_text("images/f001.png,depths/f009.png\n")
+    with pytest.raises(FileNotFoundError, match=r"1 of 2 files are missing: .*depths/f009\.png"):
+        FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
+    (tmp_path / "pairs.csv").write_text("images/f001.png,depths/f000.png\nimages/f001.png,depths/f001.png\n")
+    with pytest.raises(ValueError, match="2 lines, but only 1"):
+        FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
+
+
+def test_missing_partners_are_named(tmp_path: Path) -> None:
+    tree(tmp_path, 30)
+    for i in range(12):
+        (tmp_path / f"depths/f{i:03d}.png").unlink()
+    (tmp_path / "images/f020.png").unlink()
+    with pytest.raises(FileNotFoundError) as error:
+        FolderDataset(tmp_path, max_depth=10.0)
+    text = str(error.value)
+    assert "13 files" in text
+    assert "images/f000.png" in text
+    assert "images/f009.png" in text
+    assert "f010" not in text
+    assert "and 3 more" in text
+
+
+def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
+    tree(tmp_path)
+    (tmp_path / "images/._f000.png").write_bytes(b"a Mac's note on the file")
+    (tmp_path / "depths/.thumbnails").mkdir()
+    cv2.imwrite(str(tmp_path / "depths/.thumbnails/f000.png"), MILLIMETRES)
+    assert FolderDataset(tmp_path, max_depth=10.0).names == ["f000", "f001"]
+
+
+def test_two_pictures_of_one_name(tmp_path: Path) -> None:
+    tree(tmp_path)
+    cv2.imwrite(str(tmp_path / "images/f000.jpg"), RGB)
+    with pytest.raises(ValueError, match=r"f000\.jpg and images/f000\.png"):
+        FolderDataset(tmp_path, max_depth=10.0)
+
+
+def test_missing_folder_says_what_is_expected(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"does not hold images, depths.*\n.*images/a\.jpg"):
+        FolderDataset(tmp_path, max_depth=10.0)
+    with pytest.raises(FileNotFoundError, match=r"is not a folder: set data\.root"):
+        FolderDataset(tmp_path / "nowhere", max_depth=10.0)
+    for folder in ("images", "depths"):
+        (tmp_path / folder).mkdir()
+    with pytest.raises(ValueError, match="no frames"):
+        FolderDataset(tmp_path, max_depth=10.0)
+
+
+def test_cut_file_and_wrong_unit_are_named(tmp_path: Path) -> None:
+    tree(tmp_path)
+    path = tmp_path / "images/f001.png"
+    path.write_bytes(path.read_bytes()[:200])
+    data = FolderDataset(tmp_path, max_depth=10.0)
+    with pytest.raises(ValueError, match=r"images/f001\.png is cut"):
+        data[1]
+    with pytest.raises(ValueError, match=r"depths/f000\.png holds uint16"):
+        FolderDataset(tmp_path, encoding="nyu8", max_depth=10.0)[0]
+    cv2.imwrite(str(tmp_path / "depths/f000.png"), MILLIMETRES[:10])
+    with pytest.raises(ValueError, match=r"f000\.png is \(20, 30\).*\(10, 30\)"):
+        data[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_split_is_disjoint_blocks(tmp_path: Path, seed: int) -> None:
+    tree(tmp_path, 50)
+    options = {"max_depth": 10.0, "val_fraction": 0.2, "split_seed": seed, "gap": 2}
+    train = FolderDataset(tmp_path, split="train", **options)
+    val = FolderDataset(tmp_path, split="val", **options)
+    assert len(val) == 10
+    numbers = [{int(name[1:]) for name in part.names} for part in (train, val)]
+    assert min(abs(a - b) for a in numbers[0] for b in numbers[1]) == 3  # two frames of gap between them
+    assert len(train) + len(val) >= 50 - 8
+    assert FolderDataset(tmp_path, split="val", **options).split_hash == val.split_hash
+    assert len(FolderDataset(tmp_path, max_depth=10.0)) == 50
+
+
+def test_split_by_names(tmp_path: Path) -> None:
+    tree(tmp_path, 4)
+    (tmp_path / "val.txt").write_text("f001\nf003\n")
+    for given in (["f003", "f001"], tmp_path / "val.txt", str(tmp_path / "val.txt")):
+        assert FolderDataset(tmp_path, split="val", val_names=given, max_depth=10.0).names == ["f001", "f003"]
+        assert FolderDataset(tmp_path, split="train", val_names=given, max_depth=10.0).names == [
+            "f000",
+            "f002",
+        ]
+    with pytest.raises(ValueError, match=r"1 of val_names.*f9.*like 'f000'"):
+        FolderDataset(tmp_path, split="val", val_names=["f9"], max_depth=10.0)
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.txt"):
+        FolderDataset(tmp_path, split="val", val_names="nowhere.txt", max_depth=10.0)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"split": "test"}, "split='test'"),
+        ({"ground_truth": "dense"}, "ground_truth"),
+        ({"intrinsics": [1, 2]}, "fx, fy, cx, cy"),
+        ({"split": "train", "val_fraction": 1.5}, "val_fraction"),
+        ({"encoding": "cm"}, "encoding='cm'"),
+    ],
+)
+def test_settings_are_checked(tmp_path: Path, bad: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FolderDataset(tree(tmp_path), **{"max_depth": 10.0, **bad})
+
+
+def test_range_must_be_given_and_typos_do_not_vanish(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="max_depth is missing"):
+        FolderDataset(tree(tmp_path))
+    with pytest.raises(TypeError, match="inputsize"):
+        FolderDataset(tmp_path, max_depth=10.0, inputsize=(3, 4))  # type: ignore[call-arg]
+
+
+def test_real_pair() -> None:
+    root = real_folder("nyu_depth_v2/mmseg_pseudo_160x120", "annotations")
+    data = FolderDataset(root, depths="annotations", max_depth=10.0)
+    raw = cv2.imread(str(root / "annotations" / f"{data.names[0]}.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(data.load_frame(0).depth, (raw / 1000.0).astype(np.float32))
+    assert data[0]["image"].shape == (3, 120, 160)

@@ -1,0 +1,269 @@
+"""The efficiency table: its columns, its ratios, what fails, and going on where it stopped."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import eldenet
+from eldenet.benchmark import DEFAULT_REFERENCE, benchmark, list_cases
+from eldenet.config import compose
+from eldenet.deploy.benchmarking.measure import COLUMNS, Case, _peak_precisions, read_rows
+from eldenet.deploy.benchmarking.tables import draw, read_accuracies
+from eldenet.deploy.fold import fold
+from eldenet.evaluation.cost import count_macs, count_params, time_interleaved
+
+pytest.importorskip("onnxruntime")
+
+NAMES = (
+    "model,height,width,batch,runtime,precision,threads,device,params,gmacs,gflops,latency_ms_p50,"
+    "latency_ms_p95,fps,throughput_img_s,peak_memory_mb,file_mb,gflops_per_s,share_of_peak,ratio_latency"
+)
+TINY = (
+    *("models=[eldenet_s]", "sizes=[[32,48]]", "batches=[2]", "runtimes=[torch,onnxruntime]"),
+    *("precisions=[fp32,bf16]", "reference=eldenet_s", "rounds=2", "seconds=0.001", "memory=false"),
+)
+
+
+def run(output: Path, *overrides: str) -> list[dict[str, Any]]:
+    return benchmark(compose("benchmark", [*TINY, f"output='{output}'", *overrides]))
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("benchmark")
+    run(folder)
+    return folder
+
+
+def rows_of(output: Path) -> list[dict[str, Any]]:
+    return list(read_rows(output).values())
+
+
+def test_the_columns_are_those_names(output: Path) -> None:
+    assert ",".join(COLUMNS) == NAMES
+    with (output / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert ",".join(rows[0]) == NAMES
+    assert [(row["runtime"], row["precision"]) for row in rows] == [
+        *(("torch", "fp32"), ("torch", "bf16"), ("onnxruntime", "fp32"), ("onnxruntime", "bf16"))
+    ]
+
+
+def test_figures_agree_with_each_other(output: Path) -> None:
+    model = eldenet.load("eldenet_s")
+    run_gmacs = count_macs(fold(model), (32, 48)) / 1e9  # what runs: 36 taps for 25 in the up-convolutions
+    for row in rows_of(output):
+        assert row["params"] == count_params(model)
+        assert row["gmacs"] == count_macs(model, (32, 48)) / 1e9
+        assert row["gflops"] == 2 * row["gmacs"]
+        if row["failed"]:
+            continue
+        assert 0 < row["latency_ms_p50"] <= row["latency_ms_p95"]
+        assert row["fps"] == pytest.approx(1e3 / row["latency_ms_p50"])
+        assert row["throughput_img_s"] == pytest.approx(2 * row["fps"])
+        assert row["gflops_per_s"] == pytest.approx(2 * run_gmacs * row["throughput_img_s"])
+        assert row["share_of_peak"] == pytest.approx(row["gflops_per_s"] / row["peak_gflops_per_s"])
+        assert row["file_mb"] > 0.5
+        assert (row["ratio_latency"] == 1) == (row["precision"] == "fp32")
+        assert row["versions"]["torch"]
+        assert row["processor"]
+
+
+def test_a_row_that_fails_stays_with_its_reason(output: Path) -> None:
+    (failed,) = (row for row in rows_of(output) if row["failed"])
+    assert (failed["runtime"], failed["precision"]) == ("onnxruntime", "bf16")
+    assert failed["latency_ms_p50"] is None
+    for name in ("results.md", "results.tex"):
+        text = (output / name).read_text()
+        assert "not measured: eldenet_s, onnxruntime, bf16" in text.replace("\\_", "_")
+    assert "bf16 runs under OpenVINO" in (output / "results.md").read_text()
+
+
+def test_it_goes_on_where_it_stopped(output: Path, capsys: pytest.CaptureFixture) -> None:
+    before = (output / "rows.jsonl").read_text()
+    first = [row["date"] for row in rows_of(output) if row["runtime"] == "torch"]
+    run(output)
+    assert (output / "rows.jsonl").read_text() == before
+    assert capsys.readouterr().out.count("measured before") == 2
+    # a kill in the middle of the last group: that one is measured again, whole
+    lines = before.splitlines(keepends=True)
+    (output / "rows.jsonl").write_text("".join(lines[:-1]) + lines[-1][:40])
+    rows = run(output)
+    assert len(rows) == 4
+    assert capsys.readouterr().out.count("measured before") == 1
+    assert [row["date"] for row in rows if row["runtime"] == "torch"] == first
+    again = run(output, "overwrite=true", "runtimes=[torch]", "precisions=[fp32]")
+    assert len(again) == 1
+    assert again[0]["date"] >= max(first)
+
+
+def named(folder: Path, scale: float) -> Path:
+    """A trained network called "mine"."""
+    model = eldenet.load("eldenet_s")
+    with torch.no_grad():
+        for weights in model.parameters():
+            weights.fill_(scale)
+    return model.save_pretrained(folder, info={"model_name": "mine"})
+
+
+def test_another_network_of_the_same_name_is_measured_itself(tmp_path: Path) -> None:
+    first, second = named(tmp_path / "a", 0.01), named(tmp_path / "b", 0.02)
+    words = ("runtimes=[onnxruntime]", "precisions=[fp32]", "reference=mine")
+    (row,) = run(tmp_path / "table", f"models=['{first}']", *words)
+    (other,) = run(tmp_path / "table", f"models=['{second}']", *words)
+    (again,) = run(tmp_path / "table", f"models=['{first}']", *words)
+    assert row["fingerprint"] != other["fingerprint"]
+    assert again == row
+    assert len(list((tmp_path / "table/exports").glob("mine-*.onnx"))) == 2
+
+
+def test_rows_measured_otherwise_do_not_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    words = ("runtimes=[torch]", "precisions=[fp32]")
+    (first,) = run(tmp_path, *words)
+    (quick,) = run(tmp_path, *words, "rounds=1")
+    assert (first["rounds"], quick["rounds"]) == (2, 1)
+    assert run(tmp_path, *words) == [first]
+    # a row that was missing takes its turns with the whole group; the one that was there stays
+    rows = run(tmp_path, "runtimes=[torch]", "precisions=[fp32,bf16]")
+    assert rows[0] == first
+    assert rows[1]["precision"] == "bf16"
+    assert rows[1]["ratio_latency"] > 0
+    capsys.readouterr()
+    assert compose("benchmark", []).reference == DEFAULT_REFERENCE
+    (row,) = run(tmp_path, *words, f"reference={DEFAULT_REFERENCE}")
+    assert row["ratio_latency"] is None
+    assert "is not among the models: no ratio_latency" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"processor": "a board's"}, "(processor a board's, here "),
+        ({"cores": 512}, "(cores 512, here "),
+        ({"versions": {"torch": "1.0"}}, "torch 1.0, here "),
+        ({"accelerator": "another card"}, None),  # the rows are a processor's
+    ],
+)
+def test_rows_of_another_machine_are_measured_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture, changes: dict[str, Any], words: str | None
+) -> None:
+    ours = ("runtimes=[torch]", "precisions=[fp32]")
+    (first,) = run(tmp_path, *ours)
+    stored = {**first, **changes, "latency_ms_p50": 1e6}
+    (tmp_path / "rows.jsonl").write_text(json.dumps(stored) + "\n")
+    capsys.readouterr()
+    (row,) = run(tmp_path, *ours)
+    said = capsys.readouterr().out
+    if words is None:
+        assert row == stored
+        assert "another machine" not in said
+        return
+    assert "1 rows there are of another machine" in said
+    assert words in said
+    assert row["latency_ms_p50"] < 1e6
+    assert [row[name] for name in changes] == [first[name] for name in changes]
+    assert run(tmp_path, *ours) == [row]  # what was measured here counts
+
+
+def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for device, precisions in (("cpu", ["fp32"]), ("cuda", []), ("gpu", [])):
+        case = Case("eldenet_s", 32, 48, 1, "openvino", "fp32", 1, device)
+        assert _peak_precisions({case: None}) == precisions
+
+
+def stored(folder: Path, name: str, **changes: Any) -> Path:
+    """What is read of a run's record."""
+    run = {"model": "eldenet_s", "seed": 0, "data": "rooms", "split": "test", "split_hash": "abc"}
+    run |= {"metrics": {"delta1": 0.8}, "protocol": {"name": "rooms"}}
+    (folder / name).mkdir(parents=True)
+    (folder / name / "run.json").write_text(json.dumps(run | changes))
+    return folder / name
+
+
+def test_pictures(output: Path, tmp_path: Path) -> None:
+    assert (output / "results.png").stat().st_size > 5000
+    config = compose("benchmark", [f"accuracies=['{stored(tmp_path, 'a')}']"])
+    assert draw(config, rows_of(output), tmp_path / "accuracy.png")
+    config = compose("benchmark", [f"accuracies=['{stored(tmp_path, 'b', model='another')}']"])
+    assert not draw(config, rows_of(output), tmp_path / "none.png")
+
+
+def test_accuracies_are_of_one_protocol_and_all_seeds(tmp_path: Path) -> None:
+    stored(tmp_path, "a")
+    stored(tmp_path, "b", seed=1, metrics={"delta1": 0.6})
+    stored(tmp_path, "c", model="mine", metrics={"delta1": 0.9})
+    stored(tmp_path, "d", model="not_measured", split_hash="other")
+    names = ["eldenet_s", "mine"]
+    config = compose("benchmark", [f"accuracies=['{tmp_path}']"])
+    found, title = read_accuracies(config, names)
+    assert found == pytest.approx({"eldenet_s": 0.7, "mine": 0.9})
+    assert title == "δ1 ↑, rooms, rooms/test"
+    with pytest.raises(ValueError, match="accuracy='delta'"):
+        read_accuracies(compose("benchmark", [f"accuracies=['{tmp_path}']", "accuracy=delta"]), names)
+    with pytest.raises(ValueError, match=r"accuracies=.*split_hash differs"):
+        read_accuracies(config, [*names, "not_measured"])
+    stored(tmp_path, "e", seed=2, protocol={"name": "rooms", "scale": "median"})
+    with pytest.raises(ValueError, match=r"accuracies=.*protocol differs"):
+        run(tmp_path / "out", f"accuracies=['{tmp_path}']")
+    assert not (tmp_path / "out" / "rows.jsonl").exists()  # before anything was measured
+
+
+def test_a_group_is_everything_that_compares() -> None:
+    config = compose(
+        "benchmark", ["sizes=[[32,32],[64,64]]", "threads=[1,2]", "precisions=[fp32,int8]", "batches=[1,4]"]
+    )
+    cases = list_cases(config, ["a", "b"])
+    assert len(cases) == len(set(cases)) == 2 * 2 * 2 * 2 * 2 * 3
+    assert {(case.model, case.precision) for case in cases[:4]} == {
+        *(("a", "fp32"), ("b", "fp32"), ("a", "int8"), ("b", "int8"))
+    }
+    assert len({case.group for case in cases[:4]}) == 1
+    assert cases[4].group != cases[3].group
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["runtimes=[tvm]"], "torch_channels_last"),
+        (["precisions=[fp8]"], "fp32, bf16"),
+        (["models=[nothing]"], "unknown model 'nothing'"),
+        (["models=[]"], "models is empty"),
+        (["models=[eldenet_s,eldenet_s]"], "two models are called 'eldenet_s'"),
+        (["models=[eldenet_s,eldenet_s]"], "another model_name="),
+        (["reference=eldenet_x"], "reference=eldenet_x: none of the models, which are eldenet_s"),
+        (["rounds=0"], "rounds=0"),
+    ],
+)
+def test_mistakes(tmp_path: Path, overrides: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path / "none", *overrides)
+    assert not (tmp_path / "none").exists()
+
+
+def test_calls_take_turns() -> None:
+    order: list[str] = []
+    times = time_interleaved(
+        {name: lambda name=name: order.append(name) for name in "ab"}, rounds=3, seconds=0.0, warm_up=1
+    )
+    assert "".join(order) == ("a" * 4 + "b" * 4) * 3
+    assert [len(each) for each in times.values()] == [9, 9]
+    waited: list[int] = []
+    time_interleaved({"a": lambda: None}, rounds=1, seconds=0.0, synchronise=lambda: waited.append(1))
+    assert len(waited) == 4  # before the first and after each
+
+
+def test_command_with_memory_from_another_folder(run_command, tmp_path: Path) -> None:
+    done = run_command(
+        *("benchmark", *TINY[:3], "runtimes=[torch]", "rounds=1", "seconds=0.001"),
+        *("reference=eldenet_s", "output=table"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "written to table: results.md, .csv, .tex, .png, rows.jsonl" in done.stdout
+    (row,) = read_rows(tmp_path / "table").values()
+    assert 0.5 < row["peak_memory_mb"] < 2000
+    assert tuple(row["key"]) == Case("eldenet_s", 32, 48, 2, "torch", "fp32", 1, "cpu").key

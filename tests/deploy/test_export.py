@@ -1,0 +1,152 @@
+"""``python -m eldenet.export`` as a user types it, and every family of networks in the zoo."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import eldenet
+from eldenet.config import compose
+from eldenet.deploy import runtimes
+from eldenet.deploy.files import describe, differences, read_metadata
+from eldenet.export import export, read_pictures
+
+pytest.importorskip("onnxruntime")
+pytest.importorskip("openvino")
+SIZE = (32, 64)
+QUICK = {"eldenet_s", "mobilenet_v3_upconv"}
+FAMILIES = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in eldenet.list_models()
+]
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photos")
+    generator = np.random.default_rng(0)
+    for number in range(6):
+        coarse = generator.integers(0, 255, (4, 6, 3), dtype=np.uint8)
+        assert cv2.imwrite(str(folder / f"{number}.jpg"), cv2.resize(coarse, (96, 72)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("trained") / "model"
+    info = {"input_size": list(SIZE), "model_name": "mine", "data": "rooms", "protocol": "rooms"}
+    return eldenet.load("eldenet_s").save_pretrained(folder, info=info)
+
+
+def run(folder: Path, photos: Path, *overrides: str) -> Path:
+    quoted = [f"checkpoint='{folder}'", f"pictures='{photos}'", "calibration=6", "checks=2"]
+    return export(compose("export", [*quoted, *overrides]))
+
+
+def image_of(photos: Path) -> np.ndarray:
+    picture = cv2.cvtColor(cv2.imread(str(photos / "0.jpg")), cv2.COLOR_BGR2RGB)
+    small = cv2.resize(picture, SIZE[::-1], interpolation=cv2.INTER_AREA)
+    return (small.transpose(2, 0, 1)[None] / 255).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -> None:
+    from eldenet.deploy.files import write_onnx
+
+    torch.manual_seed(0)
+    model = eldenet.load(name)
+    image = np.random.default_rng(0).random((1, 3, *SIZE), dtype=np.float32)
+    path = write_onnx(model, tmp_path / "m.onnx", SIZE, batch=1, opset=17)
+    with torch.inference_mode():
+        reference = model(torch.from_numpy(image)).numpy()
+    for runtime in ("onnxruntime", "openvino"):
+        depth = runtimes.load(path, runtime, threads=1)(image)
+        assert differences(depth, reference)["max_relative"] < 1e-4
+
+
+def test_what_a_file_says_of_its_training() -> None:
+    model = eldenet.load("eldenet_s")
+    assert describe(model, "mine", SIZE)["data"] == "none: freshly initialised"
+    model.info = {"trained_on": "streets"}
+    assert describe(model, "mine", SIZE)["data"] == "not stated"
+
+
+def test_command_from_another_folder(run_command, model_folder: Path, photos: Path, tmp_path: Path) -> None:
+    done = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}", "checks=2", "opset=13")
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "exports" / "mine-32x64-fp32.onnx"
+    for text in ("depth beside torch's on 2 pictures", "0 batch normalisations", "exports/mine-32x64-fp32"):
+        assert text in done.stdout
+    facts = read_metadata(path)
+    assert (facts["model"], facts["data"], facts["protocol"]) == ("mine", "rooms", "rooms")
+    depth = runtimes.load(path, threads=1)(image_of(photos))
+    with torch.inference_mode():
+        reference = eldenet.load(model_folder)(torch.from_numpy(image_of(photos))).numpy()
+    assert differences(depth, reference)["max_relative"] < 1e-5
+    again = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}")
+    assert again.returncode == 1
+    assert "is there already: give another output=, or overwrite=true" in again.stderr
+    assert "Traceback" not in again.stderr
+
+
+@pytest.mark.parametrize("format", ["onnx", "openvino"])
+def test_int8(model_folder: Path, photos: Path, tmp_path: Path, format: str, capsys) -> None:
+    ending = {"onnx": "onnx", "openvino": "xml"}[format]
+    output = tmp_path / f"small.{ending}"
+    path = run(model_folder, photos, f"format={format}", "precision=int8", f"output='{output}'", "opset=17")
+    said = capsys.readouterr().out
+    assert "int8: scales from 6 pictures" in said
+    assert "mine, int8: depth beside torch's on 2 pictures" in said
+    assert runtimes.load(path, threads=1).precision == "int8"
+
+
+def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp_path: Path, capsys) -> None:
+    output = tmp_path / "m.xml"
+    path = run(model_folder, photos, "format=openvino", "precision=bf16", f"output='{output}'", "opset=17")
+    assert read_metadata(path)["precision"] == "bf16"
+    import openvino
+
+    if "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+        assert runtimes.load(path, threads=1).precision == "bf16"
+    else:
+        assert "not compared under openvino" in capsys.readouterr().out
+    assert runtimes.load(path, precision="fp32", threads=1).precision == "fp32"
+
+
+def test_a_camera_file(model_folder: Path, photos: Path, tmp_path: Path) -> None:
+    path = run(
+        model_folder, photos, "camera=[72,96]", "batch=1", "opset=13", f"output='{tmp_path / 'c.onnx'}'"
+    )
+    network = runtimes.load(path, threads=1)
+    assert network.camera_size == (72, 96)
+    assert network(np.zeros((1, 72, 96, 3), np.uint8)).shape == (1, 1, 72, 96)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["format=tflite"], "onnx, openvino"),
+        (["precision=bf16"], "format=onnx has fp32, int8; bf16 is format=openvino's"),
+        (["size=[32]"], r"size=\[32\]: give \[height, width\]"),
+        (["camera=5"], r"camera=5: give \[height, width\]"),
+        (["output=depth.xml"], r"needs a name that ends in \.onnx"),
+        (["opset=5"], "opset=5: choose 11 to 18"),
+        (["pictures=/nowhere/*.jpg"], "are none: give a folder, or a pattern"),
+    ],
+)
+def test_mistakes(
+    model_folder: Path, photos: Path, overrides: list[str], message: str, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        run(model_folder, photos, *overrides)
+    assert not list(tmp_path.rglob("*.onnx"))
+
+
+def test_pictures_are_spread_evenly(photos: Path) -> None:
+    assert len(read_pictures(str(photos), 100, "test")) == 6
+    first, last = read_pictures(f"{photos}/*.jpg", 2, "test")
+    assert first.shape == last.shape == (72, 96, 3)
+    np.testing.assert_array_equal(last, cv2.imread(str(photos / "5.jpg"))[..., ::-1])

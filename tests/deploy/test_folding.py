@@ -1,0 +1,89 @@
+"""The inference form of a network computes the same with less work."""
+
+import numpy as np
+import pytest
+import torch
+from support.rooms_network import ROUNDING, SIZE, metres, smooth_pictures, trained
+from torch import nn
+
+import eldenet
+from eldenet.decoders.upconv import UpConv2d
+from eldenet.deploy.files import differences
+from eldenet.deploy.fold import fold, merge_upconv
+from eldenet.heads import LinearHead
+from eldenet.model import DepthNet
+
+
+@pytest.fixture(scope="module")
+def model() -> DepthNet:
+    return trained()
+
+
+@pytest.fixture(scope="module")
+def images() -> np.ndarray:
+    return smooth_pictures()
+
+
+@pytest.fixture(scope="module")
+def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
+    return metres(model, images)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_a_merged_upconvolution_is_the_operator_itself(fast: bool) -> None:
+    layer, x = UpConv2d(5, 3, fast=fast).double(), torch.randn(2, 5, 4, 7, dtype=torch.float64)
+    bias = torch.randn(3, dtype=torch.float64)
+    torch.testing.assert_close(
+        merge_upconv(layer.weight, bias)(x), layer.unpooled(x) + bias[:, None, None], rtol=0, atol=1e-12
+    )
+
+
+def test_folding_changes_nothing_but_the_work(model: DepthNet, images: np.ndarray, reference) -> None:
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    folded = fold(model)
+    assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
+    with torch.inference_mode():
+        assert differences(folded(torch.from_numpy(images)).numpy(), reference)["max_relative"] < ROUNDING
+    for name, value in model.state_dict().items():
+        assert torch.equal(value, before[name]), name
+
+
+@pytest.mark.parametrize("name", ["resnet18_upconv"])
+def test_resnet_blocks_are_folded(name: str) -> None:
+    torch.manual_seed(0)
+    model = eldenet.load(name).eval()
+    for part in model.modules():
+        if isinstance(part, nn.BatchNorm2d):
+            part.running_mean.uniform_(-0.2, 0.2)
+            part.running_var.uniform_(0.5, 1.5)
+    folded = fold(model)
+    assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
+    image = torch.rand(1, 3, *SIZE)
+    with torch.inference_mode():
+        assert differences(folded(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
+
+
+class ActiveNorm(nn.BatchNorm2d):
+    """Normalisation and activation in one, as timm's ``BatchNormAct2d``."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        return super().forward(input).relu()
+
+
+class HalvedConv(nn.Conv2d):
+    """Computes something else than its base from the same weights, as weight standardisation does."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        return super().forward(input) / 2
+
+
+@pytest.mark.parametrize("parts", [(nn.Conv2d, ActiveNorm), (HalvedConv, nn.BatchNorm2d)])
+def test_what_does_more_than_its_base_is_not_folded(parts: tuple[type, type]) -> None:
+    torch.manual_seed(0)
+    conv, norm = parts
+    network = nn.Sequential(conv(3, 4, 3, padding=1), norm(4), nn.Conv2d(4, 1, 1))
+    network[1].running_mean.uniform_(-0.2, 0.2)
+    network[1].running_var.uniform_(0.5, 1.5)
+    model, image = DepthNet(network, LinearHead()).eval(), torch.rand(1, 3, *SIZE)
+    with torch.inference_mode():
+        assert differences(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING

@@ -1,0 +1,113 @@
+"""Frame in, metres out; and how metres become numbers, points and pictures."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from support.predicting import photo, read_ply
+
+import eldenet
+from eldenet.deploy.pointcloud import write_ply
+from eldenet.deploy.predictor import DepthPredictor, to_millimetres
+from eldenet.deploy.runtimes.base import Runtime
+from eldenet.model import DepthNet
+from eldenet.visualization import photo_beside_depth, round_numbers, visible_range
+
+
+def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: DepthNet) -> None:
+    seen = []
+    hook = model.register_forward_pre_hook(lambda _, inputs: seen.append(tuple(inputs[0].shape)))
+    predictor = DepthPredictor(model)
+    depth = predictor(photo(50, 90))
+    hook.remove()
+    assert seen == [(1, 3, 32, 64)]
+    assert (depth.shape, depth.dtype) == ((50, 90), np.float32)
+    assert model.head.min_depth <= depth.min() <= depth.max() <= model.head.max_depth
+    np.testing.assert_array_equal(depth, predictor(photo(50, 90)))
+
+
+def test_predictor_is_the_network_with_a_resize_around_it(model: DepthNet) -> None:
+    frame = photo()
+    small = cv2.resize(frame, (32, 24), interpolation=cv2.INTER_AREA)
+    with torch.inference_mode():
+        depth = model(torch.from_numpy(small).permute(2, 0, 1)[None].float() / 255)
+        large = torch.nn.functional.interpolate(depth, size=(48, 64), mode="bilinear", align_corners=False)
+    np.testing.assert_allclose(DepthPredictor(model, (24, 32))(frame), large[0, 0], rtol=1e-6)
+
+
+def test_predictor_of_an_unknown_training_size_bounds_the_longer_side() -> None:
+    predictor = DepthPredictor(eldenet.load("eldenet_s"), max_side=100)
+    assert predictor.size_for(50, 80) == (50, 80)
+    assert predictor.size_for(300, 200) == (100, 67)
+    assert predictor.size_for(10_000, 1) == (100, 1)
+
+
+@pytest.mark.parametrize("frame", [photo()[..., 0], photo().astype(np.float32), photo()[:0]])
+def test_predictor_refuses_what_is_no_frame(model: DepthNet, frame: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"\(H, W, 3\) uint8 RGB is needed"):
+        DepthPredictor(model)(frame)
+
+
+def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> None:
+    with pytest.raises(ValueError, match="input_size"):
+        DepthPredictor(model, (0, 32))
+    with pytest.raises(ValueError, match="max_side"):
+        DepthPredictor(model, max_side=0)
+
+    class Broken(torch.nn.Module):
+        info: dict = {}  # noqa: RUF012
+
+        def forward(self, image: torch.Tensor) -> torch.Tensor:
+            return image[:, :1] * math.nan
+
+    with pytest.raises(ValueError, match="not finite"):
+        DepthPredictor(Broken())(photo())  # type: ignore[arg-type]
+
+
+def test_predictor_refuses_a_device_for_a_runtime_which_has_its_own() -> None:
+    with pytest.raises(ValueError, match=r"device=cuda is for a model.*eldenet\.runtimes\.load"):
+        DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
+
+
+def test_fp32_on_cuda_is_that_of_the_other_runtimes(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
+    monkeypatch.setattr(model, "to", lambda device: model)  # no CUDA device is needed
+    DepthPredictor(model, device="cuda")
+    assert not torch.backends.cudnn.allow_tf32
+
+
+def test_millimetres() -> None:
+    depth = np.array([[0.0, 1.2344, 1.2346, 65.5351, 65.536, 200.0, np.nan, np.inf, -1.0]], np.float32)
+    np.testing.assert_array_equal(to_millimetres(depth), [[0, 1234, 1235, 65535, 0, 0, 0, 0, 0]])
+
+
+def test_point_cloud_leaves_out_what_is_unknown(tmp_path: Path) -> None:
+    points = np.array([[0, 0, 1], [0, 0, 0], [1, np.nan, 2], [3, 4, 5]], np.float64)
+    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
+    assert write_ply(tmp_path / "a/b.ply", points, colours) == 2
+    vertices = read_ply(tmp_path / "a/b.ply")
+    assert vertices["z"].tolist() == [1, 5]
+    assert vertices["blue"].tolist() == [2, 11]
+    with pytest.raises(ValueError, match="one shape"):
+        write_ply(tmp_path / "c.ply", points, colours[:2])
+
+
+def test_scale_in_metres() -> None:
+    for near, far in ((0, 1), (0.7, 9.9), (1.2, 1.25), (3, 80), (0.5, 120)):
+        numbers = round_numbers(near, far)
+        assert 3 <= len(numbers) <= 8
+        assert near - 1e-6 <= numbers[0] < numbers[-1] <= far + 1e-6
+        np.testing.assert_allclose(np.diff(numbers), numbers[1] - numbers[0], rtol=1e-4)
+    depth = np.full((48, 65), 2.0, np.float32)
+    depth[:, :20] = 0
+    assert visible_range(depth) == (2.0, 2.05)
+    assert visible_range(np.zeros((3, 3))) == (0.0, 1.0)
+    picture = photo_beside_depth(photo(48, 65), depth, 0.5, 120.0)
+    np.testing.assert_array_equal(picture[:240:5, : 65 * 5 : 5], photo(48, 65))
+    assert not picture[100, 65 * 5 + 4 + 50].any()  # unknown is black
+    widths = {photo_beside_depth(photo(), depth[:, :64], 0.0, far).shape for far in (0.07, 1, 9.9, 12, 150)}
+    assert len(widths) == 1  # a video's frames have one size
+    assert not any(length % 2 for length in widths.pop()[:2])

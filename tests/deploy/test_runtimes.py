@@ -1,0 +1,253 @@
+"""One network under every runtime gives the same metres; a file says what it is."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE, metres, smooth_pictures, trained
+
+import eldenet
+from eldenet.config import compose
+from eldenet.deploy import runtimes
+from eldenet.deploy.files import (
+    count_operations,
+    describe,
+    differences,
+    read_metadata,
+    write_onnx,
+    write_openvino,
+)
+from eldenet.deploy.predictor import DepthPredictor
+from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+from eldenet.deploy.runtimes.onnx import OPTIONS, providers_behind
+from eldenet.evaluate import _open
+from eldenet.model import DepthNet
+from eldenet.system.resources import Resources
+
+pytest.importorskip("onnxruntime")
+pytest.importorskip("openvino")
+
+
+@pytest.fixture(scope="module")
+def model() -> DepthNet:
+    return trained()
+
+
+@pytest.fixture(scope="module")
+def images() -> np.ndarray:
+    return smooth_pictures()
+
+
+@pytest.fixture(scope="module")
+def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
+    return metres(model, images)
+
+
+@pytest.fixture(scope="module")
+def files(model: DepthNet, images: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("exports")
+    facts = describe(model, "eldenet_s", SIZE)
+    onnx = write_onnx(model, folder / "fp32.onnx", SIZE, metadata=facts)
+    return {
+        "onnx": onnx,
+        "xml": write_openvino(onnx, folder / "fp32.xml", facts),
+        "int8 onnx": quantise_onnx(onnx, folder / "int8.onnx", [image[None] for image in images]),
+        "int8 xml": quantise_openvino(onnx, folder / "int8.xml", [image[None] for image in images], facts),
+        "frames": write_onnx(
+            model, folder / "frames.onnx", SIZE, batch=1, camera_size=CAMERA,
+            metadata=describe(model, "eldenet_s", SIZE, camera_size=CAMERA),
+        ),
+    }  # fmt: skip
+
+
+def bf16_there() -> bool:
+    import openvino
+
+    return "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+
+
+@pytest.mark.parametrize(
+    ("file", "runtime"),
+    [("onnx", "onnxruntime"), ("onnx", "openvino"), ("xml", "openvino"), ("onnx", "auto"), ("xml", "auto")],
+)
+def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtime: str) -> None:
+    network = runtimes.load(files[file], runtime, threads=1)
+    assert (network.precision, network.threads, network.device) == ("fp32", 1, "cpu")
+    assert network.runtime in ("onnxruntime", "openvino")
+    assert network.info == {"input_size": SIZE, "model_name": "eldenet_s"}
+    for count in (1, 2, 3):  # any batch
+        depth = network(images[:count])
+        assert differences(depth, reference[:count])["max_relative"] < ROUNDING
+    as_tensor = network(torch.from_numpy(images))
+    assert isinstance(as_tensor, torch.Tensor)
+    np.testing.assert_array_equal(as_tensor.numpy(), network(images))
+
+
+@pytest.mark.parametrize("runtime", ["torch", "torch_channels_last", "onnxruntime"])
+def test_models_run_without_a_file(model, images, reference, runtime: str) -> None:
+    network = runtimes.load(model, runtime, threads=1)
+    assert network.runtime == runtime
+    assert differences(network(images), reference)["max_relative"] < ROUNDING
+
+
+def test_a_training_or_model_folder_runs(model, images, reference, tmp_path: Path) -> None:
+    model.save_pretrained(tmp_path / "run" / "model")
+    for folder in (tmp_path / "run", tmp_path / "run" / "model"):
+        depth = runtimes.load(folder, threads=1)(images)
+        assert differences(depth, reference)["max_relative"] < ROUNDING
+
+
+@pytest.mark.slow
+def test_compiled_torch_agrees(model, images, reference) -> None:
+    depth = runtimes.load(model, "torch_compile", threads=1)(images)
+    assert differences(depth, reference)["max_relative"] < ROUNDING
+
+
+@pytest.mark.parametrize("runtime", ["torch", "torch_channels_last", "openvino"])
+def test_bf16_is_near(model, files, images, reference, runtime: str) -> None:
+    if runtime == "openvino" and not bf16_there():
+        pytest.skip("this processor does not multiply bf16")
+    source = files["xml"] if runtime == "openvino" else model
+    network = runtimes.load(source, runtime, "bf16", threads=1)
+    found = differences(network(images), reference)
+    assert network.precision == "bf16"
+    assert 1e-6 < found["median_relative"] < HALF  # it was bf16 indeed
+
+
+@pytest.mark.parametrize(
+    ("file", "runtime"), [("int8 onnx", "onnxruntime"), ("int8 onnx", "openvino"), ("int8 xml", "openvino")]
+)
+def test_int8_is_near(files, images, reference, file: str, runtime: str) -> None:
+    network = runtimes.load(files[file], runtime, threads=1)
+    found = differences(network(images), reference)
+    assert network.precision == "int8"
+    assert 1e-5 < found["median_relative"] < INT8
+    assert files[file].stat().st_size > 0
+    kinds = count_operations(files[file])
+    assert kinds["QuantizeLinear"] + kinds["FakeQuantize"] > 10
+    assert read_metadata(files[file])["precision"] == "int8"
+
+
+def test_what_is_not_there_is_said(model, files, images) -> None:
+    for source, arguments, message in (
+        (files["onnx"], {"runtime": "tvm"}, "choose auto, torch, torch_channels_last"),
+        (files["onnx"], {"runtime": "torch"}, "runs under onnxruntime or openvino, not under torch"),
+        (files["onnx"], {"runtime": "onnxruntime", "precision": "bf16"}, "only fp32: bf16 runs under Open"),
+        (files["onnx"], {"runtime": "onnxruntime", "precision": "fp8"}, "choose fp32, bf16, fp16, int8"),
+        (files["onnx"], {"runtime": "onnxruntime", "precision": "int8"}, "export it with precision=int8"),
+        (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO here has .*cpu"),
+        (files["int8 xml"], {"precision": "bf16"}, "only int8"),
+        (model, {"precision": "int8"}, "export a file"),
+        (model, {"runtime": "onnxruntime", "precision": "int8"}, "calibration frames: export a file"),
+        (model, {"device": "tpu"}, "torch runs on cpu or cuda"),
+        (eldenet.load("eldenet_s"), {"runtime": "onnxruntime"}, "needs a size"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            runtimes.load(source, **arguments, threads=1)
+    with pytest.raises(FileNotFoundError, match=r"nothing\.onnx does not exist"):
+        runtimes.load("nothing.onnx")
+
+
+def test_a_missing_provider_names_those_there_are(files) -> None:
+    import onnxruntime
+
+    there = onnxruntime.get_available_providers()
+    for device, provider in (("cuda", "CUDAExecutionProvider"), ("tensorrt", "TensorrtExecutionProvider")):
+        if provider in there:
+            continue
+        with pytest.raises(ValueError, match=f"needs ONNX Runtime's {provider}.*{there[-1]}.*runtime-gpu"):
+            runtimes.load(files["onnx"], "onnxruntime", device=device)
+    named = runtimes.load(files["onnx"], "onnxruntime", device="CPUExecutionProvider")
+    assert named.device == "cpu"
+
+
+def test_an_accelerators_fp32_is_fp32() -> None:
+    cpu, cuda, tensorrt = (f"{name}ExecutionProvider" for name in ("CPU", "CUDA", "Tensorrt"))
+    assert providers_behind(cpu, [cuda, cpu]) == [cpu]
+    assert providers_behind(cuda, [tensorrt, cuda, cpu]) == [cuda, cpu]
+    assert providers_behind(tensorrt, [tensorrt, cuda, cpu]) == [tensorrt, cuda, cpu]
+    assert providers_behind(tensorrt, [tensorrt, cpu]) == [tensorrt, cpu]
+    assert OPTIONS[cuda] == {"use_tf32": "0"}  # ONNX Runtime's own default is TF32
+
+
+def test_evaluate_runs_a_file_where_it_is_asked_to(files) -> None:
+    """Not on the CPU without a word: here no runtime has CUDA, and that is said."""
+    import onnxruntime
+
+    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        pytest.skip("CUDA is there")
+    resources = Resources(device="cuda", precision="fp32", threads=1, workers=0, cores=1)
+    words = [f"checkpoint='{files['onnx']}'", "engine=onnxruntime"]
+    with pytest.raises(ValueError, match="CUDAExecutionProvider"):
+        _open(compose("evaluate", [*words, "runtime.device=cuda"]), resources)
+    assert _open(compose("evaluate", words), resources).network.device == "cpu"
+
+
+def test_wrong_images_are_refused(files, images) -> None:
+    for network in (runtimes.load(files["onnx"], name, threads=1) for name in ("onnxruntime", "openvino")):
+        with pytest.raises(ValueError, match=r"this network takes \(B, 3, H, W\) float32"):
+            network((images * 255).astype(np.uint8))
+        with pytest.raises(ValueError, match="export another"):
+            network(images[..., :-8])
+
+
+def test_files_say_what_they_are(files) -> None:
+    for name in ("onnx", "xml"):
+        facts = read_metadata(files[name])
+        assert facts["model"] == "eldenet_s"
+        assert facts["units"] == "metres"
+        assert facts["licence"] == "not stated"
+        assert facts["eldenet_version"] == eldenet.__version__
+        assert facts["input_size"] == "[32, 64]"
+        assert facts["mean"] == "[0.485, 0.456, 0.406]"
+        assert facts["std"] == "[0.229, 0.224, 0.225]"
+        assert facts["data"] == "rooms"
+        assert facts["protocol"] == "not stated"
+        assert "(B, 3, H, W) in [0, 1]" in facts["input"]
+    assert "uint8 RGB frame (B, H, W, 3)" in read_metadata(files["frames"])["input"]
+
+
+def test_nothing_runs_twice_in_the_graph(files) -> None:
+    kinds = count_operations(files["onnx"])
+    assert kinds["BatchNormalization"] == 0
+    assert kinds["DepthToSpace"] == 4  # the four up-convolutions
+    assert kinds["Transpose"] == kinds["ScatterND"] == kinds["Slice"] == 0
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_frames_in_metres_out(model, files, runtime: str) -> None:
+    generator = np.random.default_rng(1)
+    frame = cv2.resize(generator.integers(0, 255, (6, 8, 3), dtype=np.uint8), CAMERA[::-1])
+    network = runtimes.load(files["frames"], runtime, threads=1)
+    assert network.takes_frames
+    assert network.camera_size == CAMERA
+    expected = DepthPredictor(model, SIZE)(frame)
+    assert expected.shape == CAMERA
+    depth = network(frame[None])
+    assert depth.shape == (1, 1, *CAMERA)
+    # the graph does not round the resized picture to whole grey levels
+    assert differences(depth[0, 0], expected)["max_relative"] < 5e-3
+    # and a predictor takes any runtime, of frames or of images
+    np.testing.assert_array_equal(DepthPredictor(network)(frame), depth[0, 0])
+    of_images = DepthPredictor(runtimes.load(files["onnx"], runtime, threads=1))(frame)
+    assert differences(of_images, expected)["max_relative"] < ROUNDING
+    with pytest.raises(ValueError, match=r"sees \[32, 64\] only"):
+        DepthPredictor(network, (64, 64))
+
+
+def test_any_batch_is_not_fixed(model, files) -> None:
+    for source, runtime in ((files["onnx"], "onnxruntime"), (files["xml"], "openvino"), (model, "torch")):
+        assert runtimes.load(source, runtime, threads=1).fixed_batch is None
+
+
+def test_a_folder_of_foreign_classes_needs_trust(model, tmp_path: Path) -> None:
+    folder = model.save_pretrained(tmp_path / "model")
+    config = folder / "config.json"
+    config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
+    with pytest.raises(ValueError, match="trusted_modules"):
+        runtimes.load(folder, threads=1)
+    with pytest.raises(ValueError, match="tests_foreign") as error:  # it is looked for now
+        runtimes.load(folder, threads=1, trusted_modules=["tests_foreign"])
+    assert "trusted_modules" not in str(error.value)

@@ -1,0 +1,179 @@
+"""A stream of frames never waits for a slow network, and none of a file is lost."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from eldenet.deploy import runtimes
+
+
+def numbered(count: int) -> Iterator[np.ndarray]:
+    for number in range(count):
+        yield np.full((4, 6, 3), number, np.uint8)
+
+
+def depth_of(frame: np.ndarray) -> np.ndarray:
+    return frame[..., 0].astype(np.float32)
+
+
+def test_a_stream_keeps_every_frame_of_a_file() -> None:
+    with runtimes.DepthStream(numbered(20), depth_of, queue_size=2) as stream:
+        seen = [(number, int(depth[0, 0])) for number, _, depth, _ in stream]
+    assert seen == [(number, number) for number in range(20)]
+    assert stream.dropped == 0
+    assert stream.fps > 0
+
+
+def test_a_slow_network_never_delays_the_camera() -> None:
+    given, all_given = [], threading.Event()
+
+    def camera() -> Iterator[np.ndarray]:
+        for number, frame in enumerate(numbered(50)):
+            given.append(number)
+            yield frame
+        all_given.set()
+
+    def slow(frame: np.ndarray) -> np.ndarray:
+        assert all_given.wait(20)  # the whole camera ran while this one frame was being looked at
+        return depth_of(frame)
+
+    with runtimes.DepthStream(camera(), slow, queue_size=2, drop=True) as stream:
+        seen = [number for number, *_ in stream]
+    assert given == list(range(50))
+    assert seen[-2:] == [48, 49]  # the newest
+    assert len(seen) <= 3
+    assert stream.dropped == 50 - len(seen)
+
+
+def test_dropped_frames_still_take_time() -> None:
+    """Between two frames lies the time between their arrivals, not one frame's share."""
+
+    def camera() -> Iterator[np.ndarray]:
+        for frame in numbered(12):
+            yield frame
+            time.sleep(0.02)
+
+    def slow(frame: np.ndarray) -> np.ndarray:
+        time.sleep(0.1)
+        return depth_of(frame)
+
+    with runtimes.DepthStream(camera(), slow, queue_size=1, drop=True) as stream:
+        seen = list(stream)
+    assert stream.dropped > 2
+    frames, seconds = seen[-1].number - seen[0].number, seen[-1].time - seen[0].time
+    assert seconds >= 0.02 * frames  # a busy machine sleeps longer, never shorter
+
+
+def test_a_stream_ends_when_it_is_closed_and_passes_errors_on() -> None:
+    released = threading.Event()
+
+    def endless() -> Iterator[np.ndarray]:
+        try:
+            while True:
+                yield np.zeros((2, 2, 3), np.uint8)
+        finally:
+            released.set()
+
+    with runtimes.DepthStream(endless(), depth_of) as stream:
+        assert next(iter(stream)).depth.shape == (2, 2)
+    assert released.wait(10)
+
+    def broken() -> Iterator[np.ndarray]:
+        yield np.zeros((2, 2, 3), np.uint8)
+        raise OSError("unplugged")
+
+    with pytest.raises(OSError, match="unplugged"), runtimes.DepthStream(broken(), depth_of) as stream:
+        list(stream)
+
+
+def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
+    path = tmp_path / "walk.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 12.0, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this OpenCV writes no mp4v")
+    for number in range(5):
+        writer.write(np.full((48, 64, 3), (40 * number, 0, 0), np.uint8))  # blue, as OpenCV orders colours
+    writer.release()
+    with runtimes.DepthStream(path, depth_of) as stream:
+        seen = list(stream)
+    frames = [item.frame for item in seen]
+    np.testing.assert_allclose([item.time for item in seen], np.arange(5) / 12)
+    assert (stream.frames_per_second, stream.announced, len(frames)) == (12.0, 5, 5)
+    assert frames[4][..., 2].mean() > 100 > frames[4][..., 0].mean()  # RGB
+    (tmp_path / "text.mp4").write_text("no video at all")
+    for wrong, message in (
+        (tmp_path / "none.mp4", "does not exist"),
+        (tmp_path / "text.mp4", "no video"),
+        ("camera:x", "camera:0"),
+        ("/dev/video99", "no such camera"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            runtimes.DepthStream(wrong, depth_of)
+    with pytest.raises(ValueError, match="at least one"):
+        runtimes.DepthStream(path, depth_of, queue_size=0)
+
+
+class Capture:
+    """Of OpenCV: a source that announces some frames (0: it has no end) and gives five."""
+
+    times = (0.0, 40.0, 80.0, 330.0, 0.0)  # [ms]
+
+    def __init__(self, announced: int) -> None:
+        self.announced, self.left = announced, 5
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, what: int) -> float:
+        if what == cv2.CAP_PROP_POS_MSEC:
+            return self.times[4 - self.left]
+        return self.announced if what == cv2.CAP_PROP_FRAME_COUNT else 10.0
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.left -= 1
+        return self.left >= 0, np.zeros((4, 6, 3), np.uint8)
+
+    def release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("source", "announced", "said"),
+    [
+        ("camera:0", -1, "broke off after 5 frames"),
+        ("/dev/video0", -1, "broke off after 5 frames"),
+        ("rtsp://host/street", 0, "broke off after 5 frames"),
+        ("http://host/walk.mp4", 5, ""),
+        ("http://host/walk.mp4", 90, "announces 90 frames, 5 could be read"),
+    ],
+)
+def test_an_end_that_is_none_is_said(
+    source: str, announced: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(announced))
+    with runtimes.DepthStream(source, depth_of) as stream:
+        list(stream)
+        assert stream.ended_too_soon.startswith(said)
+        assert bool(stream.ended_too_soon) == bool(said)
+
+
+def test_a_file_says_when_its_frames_were_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may come at uneven times; of the last one some formats say nothing."""
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(5))
+    with runtimes.DepthStream("walk.mp4", depth_of) as stream:
+        np.testing.assert_allclose([item.time for item in stream], [0, 0.04, 0.08, 0.33, 0.43])
+
+
+def test_the_rate_is_of_the_last_frames() -> None:
+    def paced(frame: np.ndarray) -> np.ndarray:
+        time.sleep(0.02)
+        return depth_of(frame)
+
+    with runtimes.DepthStream(numbered(8), paced) as stream:
+        list(stream)
+    assert 0 < stream.fps <= 50

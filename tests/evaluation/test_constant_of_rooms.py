@@ -1,0 +1,78 @@
+"""Frames that render themselves: an evaluation renders few for the constant predictor, and says so."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.networks import small_net
+from support.training import ONE_THREAD
+
+from eldenet.config import build_protocol, compose
+from eldenet.data import rendered
+from eldenet.data.rooms import Rooms
+from eldenet.data.shards import shard_folder, write_shard
+from eldenet.results.run_log import RunLog
+from eldenet.results.score import score_and_record
+
+Asked = list[tuple[str, Sequence[int]]]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
+    """Splits and shards whose rendering was asked for; what is written for them is flat."""
+    found: Asked = []
+
+    def write(
+        root: Path, generator: Any, split: str, shards: Sequence[int], size: tuple[int, int], workers: int
+    ) -> None:
+        found.append((split, list(shards)))
+        for shard in shards:
+            arrays = {
+                "image": np.zeros((rendered.SHARD_FRAMES, *size, 3), np.uint8),
+                "depth": np.full((rendered.SHARD_FRAMES, *size), 10_000 + shard, np.uint16),
+                "intrinsics": np.tile(np.eye(3), (rendered.SHARD_FRAMES, 1, 1)),
+            }
+            write_shard(shard_folder(root, split, shard), arrays)
+
+    monkeypatch.setattr(rendered, "render_missing", write)
+    return found
+
+
+def score(folder: Path, *words: str, split: str = "test") -> dict[str, Any]:
+    words = ("data=rooms", f"data.root={folder}", "data.size=[16,20]", "data.input_size=[16,20]", *words)
+    config = compose("train", [*words, "model_name=small", f"run_dir={folder}"])
+    rules = build_protocol(config)
+    return score_and_record(
+        config, small_net(), rules, ONE_THREAD, folder, RunLog(folder), name="small", split=split
+    )
+
+
+def test_an_evaluation_renders_few_training_frames(
+    tmp_path: Path, asked: Asked, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = "data.frames={train: 576, val: 8, test: 8}"
+    few = score(tmp_path, frames, "data.subset.train=550")
+    assert asked == [("test", [0]), ("train", list(range(8)))]
+    assert few["config"]["data"]["train"]["frames"] == 512
+    assert few["constant_predictor"] is not None
+    assert "of the first 512 training frames alone: not all of data.train.frames=576" in words_of(capsys)
+    again = score(tmp_path, frames)
+    assert len(asked) == 2
+    assert again["train_split_hash"] == few["train_split_hash"]
+    Rooms("train", 576, size=(16, 20), root=tmp_path)  # as a training does
+    every = score(tmp_path, frames)
+    assert every["config"]["data"]["train"]["frames"] == 576
+    assert every["train_split_hash"] != few["train_split_hash"]
+    assert every["constant_predictor"] != few["constant_predictor"]
+
+
+def words_of(capsys: pytest.CaptureFixture[str]) -> str:
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_training_frames_that_are_scored_are_all_rendered(tmp_path: Path, asked: Asked) -> None:
+    record = score(tmp_path, "data.frames={train: 640, val: 8, test: 8}", split="train")
+    assert asked == [("train", list(range(10)))]
+    assert record["metrics"]["images"] == 640

@@ -1,0 +1,318 @@
+"""Metrics against an independent reference and numbers worked out by hand; protocols pixel by pixel."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import binary_erosion, gaussian_filter
+from support.scoring import assert_same, batch, from_yaml, scores
+from support.synthetic import SyntheticDepth
+from torch import Tensor, nn
+
+from eldenet.evaluation.evaluator import ConstantPredictor, evaluate, fit_constant_predictor, predict_depth
+from eldenet.evaluation.metrics import LOWER_IS_BETTER, METRICS, UNITS, DepthMetrics, metrics_of
+from eldenet.evaluation.protocol import EvalProtocol
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Mean of empty slice"),  # the reference's NaN of images without SSIM
+    pytest.mark.filterwarnings("ignore:The ``compute`` method of metric"),  # on purpose: nothing was added
+]
+# --- the reference: NumPy in double precision, written from the papers' formulas ---
+
+
+def one_image(p: np.ndarray, g: np.ndarray, counts: np.ndarray, value_range: float) -> dict[str, np.ndarray]:
+    """Per-pixel values whose mean is the metric; ``ssim`` over the pixels with a whole window."""
+    blur = lambda values: gaussian_filter(values, 1.5, truncate=3.5, mode="mirror")  # noqa: E731
+    a, b = np.where(counts, p, 1.0), np.where(counts, g, 1.0)
+    ma, mb = blur(a), blur(b)
+    va, vb, cov = blur(a * a) - ma**2, blur(b * b) - mb**2, blur(a * b) - ma * mb
+    c1, c2 = (0.01 * value_range) ** 2, (0.03 * value_range) ** 2
+    ssim = (2 * ma * mb + c1) * (2 * cov + c2) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
+    p, g = p[counts], g[counts]
+    ratio = np.maximum(p / g, g / p)
+    return {
+        "mse": (p - g) ** 2,
+        "mae": np.abs(p - g),
+        "abs_rel": np.abs(p - g) / g,
+        **{f"delta{i}": (ratio < 1.25**i).astype(float) for i in (1, 2, 3)},
+        "log10": np.abs(np.log10(p) - np.log10(g)),
+        "log": np.log(p) - np.log(g),
+        "ssim": ssim[binary_erosion(counts, np.ones((11, 11)), border_value=1)],
+    }
+
+
+def summary(pixels: dict[str, np.ndarray]) -> dict[str, float]:
+    mean = {name: values.mean() if len(values) else math.nan for name, values in pixels.items()}
+    mean |= {
+        "rmse": math.sqrt(mean["mse"]),
+        "silog": 100 * (pixels["log"].std() if len(pixels["log"]) else math.nan),
+    }
+    return {name: mean[name] for name in METRICS}
+
+
+def reference(protocol: EvalProtocol, prediction: Tensor, depth: Tensor, mask: Tensor) -> dict[str, float]:
+    images = []
+    for p, g, m in zip(
+        prediction.double().numpy()[:, 0], depth.double().numpy()[:, 0], mask.numpy()[:, 0], strict=True
+    ):
+        counts = m & (g >= protocol.min_depth) & (g <= protocol.max_depth)
+        if counts.any():
+            p = p * np.median(g[counts]) / np.median(p[counts]) if protocol.scale == "median" else p
+            p = p.clip(protocol.min_depth, protocol.max_depth) if protocol.clamp else p
+            images.append(one_image(p, g, counts, protocol.max_depth))
+    if protocol.average == "pixel":
+        result = summary({name: np.concatenate([image[name] for image in images]) for name in images[0]})
+    else:
+        rows = [summary(image) for image in images]
+        result = {name: float(np.nanmean([row[name] for row in rows])) for name in METRICS}
+    return result | {"images": len(images), "pixels": sum(len(image["log"]) for image in images)}
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    known=st.sampled_from([0.1, 0.7, 0.995, 1.0]),
+    average=st.sampled_from(["image", "pixel"]),
+    scale=st.sampled_from(["metric", "median"]),
+    clamp=st.booleans(),
+)
+@settings(max_examples=40, deadline=None)
+def test_equals_the_reference(seed: int, known: float, average: str, scale: str, clamp: bool) -> None:
+    protocol = EvalProtocol("p", average=average, scale=scale, clamp=clamp)
+    data = batch(seed, known=known)
+    assert_same(scores(protocol, data), reference(protocol, *data), rel=1e-4)
+
+
+@pytest.mark.parametrize("average", ["image", "pixel"])
+def test_by_hand(average: str) -> None:
+    """Four known pixels: truth 1, 2, 4, 5 m; prediction 1, 2.5, 3, 10 m."""
+    depth, prediction = torch.full((1, 1, 12, 12), 7.0), torch.full((1, 1, 12, 12), 3.0)
+    mask = torch.zeros_like(depth, dtype=torch.bool)
+    depth[..., 4:6, 4:6] = torch.tensor([[1.0, 2.0], [4.0, 5.0]])
+    prediction[..., 4:6, 4:6] = torch.tensor([[1.0, 2.5], [3.0, 10.0]])
+    mask[..., 4:6, 4:6] = True
+    expected = {
+        "mse": (0 + 0.25 + 1 + 25) / 4,  # errors 0, 0.5, 1, 5
+        "rmse": 2.5617377,
+        "mae": 1.625,
+        "abs_rel": (0 + 0.25 + 0.25 + 1) / 4,
+        "delta1": 0.25,  # ratios 1, 1.25, 1.333, 2: 1.25 itself is not below 1.25
+        "delta2": 0.75,
+        "delta3": 0.75,
+        "log10": (0 + 0.0969100 + 0.1249387 + 0.3010300) / 4,
+        "silog": 35.85462,  # ln: 0, 0.223144, -0.287682, 0.693147
+        "ssim": math.nan,  # no window is wholly known
+        "images": 1,
+        "pixels": 4,
+    }
+    assert_same(scores(EvalProtocol("hand", average=average), (prediction, depth, mask)), expected)
+
+
+def test_image_and_pixel_averages_differ_as_computed() -> None:
+    """Image a: 1 pixel, 1 m off; image b: 3 pixels, 3 m off. Per image (1 + 3) / 2, pooled (1 + 9) / 4."""
+    depth = torch.full((2, 1, 8, 8), 4.0)
+    prediction = depth + torch.tensor([1.0, 3.0]).view(2, 1, 1, 1)
+    mask = torch.zeros_like(depth, dtype=torch.bool)
+    mask[0, 0, 0, :1] = mask[1, 0, 0, :3] = True
+    per_image = scores(EvalProtocol("p", average="image"), (prediction, depth, mask))
+    pooled = scores(EvalProtocol("p", average="pixel"), (prediction, depth, mask))
+    assert (per_image["mae"], pooled["mae"]) == (2.0, 2.5)
+    assert per_image["rmse"] == pytest.approx((1 + 3) / 2)
+    assert pooled["rmse"] == pytest.approx(math.sqrt((1 + 9 + 9 + 9) / 4))
+
+
+@pytest.mark.parametrize("average", ["image", "pixel"])
+def test_batches_add_up(average: str) -> None:
+    prediction, depth, mask = batch(1, images=7)
+    protocol = EvalProtocol("p", average=average)
+    whole = scores(protocol, (prediction, depth, mask))
+    parts = [tuple(tensor[a:b] for tensor in (prediction, depth, mask)) for a, b in ((0, 1), (1, 5), (5, 7))]
+    assert_same(scores(protocol, *parts), whole, rel=1e-12)
+
+
+@pytest.mark.parametrize("average", ["image", "pixel"])
+def test_processes_add_up(average: str) -> None:
+    prediction, depth, mask = batch(2, images=5)
+    protocol = EvalProtocol("p", average=average)
+    first, second = DepthMetrics(protocol), DepthMetrics(protocol)
+    first.update(prediction[:2], depth[:2], mask[:2])
+    second.update(prediction[2:], depth[2:], mask[2:])
+    assert all(how is torch.sum or how.__name__ == "dim_zero_sum" for how in first._reductions.values())
+    for name in first._reductions:
+        setattr(first, name, getattr(first, name) + getattr(second, name))
+    first._computed = None
+    assert_same(first.compute(), scores(protocol, (prediction, depth, mask)), rel=1e-12)
+    second.reset()
+    assert second.compute()["pixels"] == 0
+
+
+def test_images_without_a_known_pixel_are_left_out() -> None:
+    prediction, depth, mask = batch(3)
+    mask[1] = False
+    depth[2] = 20.0  # beyond the protocol's range
+    result = scores(EvalProtocol("p"), (prediction, depth, mask))
+    assert_same(result, reference(EvalProtocol("p"), prediction[:1], depth[:1], mask[:1]))
+    assert result["images"] == 1
+    mask[:] = False
+    for average in ("image", "pixel"):
+        nothing = scores(EvalProtocol("p", average=average), (prediction, depth, mask))
+        assert (nothing.pop("images"), nothing.pop("pixels")) == (0, 0)
+        assert all(math.isnan(value) for value in nothing.values())
+
+
+def test_rows_are_the_images_of_the_last_batch() -> None:
+    protocol = EvalProtocol("p")
+    prediction, depth, mask = batch(4)
+    metrics = DepthMetrics(protocol)
+    metrics.update(prediction, depth, mask)
+    for i, row in enumerate(metrics.rows.tolist()):
+        expected = reference(protocol, prediction[i : i + 1], depth[i : i + 1], mask[i : i + 1])
+        assert row == pytest.approx([expected[name] for name in METRICS], rel=1e-4, nan_ok=True)
+
+
+def test_a_perfect_prediction_is_perfect() -> None:
+    _, depth, mask = batch(5, known=1.0)
+    result = scores(EvalProtocol("p", max_depth=12.0), (depth, depth, mask))
+    for name in METRICS:
+        assert result[name] == pytest.approx(0.0 if name in LOWER_IS_BETTER else 1.0, abs=1e-6), name
+    assert set(UNITS) <= set(METRICS)
+
+
+def test_sums_of_many_pixels_keep_their_digits() -> None:
+    # 3e8 pixels of 0.1 m: single precision would have stopped counting at 2^24
+    sums = torch.zeros(12, dtype=torch.float64)
+    sums[0], sums[2] = 3e8, 3e8 * 0.1
+    assert metrics_of(sums)[METRICS.index("mae")].item() == pytest.approx(0.1, rel=1e-12)
+
+
+# --- what goes wrong ---
+
+
+def test_size_of_another_data_set_is_an_error() -> None:
+    prediction, depth, mask = batch(8)
+    with pytest.raises(
+        ValueError, match=r"nyu_bts is defined on ground truth of \(480, 640\) pixels.*\(14, 18\)"
+    ):
+        scores(from_yaml("nyu_bts"), (prediction, depth, mask))
+
+
+@pytest.mark.parametrize("wrong", [lambda p: p[:1], lambda p: p[:, 0], lambda p: p.expand(-1, 3, -1, -1)])
+def test_one_prediction_per_truth(wrong: Any) -> None:
+    prediction, depth, mask = batch(9)
+    with pytest.raises(ValueError, match=r"does not match ground truth \(3, 1, 14, 18\)"):
+        scores(EvalProtocol("p"), (wrong(prediction), depth, mask))
+
+
+@pytest.mark.parametrize("clamp", [True, False])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) -> None:
+    prediction, depth, mask = batch(10)
+    metrics = DepthMetrics(EvalProtocol("p", clamp=clamp, max_depth=12.0))
+    mask[1, 0, 2, 3], mask[1, 0, 4, 5] = False, True
+    prediction[1, 0, 2, 3] = value
+    metrics.update(prediction, depth, mask)  # nothing is known there
+    before = metrics.pooled.clone()
+    prediction[1, 0, 4, 5] = value
+    with pytest.raises(ValueError, match="not finite: NaN or infinity"):
+        metrics.update(prediction, depth, mask)
+    assert torch.equal(metrics.pooled, before)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"average": "batch"}, "average='batch', choose one of"),
+        ({"ground_truth": "dens"}, "ground_truth='dens'"),
+        ({"min_depth": 0.0}, "0 < min_depth < max_depth"),
+        ({"crop": (0, 5, 0, 5)}, "needs size"),
+        ({"crop": (0, 5, 0, 25), "size": (20, 20)}, "within size"),
+        ({"crop": (5, 5, 0, 5), "size": (20, 20)}, "within size"),
+        ({"crop": (0, 5, 0), "size": (20, 20)}, "give 4 numbers"),
+        ({"frame_crop": (352,)}, "give 2 numbers"),
+        ({"crop_fractions": (0.5, 0.4, 0.0, 1.0)}, "crop_fractions=.* between 0 and 1"),
+        ({"crop_fractions": (0.1, 0.4, 0.0)}, "crop_fractions=.* between 0 and 1"),
+        ({"crop_fractions": (0, 1, 0, 1), "crop": (0, 5, 0, 5), "size": (9, 9)}, "takes the place of crop"),
+        ({"frame_box": (0, 5, 9, 5)}, "frame_box=.* must be"),
+        ({"frame_anchor": "top"}, "frame_anchor='top', choose one of"),
+        ({"paste": True}, "paste=True .* give frame_crop"),
+        ({"paste": True, "frame_crop": (4, 4), "frame_size": (2, 2)}, "no frame_box, resize or frame_size"),
+    ],
+)
+def test_rules_that_make_no_sense(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"protocol p: .*{message}"):
+        EvalProtocol("p", **options)
+
+
+def test_yaml_lists_and_tuples_are_one_protocol() -> None:
+    listed = EvalProtocol("p", size=[20, 20], crop=[0, 5, 0, 5], resize=[40, 40], frame_crop=[20, 20])
+    assert listed == EvalProtocol("p", size=(20, 20), crop=(0, 5, 0, 5), resize=(40, 40), frame_crop=(20, 20))
+    assert hash(listed) == hash(EvalProtocol(**listed.as_dict()))
+
+
+# --- whole evaluations ---
+
+
+class Leaning(nn.Module):
+    """Depth grows to the right, so that the mirror image's prediction differs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(()))
+
+    def forward(self, image: Tensor) -> Tensor:
+        ramp = torch.linspace(1, 9, image.shape[-1]).expand(len(image), 1, image.shape[-2], -1)
+        return ramp * self.scale + image.mean(dim=1, keepdim=True)
+
+
+def test_flip_averages_with_the_mirror_image() -> None:
+    image = torch.rand(2, 3, 6, 8)
+    model = Leaning()
+    plain = model(image)
+    torch.testing.assert_close(predict_depth(model, image), plain)
+    both = predict_depth(model, image, flip="mean")
+    # the ramp's mean with its own mirror image is flat; the image's part comes back to its place
+    torch.testing.assert_close(both, 5.0 + image.mean(dim=1, keepdim=True))
+    dataset = SyntheticDepth(4)
+    flipped = evaluate(model, dataset, EvalProtocol("f", ground_truth="dense", flip="mean"))
+    straight = evaluate(model, dataset, EvalProtocol("s", ground_truth="dense"))
+    assert flipped.metrics["rmse"] != pytest.approx(straight.metrics["rmse"], rel=0.01)
+
+
+def test_evaluation_scores_each_frame_once_at_the_truths_size() -> None:
+    dataset = SyntheticDepth(5, input_size=(16, 24), resize_depth=False)
+    protocol = EvalProtocol("p", ground_truth="dense", size=(32, 48))
+    model = Leaning().train()
+    result = evaluate(model, dataset, protocol, batch_size=2)
+    again = evaluate(model, dataset, protocol, batch_size=5)
+    assert_same(result.metrics, again.metrics, rel=1e-6)
+    assert [row[0] for row in result.rows] == dataset.names
+    assert result.metrics["images"] == 5
+    assert result.metrics["pixels"] == 5 * 32 * 48
+    mean_of_rows = np.mean([row[1:] for row in result.rows], axis=0)
+    assert mean_of_rows.tolist() == pytest.approx([result.metrics[name] for name in METRICS])
+    assert model.training
+
+
+def test_evaluation_refuses_another_kind_of_truth() -> None:
+    with pytest.raises(ValueError, match="scores raw ground truth, this data set has dense"):
+        evaluate(Leaning(), SyntheticDepth(2), EvalProtocol("p"))
+
+
+def test_constant_predictor_is_the_mean_of_known_depth() -> None:
+    dataset = SyntheticDepth(4)
+    model = fit_constant_predictor(dataset)
+    expected = torch.stack([dataset[i]["depth"] for i in range(4)]).double().mean(0)
+    torch.testing.assert_close(model.mean_depth[0].double(), expected, rtol=1e-6, atol=0)
+    assert model(torch.rand(3, 3, 8, 8)).shape == (3, 1, 32, 48)
+    assert isinstance(model, ConstantPredictor)
+
+
+def test_constant_predictor_reads_no_more_frames_than_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset, read = SyntheticDepth(7), []
+    load = dataset.load_frame
+    monkeypatch.setattr(dataset, "load_frame", lambda index: read.append(index) or load(index))
+    fit_constant_predictor(dataset, frames=4)
+    assert read == [0, 2, 4, 6]

@@ -1,0 +1,196 @@
+"""Which pixels a protocol scores, pixel by pixel; range, clamp, scale."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import zoom
+from support.scoring import NAMES, assert_same, batch, from_yaml, scores
+from torch import Tensor
+
+from eldenet.evaluation.protocol import EvalProtocol
+
+pytestmark = pytest.mark.filterwarnings("ignore:Mean of empty slice")  # images without SSIM
+
+
+def box(counts: Tensor) -> tuple[int, int, int, int]:
+    rows, cols = counts.any(dim=1).nonzero(), counts.any(dim=0).nonzero()
+    return int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
+
+
+BOXES = {
+    "nyu_bts": (45, 471, 41, 601),
+    "nyu_inpainted_eigen": (45, 471, 41, 601),
+    "nyu_densedepth": (20, 460, 24, 616),
+    "nyu_paper": (0, 228, 0, 304),
+    "nyu_sparse_to_dense": (0, 228, 0, 304),
+    "kitti_depth": (0, 352, 0, 1216),
+    "kitti_sparse": (0, 352, 0, 1216),
+    "kitti_paper": (0, 228, 0, 912),
+    "kitti_s2d_912x228": (0, 228, 0, 912),
+    "kitti_eigen_garg_raw": (153, 371, 44, 1197),  # of 375 x 1242
+    "kitti_eigen_garg_improved": (153, 371, 44, 1197),
+    "kitti_eigen_eigen": (124, 342, 44, 1197),
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_crop_of_every_protocol(name: str) -> None:
+    protocol = from_yaml(name)
+    size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
+    depth = torch.ones(1, 1, *size)
+    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
+    top, bottom, left, right = box(counts)
+    assert (top, bottom, left, right) == BOXES.get(name, (0, size[0], 0, size[1]))
+    assert counts.sum() == (bottom - top) * (right - left)
+    assert protocol.name == name
+    assert EvalProtocol(**protocol.as_dict()) == protocol
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [  # by hand, 0.40810811 x 375 = 153.04, 0.99189189 x 375 = 371.96, 0.03594771 x 1242 = 44.6 ...
+        ("kitti_eigen_garg_raw", (375, 1242), (153, 371, 44, 1197)),
+        ("kitti_eigen_garg_raw", (352, 1216), (143, 349, 43, 1172)),
+        ("kitti_eigen_garg_raw", (370, 1224), (151, 366, 43, 1180)),  # 366.99999 and 43.999997 are cut off
+        ("kitti_eigen_eigen", (375, 1242), (124, 342, 44, 1197)),
+        ("kitti_eigen_eigen", (352, 1216), (117, 321, 43, 1172)),
+    ],
+)
+def test_fractions_are_of_the_truths_own_size(
+    name: str, size: tuple[int, int], expected: tuple[int, ...]
+) -> None:
+    protocol = from_yaml(name)
+    depth = torch.ones(2, 1, *size)
+    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))
+    assert box(counts[1, 0]) == protocol.crop_box(*size) == expected
+    assert (protocol.min_depth, protocol.max_depth, protocol.average) == (1e-3, 80.0, "image")
+
+
+def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
+    protocol = EvalProtocol("p", frame_crop=(4, 6), frame_anchor="bottom", paste=True)
+    depth = torch.full((1, 1, 9, 11), 5.0)
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    counts = protocol.scored(depth, mask)
+    assert (
+        box(counts[0, 0]) == protocol.pasted_box(9, 11) == (5, 9, 2, 8)
+    )  # 11 - 6 is odd: one more on the right
+    prediction = torch.arange(1.0, 25).view(1, 1, 4, 6).clamp(max=9)
+    ready = protocol.prepare(prediction, depth, counts)
+    torch.testing.assert_close(ready[..., 5:9, 2:8], prediction)
+    assert (ready[..., :5, :] == protocol.min_depth).all()
+    small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
+    assert small.shape == depth.shape
+    assert (small[~counts] == 0).all()
+    centred = EvalProtocol("p", frame_crop=(4, 6), paste=True)
+    assert centred.pasted_box(9, 11) == (2, 6, 2, 8)
+    with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
+        protocol.scored(depth[..., :3, :], mask[..., :3, :])
+
+
+def test_protocols_are_the_literatures() -> None:
+    bts, dense, sparse = (from_yaml(f"nyu_{name}") for name in ("bts", "densedepth", "sparse_to_dense"))
+    assert (bts.ground_truth, bts.min_depth, bts.max_depth, bts.average, bts.clamp, bts.flip) == (
+        "raw", 1e-3, 10.0, "image", True, "none",
+    )  # fmt: skip
+    assert (dense.ground_truth, dense.min_depth, dense.max_depth, dense.average, dense.flip) == (
+        "inpainted", 0.1, 10.0, "pixel", "mean",
+    )  # fmt: skip
+    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (
+        0.5,
+        (228, 304),
+        False,
+        "image",
+    )
+
+
+def test_pixels_outside_the_crop_do_not_matter() -> None:
+    protocol = EvalProtocol("p", size=(14, 18), crop=(2, 9, 3, 15))
+    prediction, depth, mask = batch(6, known=1.0)
+    inside = tuple(tensor[..., 2:9, 3:15] for tensor in (prediction, depth, mask))
+    outside = torch.ones_like(mask)
+    outside[..., 2:9, 3:15] = False
+    result = scores(
+        protocol, (prediction.masked_fill(outside, math.nan), depth.masked_fill(outside, 3.0), mask)
+    )
+    result.pop("ssim")  # needs whole windows
+    expected = scores(EvalProtocol("p"), inside)
+    assert_same(result, {name: expected[name] for name in result})
+
+
+def test_range_is_strict_and_holes_do_not_count() -> None:
+    protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
+    depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    assert protocol.scored(depth, mask).flatten().tolist() == [
+        False,
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
+    mask[..., 3] = False
+    assert protocol.scored(depth, mask).sum() == 0
+
+
+def test_clamp() -> None:
+    depth = torch.full((1, 1, 8, 8), 5.0)
+    prediction = torch.full((1, 1, 8, 8), 50.0)
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    assert scores(EvalProtocol("p", clamp=True), (prediction, depth, mask))["mae"] == 5.0
+    assert scores(EvalProtocol("p", clamp=False), (prediction, depth, mask))["mae"] == 45.0
+    assert scores(EvalProtocol("p", clamp=True), (-prediction, depth, mask))["mae"] == pytest.approx(4.999)
+
+
+@pytest.mark.parametrize("value", [0.0, -5.0])
+def test_unclamped_nonsense_never_counts_as_right(value: float) -> None:
+    depth = torch.full((2, 1, 8, 8), 5.0)
+    prediction = depth.clone()
+    prediction[0] = value
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    for average in ("image", "pixel"):
+        result = scores(EvalProtocol("p", clamp=False, average=average), (prediction, depth, mask))
+        assert result["delta1"] == result["delta3"] == 0.5
+        assert not math.isfinite(result["log10"])  # undefined, and not that of the other image alone
+        assert not math.isfinite(result["silog"])
+
+
+def test_median_scale_forgives_a_factor_per_image() -> None:
+    _, depth, mask = batch(7, images=2)
+    factors = torch.tensor([0.5, 3.0]).view(2, 1, 1, 1)
+    protocol = EvalProtocol("p", scale="median", max_depth=12.0)
+    assert scores(protocol, (depth * factors, depth, mask))["abs_rel"] == pytest.approx(0, abs=1e-6)
+
+
+def test_median_of_an_even_number_is_numpys() -> None:
+    depth, prediction = torch.full((1, 1, 8, 8), 1.0), torch.full((1, 1, 8, 8), 1.0)
+    depth[..., 0, :2] = torch.tensor([2.0, 4.0])
+    prediction[..., 0, :2] = torch.tensor([1.0, 2.0])
+    mask = torch.zeros_like(depth, dtype=torch.bool)
+    mask[..., 0, :2] = True
+    ready = EvalProtocol("p", scale="median").prepare(prediction, depth, mask)
+    torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
+
+
+@pytest.mark.parametrize("size", [(16, 24), (19, 31), (5, 7)])
+def test_nearest_is_that_of_the_pixels_centres(size: tuple[int, int]) -> None:
+    depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96
+    protocol = EvalProtocol("p", interpolation="nearest")
+    ready = protocol.prepare(small, depth, torch.ones_like(depth, dtype=torch.bool))
+    rows, cols = ((2 * np.arange(to) + 1) * of // (2 * to) for to, of in zip(size, (8, 12), strict=True))
+    np.testing.assert_array_equal(ready[0, 0].numpy(), small[0, 0].numpy()[rows][:, cols])
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
+def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
+    depth = torch.full((1, 1, 16, 24), 2.0)
+    small = 1 + torch.rand(1, 1, 8, 12, generator=torch.Generator().manual_seed(0))
+    mask = torch.ones_like(depth, dtype=torch.bool)
+    ready = EvalProtocol("p", interpolation=interpolation).prepare(small, depth, mask)
+    order = {"bilinear": 1, "nearest": 0}[interpolation]
+    expected = zoom(small[0, 0].numpy(), 2, order=order, mode="nearest", grid_mode=True)
+    np.testing.assert_allclose(ready[0, 0].numpy(), expected, atol=1e-6)

@@ -1,0 +1,132 @@
+"""Networks trained on crops of a camera's frames see its whole frames at the scale of those crops."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import layouts
+from support.networks import small_net
+
+from eldenet.config import build_protocol, build_split, compose
+from eldenet.deploy import runtimes
+from eldenet.deploy.files import describe
+from eldenet.deploy.predictor import DepthPredictor
+from eldenet.deploy.runtimes.base import Runtime
+from eldenet.deploy.runtimes.module import RuntimeNetwork
+from eldenet.evaluate import trained_size
+from eldenet.export import read_job
+from eldenet.geometry import resize_intrinsics
+from eldenet.model import DepthNet
+from eldenet.train import seen_sizes, train
+
+VGA = layouts.content((480, 640))
+CROPPING = {
+    "kitti": (layouts.kitti_depth, ["data=kitti"]),
+    "kitti_raw": (layouts.kitti_raw, ["data=kitti_raw"]),
+    "kitti_paper": (
+        layouts.kitti_depth,
+        ["+experiment=kitti_paper", "data.depth=groundtruth", "data.subset.train=1"],
+    ),
+    "nyu_hdf5": (lambda root: layouts.hdf5(root, VGA), ["data=nyu_hdf5"]),
+}
+
+
+def training(name: str, folder: Path) -> tuple[dict[str, Any], Any]:
+    """What a model of this training says of sizes, and the training's frames."""
+    layout, overrides = CROPPING[name]
+    config = compose("train", [*overrides, f"data.root={layout(folder)}"])
+    protocol = build_protocol(config)
+    frames = build_split(config, "train", protocol)
+    return seen_sizes(list(config.data.input_size), protocol, frames), frames
+
+
+@pytest.mark.parametrize("name", ["kitti", "kitti_raw", "kitti_paper"])
+def test_focal_lengths_are_the_trainings(name: str, tmp_path: Path) -> None:
+    info, frames = training(name, tmp_path)
+    whole = frames.load_frame(0)
+    size = whole.depth.shape
+    model = small_net()
+    model.save_pretrained(tmp_path / "model", info=info)
+    predictor = DepthPredictor(DepthNet.from_pretrained(tmp_path / "model"))
+    seen = resize_intrinsics(whole.intrinsics, size, predictor.size_for(*size))
+    trained = frames[0]["intrinsics"].numpy()
+    for axis, side in ((0, 1), (1, 0)):  # to half a pixel of the size
+        half = 0.51 / predictor.size_for(*size)[side]
+        assert seen[axis, axis] == pytest.approx(trained[axis, axis], rel=half)
+    squeezed = resize_intrinsics(whole.intrinsics, size, info["input_size"])
+    assert squeezed[1, 1] < 0.95 * trained[1, 1]
+
+
+def test_sizes_of_whole_frames(tmp_path: Path) -> None:
+    kitti, _ = training("kitti", tmp_path / "kitti")
+    assert kitti == {"input_size": [176, 608], "whole_frame_size": [188, 621]}
+    nyu, _ = training("nyu_hdf5", tmp_path / "nyu")
+    assert nyu == {"input_size": [228, 304], "whole_frame_size": [240, 320]}
+    config = compose("train", ["data=kitti", f"data.root={tmp_path / 'kitti/depth'}", "data.input_size=null"])
+    protocol = build_protocol(config)
+    sizes = seen_sizes(None, protocol, build_split(config, "train", protocol))
+    assert sizes == {"input_size": None, "whole_frame_size": [375, 1242]}
+
+
+class Fitted(Exception):
+    """Raised in the place of a training."""
+
+
+def test_a_training_tells_its_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fit(*args: Any, info: dict[str, Any], **options: Any) -> None:
+        raise Fitted(info)
+
+    monkeypatch.setattr("eldenet.training.trainer.Trainer.fit", fit)
+    given = ["data=kitti", f"data.root={layouts.kitti_depth(tmp_path)}", "model=eldenet_s", "model_name=m"]
+    config = compose("train", [*given, "run_dir=r", "runtime.threads=1", "runtime.workers=0"])
+    with pytest.raises(Fitted) as told:
+        train(config, tmp_path / "run")
+    assert told.value.args[0]["whole_frame_size"] == [188, 621]
+    assert told.value.args[0]["input_size"] == [176, 608]
+
+
+def test_where_frames_are_seen_whole_nothing_is_added(tmp_path: Path) -> None:
+    tree = layouts.cityscapes(tmp_path, layouts.content((1024, 2048)))
+    for overrides in (["data=cityscapes"], ["+experiment=cityscapes_paper"]):
+        config = compose("train", [*overrides, f"data.root={tree}"])
+        protocol = build_protocol(config)
+        sizes = seen_sizes([128, 256], protocol, build_split(config, "train", protocol))
+        assert sizes == {"input_size": [128, 256]}
+
+
+WHOLE, PART = [60, 76], [48, 64]
+
+
+def network_of_crops() -> DepthNet:
+    model = small_net()
+    model.info = {"input_size": PART, "whole_frame_size": WHOLE}
+    return model
+
+
+def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> None:
+    model = network_of_crops()
+    for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
+        config = compose("export", ["checkpoint=x", f"output='{tmp_path / 'm.onnx'}'", *overrides])
+        assert list(read_job(config, model).size) == size
+    network = runtimes.load(model, "torch", threads=1)
+    assert network.info["input_size"] == tuple(WHOLE)
+    assert DepthPredictor(network).size_for(120, 152) == tuple(WHOLE)
+    chosen = DepthPredictor(runtimes.load(model, "torch", threads=1, size=(48, 64)))
+    assert chosen.size_for(120, 152) == (48, 64)
+
+
+def test_a_protocol_decides_which_size_is_scored() -> None:
+    model = network_of_crops()
+    crops, whole = (
+        build_protocol(compose("train", [f"protocol={name}"]))
+        for name in ("kitti_eigen_garg_improved", "kitti_eigen_garg_raw")
+    )
+    assert (trained_size(model, crops), trained_size(model, whole)) == (PART, WHOLE)
+
+    def file(size: list[int]) -> RuntimeNetwork:
+        return RuntimeNetwork(Runtime("fp32", 1, "cpu", describe(model, "m", (size[0], size[1]))))
+
+    assert trained_size(file(WHOLE), whole) == tuple(WHOLE)
+    assert trained_size(file(PART), crops) == tuple(PART)
+    with pytest.raises(ValueError, match=r"whole frames, 60 x 76 pixels, and protocol kitti_eigen_garg_impr"):
+        trained_size(file(WHOLE), crops)

@@ -1,0 +1,229 @@
+"""Losses: right against independent formulations, blind to masked pixels, differentiable."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.depth_maps import maps, patchy, value_and_gradient
+from torch import Tensor
+
+from eldenet.config import compose, instantiate
+from eldenet.losses.base import Loss, WeightedSum, WeightedTerm, masked_mean
+from eldenet.losses.gradient import GradientLoss
+from eldenet.losses.pointwise import BerHuLoss, L1Loss, L2Loss
+from eldenet.losses.silog import SILogLoss
+from eldenet.losses.ssim import SSIMLoss
+
+FOLDER = Path(__file__).parents[2] / "configs" / "loss"
+WITH_TEACHER = {"ssim_l1_distill"}  # tests/test_distillation.py
+NAMES = sorted({path.stem for path in FOLDER.glob("*.yaml")} - WITH_TEACHER)
+LOSSES: dict[str, Callable[[], Loss]] = {
+    "l1": L1Loss,
+    "l2": L2Loss,
+    "berhu": BerHuLoss,
+    "silog": SILogLoss,
+    "gradient": GradientLoss,
+    "ssim": SSIMLoss,
+    "ssim_7": lambda: SSIMLoss(window=7, value_range=4.0),
+}
+ANYTHING = [0.0, -3.0, 1e6, 1e30, math.nan, math.inf, -math.inf]
+
+
+def from_yaml(name: str) -> WeightedSum:
+    return instantiate(compose("train", [f"loss={name}"]).loss)
+
+
+# --- every loss that a YAML file names ---
+
+
+def test_the_yaml_files_are_found() -> None:
+    assert {"berhu", "l1", "l2", "silog", "ssim_l1", "ssim_l1_gradient", "ssim_l1_log"} <= set(NAMES)
+
+
+SPACED = {
+    space: lambda space=space: WeightedSum({"l1": WeightedTerm(L1Loss(), space=space)})
+    for space in ("log", "inverse")
+}
+
+
+@pytest.fixture(params=[*NAMES, *SPACED], scope="module")
+def total(request: pytest.FixtureRequest) -> Callable[..., Tensor]:
+    loss = SPACED[request.param]() if request.param in SPACED else from_yaml(request.param)
+    return lambda *arguments: loss(*arguments)[0]
+
+
+def test_minimal_on_equal(total: Callable[..., Tensor]) -> None:
+    prediction, target = maps(0)
+    mask = torch.ones_like(target, dtype=torch.bool)
+    at_equal, gradient = value_and_gradient(total, target, target, mask)
+    assert abs(at_equal) < 1e-4
+    assert torch.isfinite(gradient).all()
+    assert total(prediction, target, mask) > at_equal + 0.01
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    share=st.sampled_from([0.02, 0.2, 0.7]),
+    junk=st.lists(st.sampled_from(ANYTHING), min_size=2, max_size=2),
+)
+@settings(max_examples=25, deadline=None)
+def test_masked_pixels_do_not_matter(total, seed: int, share: float, junk: list[float]) -> None:
+    prediction, target = maps(seed)
+    mask = patchy(seed + 1, target.shape, share)
+    value, gradient = value_and_gradient(total, prediction, target, mask)
+    assert torch.isfinite(value)
+    assert (gradient[~mask] == 0).all()
+    spoilt = prediction.masked_fill(~mask, junk[0]), target.masked_fill(~mask, junk[1])
+    value_again, gradient_again = value_and_gradient(total, *spoilt, mask)
+    assert torch.equal(value, value_again)
+    assert torch.equal(gradient, gradient_again)
+
+
+def test_nothing_known_is_no_harm(total: Callable[..., Tensor]) -> None:
+    prediction, target = maps(0)
+    nothing = torch.zeros_like(target, dtype=torch.bool)
+    for junk in (1.0, *ANYTHING):
+        spoilt = torch.full_like(prediction, junk)
+        value, gradient = value_and_gradient(total, spoilt, target, nothing)
+        assert abs(value) < 1e-4
+        assert (gradient == 0).all()
+
+
+def test_one_known_pixel_is_enough(total: Callable[..., Tensor]) -> None:
+    prediction, target = maps(0)
+    mask = torch.zeros_like(target, dtype=torch.bool)
+    mask[1, 0, 3, 4] = True
+    value, gradient = value_and_gradient(total, prediction, target, mask)
+    assert torch.isfinite(value)
+    assert torch.isfinite(gradient).all()
+
+
+# --- each loss against another formulation ---
+
+
+def berhu(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray) -> float:
+    error = np.abs(prediction - target)[mask]
+    c = 0.2 * error.max()
+    return float(np.where(error <= c, error, (error**2 + c**2) / (2 * c)).mean())
+
+
+def silog(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray) -> float:
+    g = np.log(prediction[mask]) - np.log(target[mask])
+    return float(10 * np.sqrt((g**2).mean() - 0.85 * g.mean() ** 2))
+
+
+def steps(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray) -> float:
+    error = np.where(mask, prediction - target, np.nan)
+    return float(sum(np.nanmean(np.abs(np.diff(error, axis=axis))) for axis in (-1, -2)))
+
+
+REFERENCES = {
+    "l1": lambda p, t, m: np.abs(p - t)[m].mean(),
+    "l2": lambda p, t, m: ((p - t) ** 2)[m].mean(),
+    "berhu": berhu,
+    "silog": silog,
+    "gradient": steps,
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", REFERENCES)
+def test_equals_numpy(name: str, seed: int) -> None:
+    prediction, target = maps(seed, dtype=torch.float64)
+    mask = patchy(seed, target.shape, 0.3)
+    expected = REFERENCES[name](prediction.numpy(), target.numpy(), mask.numpy())
+    assert LOSSES[name]()(prediction, target, mask).item() == pytest.approx(expected, rel=1e-12)
+
+
+def test_berhu_by_hand() -> None:
+    # errors 0.1, 0.2, 1: c = 0.2; the last costs (1 + 0.04) / 0.4 = 2.6
+    target = torch.ones(1, 1, 1, 3)
+    prediction = target + torch.tensor([0.1, -0.2, 1.0])
+    value = BerHuLoss()(prediction, target, torch.ones_like(target, dtype=torch.bool))
+    assert value.item() == pytest.approx((0.1 + 0.2 + 2.6) / 3)
+
+
+def test_silog_with_balance_1_is_blind_to_scale() -> None:
+    prediction, target = maps(0, dtype=torch.float64)
+    mask = torch.ones_like(target, dtype=torch.bool)
+    loss = SILogLoss(balance=1.0)
+    torch.testing.assert_close(loss(3 * prediction, target, mask), loss(prediction, target, mask))
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_gradcheck(name: str) -> None:
+    prediction, target = maps(3, size=(7, 8), batch=1, dtype=torch.float64)
+    loss, mask = LOSSES[name](), patchy(4, target.shape, 0.02)
+    mask[0, 0, 0, 0] = True
+    # berHu's threshold follows the largest error but carries no gradient: that one pixel stands still
+    largest = torch.zeros_like(mask)
+    largest[0, 0, 0, 0] = True
+
+    def function(values: Tensor) -> Tensor:
+        return loss(values.masked_fill(largest, 50.0), target, mask)
+
+    assert torch.autograd.gradcheck(function, prediction.requires_grad_())
+
+
+# --- the sum ---
+
+
+def test_total_is_the_weighted_sum() -> None:
+    prediction, target = maps(11)
+    mask = patchy(12, target.shape, 0.1)
+    weights = {"l1": 0.3, "ssim": 2.0, "gradient": 0.0}
+    loss = WeightedSum({name: WeightedTerm(LOSSES[name](), weight) for name, weight in weights.items()})
+    total, terms = loss(prediction, target, mask)
+    assert list(terms) == list(weights)
+    for name, value in terms.items():
+        torch.testing.assert_close(value, LOSSES[name]()(prediction, target, mask))
+    torch.testing.assert_close(total, 0.3 * terms["l1"] + 2.0 * terms["ssim"])
+
+
+def test_a_term_may_compare_logarithms_or_inverses() -> None:
+    prediction, target = maps(14)
+    mask = patchy(15, target.shape, 0.2)
+    for space, change in (("metres", lambda depth: depth), ("log", torch.log), ("inverse", lambda d: 1 / d)):
+        for name in ("l1", "berhu", "gradient"):
+            loss = WeightedSum({name: WeightedTerm(LOSSES[name](), 0.5, space=space)})
+            total, terms = loss(prediction, target, mask)
+            expected = LOSSES[name]()(change(prediction), change(target), mask)
+            torch.testing.assert_close(terms[name], expected)
+            torch.testing.assert_close(total, 0.5 * expected)
+    with pytest.raises(ValueError, match="space='disparity': choose one of"):
+        WeightedTerm(L1Loss(), space="disparity")
+
+
+def test_the_papers_loss_shows_both_weights() -> None:
+    loss = from_yaml("ssim_l1")
+    assert {name: term.weight for name, term in loss.terms.items()} == {"ssim": 1.0, "l1": 1.0}
+    assert loss.terms["ssim"].loss.value_range == 10.0
+    assert set(from_yaml("ssim_l1_gradient").terms) == {"ssim", "l1", "gradient"}
+    assert from_yaml("ssim_l1_log").terms["log_l1"].space == "log"
+
+
+def test_wrong_inputs_say_so() -> None:
+    prediction, target = maps(13)
+    mask = torch.ones_like(target, dtype=torch.bool)
+    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
+    with pytest.raises(ValueError, match=r"prediction \(1, 1, 16, 20\), target \(2, 1, 16, 20\).*one shape"):
+        loss(prediction[:1], target, mask)
+    with pytest.raises(ValueError, match="one shape"):
+        loss(prediction, target, mask[..., :5])
+    with pytest.raises(ValueError, match=r"mask is torch\.float32: a bool tensor"):
+        loss(prediction, target, mask.float())
+    with pytest.raises(ValueError, match="at least one term"):
+        WeightedSum({})
+    with pytest.raises(ValueError, match="weight=-1"):
+        WeightedTerm(L1Loss(), -1)
+
+
+def test_masked_mean() -> None:
+    values = torch.tensor([1.0, 2.0, math.nan])
+    assert masked_mean(values, torch.tensor([True, True, False])) == 1.5
+    assert masked_mean(values, torch.zeros(3, dtype=torch.bool)) == 0

@@ -1,0 +1,90 @@
+"""SSIM as a loss: right against two other implementations, over whole windows, in full precision."""
+
+import kornia.metrics
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import binary_erosion
+from skimage.metrics import structural_similarity
+from support.depth_maps import maps, patchy, value_and_gradient
+
+from eldenet.losses.ssim import SSIMLoss, eroded, ssim_map
+
+
+@pytest.mark.parametrize("window", [5, 7, 11])
+@pytest.mark.parametrize("size", [(11, 14), (24, 31)])
+def test_ssim_map_equals_kornia(size: tuple[int, int], window: int) -> None:
+    prediction, target = maps(5, size=size, dtype=torch.float64)
+    ours = ssim_map(prediction, target, window=window, value_range=10.0)
+    theirs = kornia.metrics.ssim(prediction, target, window, max_val=10.0, eps=0.0)
+    torch.testing.assert_close(ours, theirs, atol=1e-12, rtol=0)
+    single = ssim_map(prediction.float(), target.float(), window=window, value_range=10.0)
+    torch.testing.assert_close(single.double(), theirs, atol=1e-5, rtol=0)
+
+
+def test_ssim_equals_scikit_image() -> None:
+    prediction, target = maps(6, size=(32, 40), batch=1, dtype=torch.float64)
+    mean, full = structural_similarity(
+        prediction[0, 0].numpy(),
+        target[0, 0].numpy(),
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=10.0,
+        full=True,
+    )
+    inside = np.s_[5:-5, 5:-5]
+    ours = ssim_map(prediction, target, window=11, value_range=10.0)[0, 0].numpy()
+    np.testing.assert_allclose(ours[inside], full[inside], atol=1e-10)
+    assert ours[inside].mean() == pytest.approx(mean)
+    loss = SSIMLoss()(prediction, target, torch.ones_like(target, dtype=torch.bool))
+    assert loss.item() == pytest.approx((1 - ours.mean()) / 2)
+
+
+@pytest.mark.parametrize("window", [3, 7, 11])
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.05, 1.0])
+def test_erosion_equals_scipy(window: int, share: float) -> None:
+    mask = patchy(7, (3, 1, 30, 40), share)
+    ours = eroded(mask, window).numpy()
+    expected = [
+        binary_erosion(one, structure=np.ones((window, window)), border_value=1) for one in mask[:, 0].numpy()
+    ]
+    np.testing.assert_array_equal(ours[:, 0], expected)
+
+
+def test_ssim_counts_whole_windows_only() -> None:
+    prediction, target = maps(8, size=(30, 40), batch=1, dtype=torch.float64)
+    mask = torch.ones_like(target, dtype=torch.bool)
+    mask[..., 15, 20] = False
+    similarity = ssim_map(prediction, target, window=11, value_range=10.0)
+    keep = np.ones((30, 40), dtype=bool)
+    keep[10:21, 15:26] = False
+    expected = ((1 - similarity[0, 0].numpy()) / 2)[keep].mean()
+    assert SSIMLoss()(prediction, target, mask).item() == pytest.approx(expected)
+
+
+def test_ssim_keeps_its_precision_under_autocast() -> None:
+    prediction, target = maps(9)
+    target = prediction + 0.05 * target
+    exact = ssim_map(prediction.double(), target.double(), window=11, value_range=10.0)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        mixed = ssim_map(prediction, target, window=11, value_range=10.0)
+    torch.testing.assert_close(mixed.double(), exact, atol=1e-5, rtol=0)
+
+
+def test_ssim_trains_after_an_evaluation_of_the_same_size() -> None:
+    size = (13, 17)  # of no other test: its blur is built here, in inference mode
+    prediction, target = maps(10, size=size, dtype=torch.float64)  # as the blur is kept
+    with torch.inference_mode():
+        ssim_map(prediction, target, window=11, value_range=10.0)
+    mask = torch.ones_like(target, dtype=torch.bool)
+    _, gradient = value_and_gradient(SSIMLoss(), prediction, target, mask)
+    assert gradient.abs().sum() > 0
+
+
+def test_ssim_refuses_what_it_cannot_do() -> None:
+    with pytest.raises(ValueError, match="window=4: an odd number"):
+        SSIMLoss(window=4)
+    small = torch.ones(1, 1, 5, 50)
+    with pytest.raises(ValueError, match=r"window of 11 pixels needs larger maps than \(1, 1, 5, 50\)"):
+        ssim_map(small, small, window=11, value_range=10.0)

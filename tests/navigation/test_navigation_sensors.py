@@ -1,0 +1,307 @@
+"""Sensors with a camera: what feeds each sector, boxes of objects, measured errors and noise made of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.config import compose, instantiate
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.geometry import to_corner
+from eldenet.heads import LinearHead
+from eldenet.model import DepthNet
+from eldenet.navigation.cameras import Camera, CameraEye, camera, near_faces, objects, simulated_detections
+from eldenet.navigation.looks import Looks, look_along, look_near
+from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.range_errors import EDGES, RangeErrors, fit_errors, things
+from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.perception.detectors import CallableDetector
+from eldenet.perception.lifter import BoxLifter
+from eldenet.simulation.arena_view import ArenaView
+from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+from eldenet.simulation.robot import ROBOT
+
+BOX = Obstacle("box", 3.0, 0.4, 0.3, (0.4, 0.3), 1.0)
+PILLAR = Obstacle("cylinder", 2.5, -0.9, 0.0, (0.25, 0.25), 1.2)
+ARENA = Arena("", 2, 0, (BOX, PILLAR), (0.0, 0.0, 0.0), ((5.0, 0.0),))
+
+
+def eye_of(sensor: Camera, arena: Arena = ARENA) -> CameraEye:
+    eye = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
+    assert isinstance(eye, CameraEye)
+    return eye
+
+
+# --- boxes ---
+
+
+def test_each_sector_says_what_fed_it():
+    arena = generate_arena("val", 20, 0)
+    sight = eye_of(objects(size=(60, 80)), arena).look()
+    assert set(sight.sectors_fed_by) <= {"box", "depth"}
+    assert sight.image.shape == (60, 80, 3)
+    sight = eye_of(objects()).look()
+    # right to left: pillar, pillar, between the two, box, nothing but the wall
+    assert sight.sectors_fed_by[0] == sight.sectors_fed_by[3] == "box"
+    assert sight.sectors_fed_by[4] == "depth"
+    assert sight.sectors[4] == ROBOT.far or sight.sectors[4] > 8
+    assert eye_of(camera()).look().sectors_fed_by == ("depth",) * 5
+
+
+def test_near_faces_agree_with_rays():
+    eye = eye_of(objects())
+    sight, true = eye.look(), ArenaWorld(ARENA).ranges()
+    by_box = sight.fed_by == 2
+    shows = (true < 4) & by_box
+    assert shows.sum() > 12
+    assert np.abs(np.log(sight.ranges[shows] / true[shows])).mean() < 0.06
+
+
+def test_the_simulator_s_detections_go_round_what_shows():
+    view = ArenaView(ARENA, (120, 160))
+    photo = view.photo(ARENA.start)
+    found = simulated_detections(photo, ARENA)
+    assert sorted(found.classes) == ["box", "cylinder"]
+    for xyxy, kind in zip(to_corner(found.xyxy).astype(int), found.classes, strict=True):
+        mine = photo.obstacle == [o.kind for o in ARENA.obstacles].index(kind)
+        left, top, right, bottom = xyxy
+        assert mine[top:bottom, left:right].sum() == mine.sum()
+        assert mine[top].any()
+        assert mine[bottom - 1].any()
+        assert mine[:, left].any()
+        assert mine[:, right - 1].any()
+    empty = Arena("", 0, 0, (), ARENA.start, ARENA.waypoints)
+    assert len(simulated_detections(ArenaView(empty, (60, 80)).photo(ARENA.start), empty)) == 0
+    assert set(eye_of(objects(size=(60, 80)), empty).look().sectors_fed_by) == {"depth"}
+
+
+def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
+    true = ArenaWorld(ARENA).ranges()
+    pillar = (true < 2.6) & (np.arange(ROBOT.columns) < 16)
+    assert pillar.sum() > 5
+    return pillar, true
+
+
+def test_what_no_detector_finds_comes_from_depth():
+    pillar, true = pillar_columns()
+    found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
+    box = found.xyxy[found.classes.index("box")]
+    detector = CallableDetector(lambda frame: (to_corner(box[None]), [0.9], [0]), ("box",))
+    sight = eye_of(objects(detector=detector)).look()
+    assert (sight.fed_by[pillar] == 1).all()
+    assert np.abs(sight.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert sight.sectors_fed_by[3] == "box"
+    with pytest.raises(ValueError, match="needs a lifter"):
+        Camera(detector=detector)
+
+
+def test_a_box_hides_nothing_that_stands_before_it():
+    pillar, true = pillar_columns()
+    behind = Boxes3D(
+        np.array([[0.8, -0.1, 6.0]]), np.array([[4.0, 1.0, 1.0]]), np.zeros(1), np.ones(1),
+        np.zeros(1, np.int64), ("box",),
+    )  # fmt: skip
+    wide = CallableDetector(lambda frame: (np.array([[0.0, 0.0, 160.0, 120.0]]), [0.9], [0]), ("box",))
+    sensor = Camera(None, lambda depth, detections, camera: behind, wide)
+    sight = eye_of(sensor).look()
+    assert (sight.fed_by[pillar] == 1).all()
+    assert np.abs(sight.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert sight.ranges[sight.fed_by == 2] == pytest.approx(5.5, rel=0.15)
+
+
+def test_a_box_counts_only_where_its_detection_is():
+    eye = eye_of(objects())
+    eye.look()
+    found = simulated_detections(eye.photo, ARENA)
+    boxes = BoxLifter("lshape", ground=None)(eye.photo.depth, found, eye.camera)
+    whole = near_faces(boxes, found, eye.camera)
+    half = Detections2D(found.xyxy.copy(), found.score, found.label, found.names)
+    half.xyxy[:, 2] = half.xyxy[:, [0, 2]].mean(axis=1)
+    fewer = near_faces(boxes, half, eye.camera)
+    assert 0 < (fewer < ROBOT.far).sum() < (whole < ROBOT.far).sum()
+
+
+def test_any_trained_network_can_feed_a_camera(tmp_path):
+    model = DepthNet.from_parts(PPLCNet(0.25), FastUpConvDecoder, LinearHead())
+    model.save_pretrained(tmp_path / "run" / "model", info={"input_size": [48, 64]})
+    for source in (tmp_path / "run", tmp_path / "run" / "model"):
+        sensor = camera(str(source), size=(60, 80))
+        sight = eye_of(sensor).look()
+        assert sight.depth.shape == (60, 80)
+        intrinsics = ArenaView(ARENA, (60, 80)).intrinsics
+        np.testing.assert_allclose(sight.ranges, depth_to_ranges(sight.depth, intrinsics))
+    with pytest.raises(FileNotFoundError, match="neither a folder"):
+        camera("no-such-run")
+
+
+@pytest.mark.parametrize("sensor", ["ranges", "noisy", "camera", "objects"])
+def test_sensors_of_the_configs_look(sensor):
+    config = compose("navigate", [f"sensor={sensor}"])
+    eye = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
+    assert eye.look().ranges.shape == (ROBOT.columns,)
+
+
+def test_the_environment_s_info_says_what_fed_each_sector():
+    pytest.importorskip("gymnasium")
+    from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
+
+    env = ArenaNavEnv(arena=ARENA, sensor=objects(size=(60, 80)))
+    _, info = env.reset(seed=0)
+    assert set(info["fed_by"]) == {"box", "depth"}
+    assert len(env.step(2)[4]["fed_by"]) == 5
+    many = ArenaNavVectorEnv(2, sensor=objects(size=(36, 48)))
+    many.reset(seed=0)
+    assert many.step(np.array([2, 2]))[4]["fed_by"].shape == (2, 5)
+    plain = ArenaNavVectorEnv(2)
+    plain.reset(seed=0)
+    assert "fed_by" not in plain.step(np.array([2, 2]))[4]
+
+
+# --- errors ---
+
+
+def drawn(errors: RangeErrors) -> Looks:
+    arenas = [arena for density in (20, 60) for arena in frozen_arenas(density, 8, split="val")]
+    return look_along(arenas, NoisyRanges(errors=errors), Navigator.load())
+
+
+@pytest.fixture(scope="module")
+def put_in() -> RangeErrors:
+    return RangeErrors(
+        EDGES,
+        bias=(0.1, 0.05, 0.0, 0.0, -0.05, -0.1),
+        spread=(0.08, 0.08, 0.1, 0.12, 0.15, 0.18),
+        miss=(0.0, 0.0, 0.2, 0.3, 0.3, 0.3),
+        scale=0.5, smooth=0.7, column=0.65, memory=0.7, far=(-0.2, 0.1),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def measured(put_in) -> RangeErrors:
+    return fit_errors(drawn(put_in), note="a test")
+
+
+def test_errors_that_were_put_in_are_measured(put_in, measured):
+    assert measured.bias[1:5] == pytest.approx(np.interp(measured.middles[1:5], put_in.middles, put_in.bias),
+                                               abs=0.04)  # fmt: skip
+    assert measured.spread[1:5] == pytest.approx(put_in.spread[1:5], rel=0.25)
+    assert measured.scale == pytest.approx(put_in.scale, abs=0.15)
+    assert measured.smooth == pytest.approx(put_in.smooth, abs=0.15)
+    assert measured.column == pytest.approx(put_in.column, abs=0.15)
+    assert measured.memory == pytest.approx(put_in.memory, abs=0.25)
+    assert measured.far == pytest.approx(put_in.far, abs=0.04)
+    # what stands before the wall, or before something near, cannot read half as far again: fewer show
+    assert measured.miss[0] == 0
+    assert 0.02 < measured.miss[2] < 0.25
+    assert measured.measured["note"] == "a test"
+    missed = [row["missed"] for row in measured.sectors]
+    assert missed[0] == 0
+    assert missed[3] > 0.03
+    assert sum(row["count"] for row in measured.sectors) > 1000
+
+
+def test_looks_from_places_close_to_obstacles(put_in):
+    arenas = list(frozen_arenas(80, 3, split="val"))
+    looks = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
+    assert looks.ranges.shape == looks.true.shape == (60, 40)
+    assert len(np.unique(looks.crossing)) == 60
+    close, along = looks.true < 0.8, drawn(put_in).true < 0.8
+    assert close.mean() > 0.05 > 0.02 > along.mean()
+    again = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
+    np.testing.assert_array_equal(again.ranges, looks.ranges)
+    with pytest.raises(ValueError, match="looks=0"):
+        look_near(arenas, NoisyRanges(errors=put_in), looks=0)
+    with pytest.raises(ValueError, match="people who walk"):
+        look_near(list(frozen_arenas(5, 1, split="val", movers=2)), NoisyRanges(errors=put_in))
+
+
+def test_no_errors_measure_as_none():
+    true = np.clip(np.random.default_rng(0).uniform(0.5, 10, (200, 5)).repeat(8, axis=1), 0.3, 9.5)
+    errors = fit_errors(Looks(true, true, np.zeros(200, int)))
+    assert errors.bias == errors.spread == errors.miss == (0.0,) * 6
+    with pytest.raises(ValueError, match="look in more arenas"):
+        fit_errors(Looks(true[:3], true[:3], np.zeros(3, int)))
+
+
+def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_that_has_enough():
+    rng = np.random.default_rng(0)
+    true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
+    true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
+    looks = Looks(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
+    errors = fit_errors(looks)
+    assert errors.bias == pytest.approx([errors.bias[2]] * 6)
+    assert errors.spread == pytest.approx([0.05] * 6, abs=0.01)
+    assert errors.column == pytest.approx(1.0, abs=0.1)
+    assert errors.scale < 0.3
+
+
+def test_errors_are_kept_in_a_small_file(tmp_path, measured):
+    path = tmp_path / "errors.json"
+    measured.write(path)
+    assert path.stat().st_size < 4000
+    assert RangeErrors.read(path) == measured
+    assert NoisyRanges(errors=str(path)).errors == measured
+    with pytest.raises(FileNotFoundError, match="mode=measure"):
+        RangeErrors.read(tmp_path / "none.json")
+    path.write_text(json.dumps({"edges": [1]}))
+    with pytest.raises(ValueError, match="holds no range errors"):
+        RangeErrors.read(path)
+    measured.write(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"bias": [0.1]}))
+    with pytest.raises(ValueError, match="need 6 entries"):
+        RangeErrors.read(path)
+
+
+def test_the_packaged_errors_say_where_they_come_from():
+    errors = NoisyRanges(errors="packaged").errors
+    assert "data=arenas" in errors.measured["training"]
+    assert {"training", "command", "date", "versions"} <= set(errors.measured)
+    assert errors.measured["split"] == "val"
+    assert all(0.02 < spread < 0.3 for spread in errors.spread)
+
+
+def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
+    ranges = np.concatenate([np.full(10, 5.0), np.full(6, 2.5), np.full(24, ROBOT.far)])
+    assert things(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
+    rng, outcomes = np.random.default_rng(0), []
+    for _ in range(600):
+        out = without_missed(ranges, put_in, rng)
+        assert (out[10:16] == 2.5).all() or (out[10:16] == ROBOT.far).all()
+        assert (out >= ranges).all()
+        outcomes.append(out[12] > 3)
+    assert np.mean(outcomes) == pytest.approx(0.2, abs=0.04)
+
+
+def test_the_command_measures_and_noisy_reads_it(run_command, tmp_path):
+    finished = run_command(
+        "navigate", "mode=measure", "sensor=camera", "sensor.checkpoint=null", "sensor.size=[60,80]",
+        "density=40", "worlds=2", "time_limit=6", "run_dir=run",
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
+    assert errors.measured["split"] == "val"
+    assert errors.measured["sensor"]["size"] == [60, 80]
+    assert abs(errors.bias[2]) < 0.05  # of the renderer's own depth
+    assert max(errors.miss[:4]) < 0.02
+    assert "bias" in finished.stdout
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (run["mode"], run["errors"], run["config"]["worlds"]) == ("measure", "range_errors.json", 2)
+    NoisyRanges(errors=str(tmp_path / "run" / "range_errors.json"))
+
+
+def test_the_packaged_network_measures_places_close_to_obstacles(run_command, tmp_path):
+    finished = run_command(
+        "navigate", "mode=measure", "sensor=camera", "measure.places=near", "measure.looks=4",
+        "measure.edges=[0.3,1.0,3.0,10.0]", "density=80", "worlds=8", "run_dir=run",
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
+    assert errors.measured["looks"] == 32
+    assert len(errors.bias) == 3
+    assert max(abs(bias) for bias in errors.bias) < 0.2
+    assert max(errors.spread) < 0.3

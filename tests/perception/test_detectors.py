@@ -1,0 +1,89 @@
+"""Detectors that are no files: fixed boxes, functions, torchvision; riders and bicycles become cyclists."""
+
+import numpy as np
+import pytest
+import torch
+from support.detector_files import FRAME, WANTED
+
+from eldenet.boxes import Detections2D
+from eldenet.perception.detectors import (
+    CallableDetector,
+    FixedDetections,
+    TorchvisionDetector,
+    merge_cyclists,
+    only,
+    rename,
+)
+
+
+def test_the_simple_adapters():
+    known = Detections2D(WANTED, np.ones(2), np.array([0, 1]), ("car", "dog"))
+    fixed = FixedDetections([known])
+    assert fixed(FRAME) is known
+    with pytest.raises(ValueError, match="more frames"):
+        fixed(FRAME)
+    called = CallableDetector(lambda frame: (WANTED.tolist(), [0.5, 0.6], [0, 1]), ("car", "dog"))(FRAME)
+    np.testing.assert_array_equal(called.xyxy, WANTED - 0.5)
+    assert only(called, ["Dog"]).classes == ["dog"]
+    assert rename(called, {"dog": "hound"}).classes == ["car", "hound"]
+
+
+def test_torchvision_networks_are_taken():
+    from torchvision.models.detection import ssdlite320_mobilenet_v3_large
+
+    model = ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
+    found = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)(FRAME)
+    assert set(found.classes) <= {"car", "dog"}
+    assert (found.xyxy >= -0.5).all()
+
+
+def test_a_torchvision_network_sees_its_own_precision():
+    from torchvision.models.detection import ssdlite320_mobilenet_v3_large
+
+    torch.manual_seed(0)
+    model = ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
+    detector = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)
+    single = detector(FRAME)
+    model.double()
+    double = detector(FRAME)
+    assert len(double) > 0
+    assert (double.xyxy.dtype, double.score.dtype) == (single.xyxy.dtype, single.score.dtype)
+
+
+def test_a_torchvision_network_may_answer_in_bfloat16():
+    class Halved(torch.nn.Module):
+        """The interface; torchvision's own networks have no such arithmetic on a CPU."""
+
+        def __init__(self):
+            super().__init__()
+            self.layer = torch.nn.Conv2d(3, 1, 1, dtype=torch.bfloat16)
+
+        def forward(self, images):
+            (image,) = images
+            assert self.layer(image).shape == (1, *FRAME.shape[:2])
+            boxes = torch.from_numpy(WANTED).to(image)
+            score = torch.tensor([0.5, 0.25]).to(image)
+            return [{"boxes": boxes, "scores": score, "labels": torch.tensor([1, 2]), "masks": None}]
+
+    found = TorchvisionDetector(Halved(), ("nothing", "car", "dog"))(FRAME)
+    np.testing.assert_array_equal(found.xyxy, WANTED[:1] - 0.5)
+    assert (found.classes, found.score.tolist()) == (["car"], [0.5])
+
+
+def test_a_person_on_a_bicycle_is_a_cyclist():
+    names = ("person", "bicycle", "car")
+    xyxy = np.array([[10, 10, 30, 60], [5, 35, 40, 75], [80, 10, 95, 60], [100, 0, 150, 50.0]])
+    found = merge_cyclists(Detections2D(xyxy, np.ones(4), np.array([0, 1, 0, 2]), names))
+    assert found.classes == ["cyclist", "person", "car"]
+    np.testing.assert_array_equal(found.xyxy[0], [5, 10, 40, 75])
+
+
+def test_a_cyclists_mask_is_the_riders_and_the_bicycles():
+    mask = np.zeros((2, 80, 50), bool)
+    mask[0, 10:60, 10:30], mask[1, 40:75, 5:40] = True, True
+    boxes = np.array([[9.5, 9.5, 29.5, 59.5], [4.5, 39.5, 39.5, 74.5]])
+    pair = Detections2D(boxes, np.ones(2), np.array([0, 1]), ("person", "bicycle"), mask=mask)
+    found = merge_cyclists(pair)
+    assert found.classes == ["cyclist"]
+    np.testing.assert_array_equal(found.mask, mask.any(0, keepdims=True))
+    assert mask[0].sum() == 1000  # the detector's own are left as they were

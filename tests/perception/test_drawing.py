@@ -1,0 +1,75 @@
+"""Pictures of boxes: on the photo and from above."""
+
+import numpy as np
+import pytest
+from support.standing_boxes import BLANK, CAMERA, boxes
+
+from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.perception.drawing import colour_of, draw_bev, draw_boxes, draw_detections
+
+
+def test_edges_are_drawn_where_the_corners_project():
+    one = boxes([0.5, 0.8, 10.0], yaw=0.3)
+    drawn = draw_boxes(BLANK, one, CAMERA, labels=False)
+    changed = (drawn != BLANK).any(-1)
+    corners = CAMERA.project(one.corners[0])
+    rows, columns = np.nonzero(changed)
+    assert columns.min() == pytest.approx(corners[:, 0].min(), abs=2)
+    assert rows.max() == pytest.approx(corners[:, 1].max(), abs=2)
+    for column, row in np.rint(corners).astype(int):
+        assert changed[row - 1 : row + 2, column - 1 : column + 2].any()
+    assert not (BLANK != 40).any()  # the picture given is left alone
+
+
+@pytest.mark.parametrize("z", [0.5, -0.5, -20.0])
+def test_boxes_beside_and_behind_the_camera_do_no_harm(z):
+    drawn = draw_boxes(BLANK, boxes([0.8, 0.5, z]), CAMERA)
+    assert (drawn != BLANK).any() == (z > -2)
+
+
+def test_the_front_face_is_shaded_where_it_is_known():
+    one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
+    plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
+    assert (shaded != plain).any(-1).sum() > 200
+    two = boxes([[-2.0, 0.8, 10.0], [2.0, 0.8, 10.0]], yaw=np.pi / 2)
+    one_known = draw_boxes(BLANK, two, CAMERA, front=np.array([False, True]), labels=False)
+    changed = (one_known != draw_boxes(BLANK, two, CAMERA, labels=False)).any(-1)
+    assert changed[:, 160:].any()
+    assert not changed[:, :160].any()
+
+
+def test_the_view_from_above_shows_a_box_at_its_place():
+    one = boxes([3.0, 0.8, 20.0])
+    panel = draw_bev(one, CAMERA, 320, size=(412, 300), reach=40.0)
+    colour = np.array([int(0.75 * part) for part in colour_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    assert (columns.mean() - 150) / 10 == pytest.approx(3.0, abs=0.15)
+    assert (412 - 6 - rows.mean()) / 10 == pytest.approx(20.0, abs=0.15)
+    assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
+
+
+@pytest.mark.parametrize("center", [[30.0, 0.8, 20.0], [-30.0, 0.8, 20.0], [0.0, 0.8, 70.0]])
+def test_every_box_is_in_the_view_from_above(center):
+    panel = draw_bev(boxes(center), CAMERA, 320, size=(400, 300))
+    colour = np.array([int(0.75 * part) for part in colour_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    assert 0 < rows.min() <= rows.max() < 399
+    assert 0 < columns.min() <= columns.max() < 299
+
+
+def test_detections_are_drawn():
+    found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
+    assert (draw_detections(BLANK, found)[30:80, 20] == colour_of("car")).all()
+
+
+def test_a_drawn_box_ends_with_the_last_pixels_that_it_holds():
+    height, width = BLANK.shape[:2]
+    whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
+    drawn = draw_detections(BLANK, Detections2D(whole, np.ones(1), np.zeros(1, int), ("car",)))
+    assert (drawn[-1] == colour_of("car")).all()
+    assert (drawn[:, -1] == colour_of("car")).all()
+    few = Detections2D(np.array([[49.5, 51.5, 53.5, 55.5]]), np.ones(1), np.zeros(1, int), ("car",))
+    drawn = draw_detections(BLANK, few)
+    assert (drawn[52:56, 53] == colour_of("car")).all()
+    assert not (drawn[52:56, 54] == colour_of("car")).all(-1).any()
+    assert not (drawn[56, 50:54] == colour_of("car")).all(-1).any()

@@ -1,0 +1,213 @@
+"""Lifting where something is missing, cut, hidden, unknown or wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.blocks import CAMERA, block, detection
+
+from eldenet.boxes import Detections2D
+from eldenet.perception.foreground import Foreground, trusted_edges
+from eldenet.perception.ground import flat_ground
+from eldenet.perception.lifter import METHODS, BoxLifter, sigma_by_side
+
+
+def test_the_hidden_car_is_not_taken_for_the_one_before_it():
+    near, box_near = block((0.3, 0.85, 9.0), yaw=1.5)
+    far, box_far = block((1.6, 0.85, 17.0), yaw=1.5)
+    depth = np.where((near > 0) & ((near < far) | (far == 0)), near, far)
+    found = detection(np.concatenate([box_near, box_far]))
+    boxes = BoxLifter(depth_sigma=0.02)(depth, found, CAMERA)
+    assert boxes.center[1, 2] == pytest.approx(17, abs=1.0)
+    blind = BoxLifter("lshape", depth_sigma=0.02, occlusion_mask=False)(depth, found, CAMERA)
+    assert abs(boxes.center[1, 2] - 17) <= abs(blind.center[1, 2] - 17)
+    assert boxes.quality["occluded"][1] > 0.1 > boxes.quality["occluded"][0]
+
+
+def test_an_edge_where_a_nearer_box_begins_is_no_edge():
+    """A pillar behind a car: its box ends where the roof begins, and the boxes share no pixel."""
+    boxes = np.array([[300.0, 60, 312, 149], [250, 150, 380, 210]])
+    found = Detections2D(boxes, np.ones(2), np.array([1, 0]), ("car", "pillar"))
+    trusted, hidden = trusted_edges(found, (240, 640))
+    np.testing.assert_array_equal(trusted, [[True, True, True, False], [True] * 4])
+    assert hidden[0] == 0
+    apart = replace(found, xyxy=boxes + np.array([[0, 0, 0, -10.0], [0, 0, 0, 0]]))
+    assert trusted_edges(apart, (240, 640))[0].all()
+    projected = replace(found, box_style="projected")
+    assert trusted_edges(projected, (240, 640))[0].all()
+
+
+def test_the_depth_error_grows_as_objects_shrink():
+    boxes = np.array(
+        [[0, 0, 300, 100.0], [0, 0, 10, 50], [0, 0, 32, 31.622777], [0, 0, 1, 1], [0, 0, 9e3, 9e3]]
+    )
+    sigma = sigma_by_side(boxes, 0.06, 0.24)
+    np.testing.assert_allclose(sigma[:3], [0.06, 0.24, 0.12], rtol=1e-6)
+    np.testing.assert_allclose(sigma[3:], [0.24 * 2**0.60206, 0.06], rtol=1e-3)  # below half of SMALL alike
+    np.testing.assert_allclose(sigma_by_side(boxes, 0.06, None), 0.06)
+
+
+@pytest.mark.parametrize("size", [(8.5, 2.5, 3.1), (5.2, 1.9, 1.9)])
+def test_a_truck_is_a_lorry_or_a_pick_up(size):
+    depth, xyxy = block((-2.0, 1.6 - size[2] / 2, 18.0), size=size, yaw=1.3)
+    boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy, "truck"), CAMERA)
+    np.testing.assert_allclose(boxes.size[0], size, rtol=0.2)
+    assert len(boxes) == 1
+
+
+@pytest.mark.parametrize("cut", ["left", "right", "bottom"])
+def test_a_car_cut_by_the_border(cut):
+    center = {"left": (-4.6, 0.85, 7.0), "right": (4.6, 0.85, 7.0), "bottom": (0.4, 0.85, 4.2)}[cut]
+    depth, xyxy = block(center, yaw=1.4)
+    limit = {"left": xyxy[0, 0] <= 1, "right": xyxy[0, 2] >= 638, "bottom": xyxy[0, 3] >= 238}[cut]
+    assert limit
+    boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy), CAMERA)
+    assert boxes.quality["truncated"][0] == 1
+    assert np.linalg.norm(boxes.center[0] - center) < 1.0
+    assert np.linalg.norm(boxes.size[0] - [3.9, 1.6, 1.5]) < 1.2
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("fill", [0.0, np.nan, -1.0, np.inf])
+def test_without_depth_a_box_still_comes_out(method, fill):
+    _, xyxy = block((-2.0, 0.85, 12.0))
+    depth = np.full((240, 640), fill)
+    with pytest.warns(UserWarning, match="no pixel of the depth is known"):
+        boxes = BoxLifter(method, camera_height=1.6)(depth, detection(xyxy), CAMERA)
+    assert np.isfinite(boxes.corners).all()
+    assert boxes.center[0, 2] == pytest.approx(12, rel=0.2)
+    assert boxes.quality["points"][0] == 0
+    assert boxes.quality["fallback"][0] == (method != "no_depth")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_holes_in_the_depth_are_unknown_whatever_they_hold(method):
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    results = []
+    for fill in (0.0, np.nan, -3.0, np.inf):
+        holed = depth.copy()
+        holed[::3] = fill
+        results.append(BoxLifter(method, camera_height=1.6)(holed, detection(xyxy), CAMERA))
+    for other in results[1:]:
+        np.testing.assert_allclose(other.corners, results[0].corners)
+
+
+def known_at(depth, xyxy, count: int, seed: int = 0):
+    """The same depth map, but only ``count`` pixels of the box are known in it."""
+    rng = np.random.default_rng(seed)
+    left, top, right, bottom = np.round(xyxy[0]).astype(int)
+    rows, columns = np.nonzero(np.abs(depth[top:bottom, left:right] - 40) < 4)
+    chosen = rng.permutation(len(rows))[:count]
+    sparse = depth.copy()
+    sparse[top - 1 : bottom + 1, left - 1 : right + 1] = 0
+    sparse[rows[chosen] + top, columns[chosen] + left] = depth[rows[chosen] + top, columns[chosen] + left]
+    return sparse
+
+
+def test_the_median_depth_leaves_padding_out():
+    found = Foreground(np.zeros((4, 5, 3)), np.full((4, 5), 1.0), np.zeros((4, 5)))
+    found.depth[0, :3], found.weight[0, :3] = [9.0, 7.0, 30.0], 1.0
+    found.depth[1, :2], found.weight[1, :2] = [40.0, 42.0], 1.0
+    found.depth[2, 3], found.weight[2, 3] = 8.0, 1.0
+    np.testing.assert_array_equal(found.median_depth(5.0), [9, 41, 8, 5])
+
+
+@pytest.mark.parametrize("count", [1, 2, 6, 20, 39])
+def test_few_pixels_are_as_uncertain_as_many(count):
+    """A car 40 m away, its own depth 12 % too far: height and size pull it back, few points or many."""
+    depth, xyxy = block((-2.0, 0.85, 40.0))
+    found = []
+    for known in (count, 10**6):
+        sparse = known_at(depth, xyxy, known)
+        wrong = np.where(np.abs(sparse - 40) < 4, sparse * 1.12, sparse)
+        lifter = BoxLifter(depth_sigma=0.12, ground=flat_ground(1.6))
+        found.append(lifter(wrong, detection(xyxy), CAMERA))
+    few, many = found
+    assert 0 < few.quality["points"][0] <= count < 40 < many.quality["points"][0]
+    assert abs(many.center[0, 2] - 40) < 1.6  # a third of the error
+    assert abs(few.center[0, 2] - 40) < 1.6
+
+
+def test_a_few_pixels_of_something_behind_do_not_carry_the_box_away():
+    """Three pixels, all of a wall at four times the distance: the size in the picture says otherwise."""
+    center = (-2.0, 0.85, 15.0)
+    depth, xyxy = block(center)
+    left, top, right, bottom = np.round(xyxy[0]).astype(int)
+    depth[top - 1 : bottom + 1, left - 1 : right + 1] = 0
+    depth[top + 8 : top + 11, (left + right) // 2] = 60.0
+    boxes = BoxLifter(depth_sigma=0.02, ground=flat_ground(1.6))(depth, detection(xyxy), CAMERA)
+    assert boxes.quality["points"][0] == 3
+    assert boxes.center[0, 2] == pytest.approx(15, abs=2.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_boxes_five_hundred_boxes_and_tiny_ones(method):
+    depth, _ = block((-2.0, 0.85, 12.0))
+    lifter = BoxLifter(method)
+    none = lifter(depth, Detections2D.empty(("car",)), CAMERA)
+    assert len(none) == 0
+    assert none.corners.shape == (0, 8, 3)
+    rng = np.random.default_rng(0)
+    corner = rng.uniform(0, [600, 200], (500, 2))
+    many = detection(np.concatenate([corner, corner + rng.uniform(0, 40, (500, 2))], 1))
+    boxes = lifter(depth, many, CAMERA)
+    assert len(boxes) == 500
+    assert np.isfinite(boxes.corners).all()
+    assert (boxes.size > 0).all()
+
+
+def test_an_unknown_class_keeps_the_extents_of_its_points():
+    depth, xyxy = block((-2.0, 0.85, 12.0), size=(2.0, 2.0, 1.4), yaw=0.7)
+    boxes = BoxLifter()(depth, detection(xyxy, "gizmo"), CAMERA)
+    assert boxes.quality["fallback"][0] == 1
+    assert 1.2 < boxes.size[0, 0] < 2.3
+    assert 1.0 < boxes.size[0, 2] < 1.8
+    assert np.linalg.norm(boxes.center[0] - (-2.0, 0.85, 12.0)) < 0.9
+
+
+def test_what_hangs_is_not_stretched_down_to_the_ground():
+    depth, xyxy = block((-2.0, -1.0, 12.0), size=(0.5, 0.5, 1.0), height=1.6)
+    boxes = BoxLifter(camera_height=1.6)(depth, detection(xyxy, "traffic light"), CAMERA)
+    assert boxes.size[0, 2] == pytest.approx(1.0, abs=0.2)
+    assert boxes.center[0, 1] == pytest.approx(-1.0, abs=0.2)
+
+
+def test_masks_are_used_instead_of_boxes():
+    near, _ = block((0.3, 0.85, 9.0), yaw=1.5)
+    far, box_far = block((1.2, 0.85, 17.0), yaw=1.5)
+    depth = np.where((near > 0) & ((near < far) | (far == 0)), near, far)
+    hidden = replace(detection(box_far), mask=(depth == far)[None] & (far < 25)[None] & (far > 14)[None])
+    boxes = BoxLifter(depth_sigma=0.02)(depth, hidden, CAMERA)
+    assert boxes.center[0, 2] == pytest.approx(17, abs=1.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, "method"),
+        ({"ground": 3}, "ground"),
+        ({"camera_height": 0}, "camera_height"),
+        ({"depth_sigma": 0}, "depth_sigma"),
+        ({"small_sigma": 1.5}, "small_sigma"),
+    ],
+)
+def test_settings_out_of_range_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        BoxLifter(**options)
+
+
+def test_boxes_of_a_larger_picture_are_refused():
+    _, xyxy = block((-2.0, 0.85, 12.0))
+    with pytest.raises(ValueError, match="one picture"):
+        BoxLifter()(np.ones((60, 160)), detection(xyxy), CAMERA)
+    with pytest.raises(ValueError, match="shape"):
+        BoxLifter()(np.ones((1, 60, 160)), detection(xyxy), CAMERA)
+
+
+def test_masks_of_another_size_are_refused_and_millimetres_noticed():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
+    with pytest.raises(ValueError, match="masks"):
+        BoxLifter()(depth, masked, CAMERA)
+    with pytest.warns(UserWarning, match="millimetres"):
+        BoxLifter()(depth * 1000, detection(xyxy), CAMERA)

@@ -1,0 +1,82 @@
+"""Tracks over time: numbers, speeds, births and deaths."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.standing_boxes import boxes
+
+from eldenet.boxes import Boxes3D
+from eldenet.perception.tracking import BoxTracker
+
+
+def test_two_cars_keep_their_numbers_and_get_their_speeds():
+    rng = np.random.default_rng(0)
+    tracker = BoxTracker(still_camera=True)
+    start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
+    for frame in range(25):
+        order = rng.permutation(2)
+        center = (start + speed * frame * 0.1 + rng.normal(0, 0.1, (2, 3)))[order]
+        found = tracker(boxes(center, yaw=np.pi / 2 * rng.choice([-1, 1])), 0.1)
+    by_number = {int(number): row for row, number in enumerate(found.track_id)}
+    assert set(by_number) == {1, 2}
+    first = by_number[1] if found.center[by_number[1], 0] < 0 else by_number[2]
+    second = 1 - first
+    assert found.velocity[first, 2] == pytest.approx(3.0, abs=0.5)
+    assert found.velocity[second, 2] == pytest.approx(-6.0, abs=0.5)
+    heading = np.stack([np.cos(found.yaw), -np.sin(found.yaw)], 1)  # x, z of the fronts
+    assert heading[first, 1] > 0.95
+    assert heading[second, 1] < -0.95
+
+
+@pytest.mark.parametrize("still_camera", [False, True])
+def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
+    """It faces away from the camera (yaw -pi/2) and comes closer by 10 m/s."""
+    tracker = BoxTracker(still_camera=still_camera)
+    for frame in range(10):
+        found = tracker(boxes([3.0, 0.8, 30.0 - frame], yaw=-np.pi / 2), 0.1)
+    assert found.velocity[0, 2] == pytest.approx(-10, abs=0.3)
+    assert np.cos(found.yaw[0] + np.pi / 2) == pytest.approx(-1 if still_camera else 1)
+    assert found.quality["heading"][0] == still_camera
+
+
+def test_a_filter_is_calmer_than_its_measurements():
+    rng = np.random.default_rng(1)
+    tracker, raw, smooth = BoxTracker(), [], []
+    for frame in range(60):
+        truth = np.array([2.0, 0.8, 10 + 0.2 * frame])
+        center = truth + rng.normal(0, 0.4, 3)
+        found = tracker(boxes(center), 0.1)
+        raw.append(np.linalg.norm(center - truth))
+        smooth.append(np.linalg.norm(found.center[0] - truth))
+    assert np.mean(smooth[20:]) < 0.8 * np.mean(raw[20:])
+
+
+def test_births_deaths_gaps_and_classes():
+    tracker = BoxTracker(births=3, deaths=3)
+    here = [0.0, 0.8, 10.0]
+    for _ in range(3):
+        tracker(Boxes3D.empty(("car", "person")), 0.1)
+    shown = [len(tracker(boxes(here), 0.1)) for _ in range(4)]
+    assert shown == [0, 0, 1, 1]
+    number = tracker(boxes(here), 0.1).track_id[0]
+    tracker(Boxes3D.empty(("car", "person")), 0.1)
+    assert tracker(boxes(here), 0.1).track_id[0] == number  # it survives a gap
+    assert len(tracker(boxes(here, label=1), 0.1)) == 0  # a person is no car
+    for _ in range(3):
+        tracker(Boxes3D.empty(("car", "person")), 0.1)
+    assert not tracker.tracks
+    with pytest.raises(ValueError, match="seconds"):
+        tracker(boxes(here), 0.0)
+    with pytest.raises(ValueError, match="gate"):
+        BoxTracker(gate=0)
+
+
+def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
+    tracker = BoxTracker(births=1, report_unseen=True)
+    for frame in range(6):
+        # a person and a car beside it are seen in turn, each as class 0 of its frame
+        name, x = ("car", 0.0) if frame % 2 else ("person", 0.5)
+        out = tracker(replace(boxes([x, 0.8, 10.0]), names=(name,)), 0.1)
+        if frame:
+            assert dict(zip(out.track_id.tolist(), out.classes, strict=True)) == {1: "person", 2: "car"}

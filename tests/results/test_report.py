@@ -1,0 +1,234 @@
+"""Tables: mean and spread over seeds, and a refusal wherever numbers do not compare."""
+
+import copy
+import json
+
+import pytest
+
+from eldenet import config as cfg
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.results.comparison import find_runs, group_rows, table_of
+from eldenet.results.run_log import RunLog
+from eldenet.results.tables import protocol_line, to_latex, to_markdown
+
+RUN = {
+    "model": "eldenet",
+    "data": "rooms",
+    "split": "test",
+    "split_hash": "0123456789abcdef",
+    "protocol": EvalProtocol("rooms", ground_truth="dense").as_dict(),
+    "metrics": {"abs_rel": 0.2, "rmse": 0.5, "mae": 0.4, "mse": 0.25, "delta1": 0.8, "images": 4},
+    "constant_predictor": {"abs_rel": 0.4, "rmse": 1.0, "mae": 0.9, "mse": 1.0, "delta1": 0.4, "images": 4},
+    "cost": {
+        "params": 587353,
+        "gmacs": 0.1,
+        "gflops": 0.2,
+        "latency_ms_p50": 3.14159,
+        "throughput_img_s": 321.4,
+        "runtime": "torch",
+        "precision": "fp32",
+        "threads": 2,
+        "device": "cpu",
+        "height": 128,
+        "width": 160,
+        "batch": 8,
+    },
+    "seed": 0,
+    "hardware": {"processor": "some processor"},
+}
+COLUMNS = ("abs_rel", "rmse", "delta1")
+
+
+def run_with(**changes) -> dict:
+    """A copy of RUN; ``metrics__delta1=0.9`` changes a nested value."""
+    run = copy.deepcopy(RUN)
+    for path, value in changes.items():
+        *parents, last = path.split("__")
+        node = run
+        for parent in parents:
+            node = node[parent]
+        node[last] = value
+    return run
+
+
+def test_seeds_share_a_row_with_mean_and_sample_deviation():
+    runs = [run_with(seed=seed, metrics__delta1=value) for seed, value in enumerate((0.7, 0.8, 0.9))]
+    titles, rows = table_of(runs, COLUMNS)
+    assert titles[:5] == ["model", "seeds", "AbsRel ↓", "RMSE [m] ↓", "δ1 ↑"]
+    assert rows[0][:5] == ["eldenet", "3", "0.200 ± 0.000", "0.500 ± 0.000", "0.800 ± 0.100"]
+    assert rows[1][:5] == ["constant predictor", "-", "0.400", "1.000", "0.400"]
+
+
+def test_constant_predictors_of_other_training_frames_are_told_apart():
+    runs = [run_with(model=name) for name in ("a", "b", "c", "d")]
+    runs += [run_with(model="near", constant_predictor__rmse=2.0), run_with(model="bare")]
+    runs[-1]["constant_predictor"] = None
+    rows = [row[:4] for row in table_of(runs, COLUMNS)[1]][len(runs) :]
+    assert rows == [
+        ["constant predictor of a, b, c and 1 more", "-", "0.400", "1.000"],
+        ["constant predictor of near", "-", "0.400", "2.000"],
+    ]
+    assert len(table_of(runs[-1:], COLUMNS)[1]) == 1  # nobody's is shown as another's
+
+
+def test_models_keep_their_order():
+    runs = [run_with(model=name) for name in ("b", "a", "c")]
+    assert [row.model for row in group_rows(runs)] == ["b", "a", "c"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"protocol": EvalProtocol("other", ground_truth="dense").as_dict()}, "protocol"),
+        ({"protocol": EvalProtocol("rooms", ground_truth="dense", average="pixel").as_dict()}, "protocol"),
+        ({"split_hash": "another"}, "split_hash"),
+        ({"data": "nyu_mat"}, "data"),
+        ({"cost__device": "GPU"}, "device"),
+        ({"cost__runtime": "onnxruntime"}, "runtime"),
+        ({"cost__threads": 1}, "threads"),
+        ({"cost__precision": "bf16"}, "precision"),
+        ({"cost__height": 224}, "height"),
+        ({"hardware__processor": "another"}, "processor"),
+    ],
+)
+def test_what_does_not_compare_is_refused(changes, word):
+    runs = [RUN, run_with(model="other", **changes)]
+    with pytest.raises(ValueError, match=f"{word} differs"):
+        table_of(runs, COLUMNS)
+    if "__" in next(iter(changes)):  # costs apart, the metrics still compare
+        titles, _ = table_of(runs, COLUMNS, costs=False)
+        assert "params ↓" not in titles
+
+
+def test_the_same_seed_twice_is_refused():
+    with pytest.raises(ValueError, match=r"seeds .* repeat"):
+        table_of([RUN, RUN], COLUMNS)
+
+
+def test_markdown_and_latex():
+    titles, rows = table_of([RUN], COLUMNS)
+    markdown = to_markdown(titles, rows, ["a note"]).splitlines()
+    assert markdown[0].startswith("| model | seeds | AbsRel ↓ | RMSE [m] ↓ | δ1 ↑ | params ↓ | GMACs ↓ |")
+    assert markdown[2] == ("| eldenet | 1 | 0.200 | 0.500 | 0.800 | 0.587 M | 0.100 | 0.200 | 3.14 | 321 |")
+    assert markdown[-1] == "- a note"
+    assert all(line.count("|") == markdown[0].count("|") for line in markdown[:4])
+    latex = to_latex(titles, [["a_b", *rows[0][1:]]], ["a note"])
+    assert r"a\_b & 1 & 0.200" in latex
+    assert r"$\delta$1 $\uparrow$" in latex
+    assert latex.count("&") == 2 * (len(titles) - 1)
+
+
+def test_signs_in_a_name_do_not_break_the_table():
+    titles, rows = table_of([run_with(model="a|b_c & 50% {x}")], COLUMNS)
+    markdown = to_markdown(titles, rows, []).splitlines()
+    assert markdown[2].startswith(r"| a\|b_c & 50% {x} | 1 |")
+    latex = to_latex(titles, rows, [])
+    assert r"a|b\_c \& 50\% \{x\} & 1 &" in latex
+
+
+def test_other_settings_are_no_seeds():
+    runs = [
+        run_with(seed=seed, config={"optimizer": {"lr": lr}, "seed": seed})
+        for seed, lr in ((0, 1e-3), (1, 1e-2))
+    ]
+    with pytest.raises(ValueError, match=r"optimizer differs"):
+        table_of(runs, COLUMNS)
+    runs[1]["config"]["optimizer"]["lr"] = 1e-3
+    assert table_of(runs, COLUMNS)[1][0][1] == "2"
+    for run, size in zip(runs, ([96, 128], [240, 320]), strict=True):  # without costs, nothing else tells
+        run["config"]["data"] = {"input_size": size, "root": f"/{size}"}
+    with pytest.raises(ValueError, match=r"data differs: .*data\.input_size=\[96, 128\]"):
+        table_of(runs, COLUMNS, costs=False)
+
+
+def started(seed: int, place: str, content: str) -> dict:
+    return run_with(seed=seed, config={"weights": place}, sources={"weights": content})
+
+
+def test_seeds_start_from_the_same_weights_or_each_from_its_own() -> None:
+    group_rows([started(seed, "runs/start/seed0", "0a") for seed in (0, 1)])
+    group_rows([started(seed, f"runs/start/seed{seed}", f"{seed}a") for seed in (0, 1)])
+    with pytest.raises(ValueError, match="sources differs"):  # seed10's is not seed 1's own
+        group_rows([started(seed, f"runs/start/seed{seed}0", f"{seed}a") for seed in (0, 1)])
+    with pytest.raises(ValueError, match=r"sources differs.*weights=0a \(there 1a\)"):
+        group_rows([started(seed, "runs/start/seed0", f"{seed}a") for seed in (0, 1)])
+
+
+def test_a_missing_value_is_shown_as_missing():
+    runs = [run_with(seed=seed, constant_predictor__rmse=None) for seed in (0, 1)]
+    runs[1]["metrics"]["rmse"] = None
+    _, rows = table_of(runs[::-1], COLUMNS)
+    assert [row[3] for row in rows] == ["-", "-"]
+    with pytest.raises(ValueError, match=r"columns=\['absrel'\]"):
+        table_of([RUN], ("absrel",))
+
+
+def test_a_printed_table_keeps_its_units_and_its_words(capsys, tmp_path):
+    titles, rows = table_of([run_with(model="a_rather_long_name_of_a_network")])
+    RunLog(tmp_path).table("a [title]", titles, rows)
+    printed = capsys.readouterr().out
+    for text in ("a [title]", "RMSE [m]", "latency [ms]", "a_rather_long_name_of_a_network"):
+        assert text in printed
+
+
+def test_runs_are_found_and_damaged_ones_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        find_runs([str(tmp_path / "none")])
+    with pytest.raises(FileNotFoundError, match=r"no run\.json below"):
+        find_runs([str(tmp_path)])
+    for name in ("b", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(run_with(model=name)))
+    assert [run["model"] for run in find_runs([str(tmp_path)])] == ["a", "b"]
+    assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
+    assert len(find_runs([str(tmp_path), str(tmp_path / "a")])) == 2  # not twice
+    (tmp_path / "a" / "run.json").write_text("{")
+    with pytest.raises(ValueError, match="is not JSON"):
+        find_runs([str(tmp_path)])
+    (tmp_path / "a" / "run.json").write_text("{}")
+    with pytest.raises(ValueError, match="has no metrics"):
+        find_runs([str(tmp_path)])
+
+
+@pytest.mark.parametrize("record", [{"metrics": {"5": 1}, "policy": "dwa"}, {"mode": "watch"}])
+def test_records_of_other_commands_are_no_rows(tmp_path, record):
+    """``runs=[runs]`` holds films and detectors, too."""
+    for name, content in (("depth", RUN), ("other", record)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(content))
+    assert [run["model"] for run in find_runs([str(tmp_path)])] == ["eldenet"]
+    with pytest.raises(ValueError, match="not written by eldenet's train or evaluate"):
+        find_runs([str(tmp_path / "other" / "run.json")])
+
+
+def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
+    old = run_with(seed=1)
+    for rule in ("crop_fractions", "frame_box", "frame_anchor", "frame_size", "paste"):
+        del old["protocol"][rule]
+    for name, run in (("new", run_with(seed=0)), ("old", old)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(run))
+    assert table_of(find_runs([str(tmp_path)]), COLUMNS)[1][0][1] == "2"
+
+
+@pytest.mark.parametrize(
+    ("name", "scored"),
+    [
+        ("rooms", "10 m, no crop, mean"),
+        ("nyu_bts", "10 m, crop (45, 471, 41, 601), mean"),
+        ("nyu_paper", "frame resized by 0.5, then cut to (228, 304) at the center, all of it scored"),
+        ("cityscapes_paper", "frame resized to (128, 256), all of it scored"),
+        ("kitti_depth", "frame cut to (352, 1216) at the bottom, all of it scored"),
+        ("kitti_paper", "cut to (352, 1216) at the bottom, then resized to (228, 912), all of it scored"),
+        ("kitti_s2d_912x228", "cut to (130, 370, 10, 1210), then cut to (228, 912) at the center, all"),
+        (
+            "kitti_eigen_garg_improved",
+            "80 m, crop (0.4081, 0.9919, 0.0359, 0.9641) of height and width, scored where predicted: "
+            "(352, 1216) at the bottom, mean",
+        ),
+    ],
+)
+def test_the_protocol_line_says_what_of_the_frame_is_scored(name, scored):
+    rules = cfg.instantiate(cfg.compose("train", [f"protocol={name}"]).protocol).as_dict()
+    rules = json.loads(json.dumps(rules))  # as a run.json holds them
+    assert scored in protocol_line(run_with(protocol=rules))

@@ -1,0 +1,158 @@
+"""Plans of studies: what a wrong one says, and that every one there is can be run."""
+
+import importlib
+import itertools
+import json
+import os
+from pathlib import Path
+
+import pytest
+from support.tiny_study import EXPECTED, cells, short
+
+from eldenet import config as cfg
+from eldenet.results.studies.blocks import read_expected
+from eldenet.results.studies.matching import compose_run
+from eldenet.results.studies.plan import read_study
+from eldenet.results.studies.report import write_study_report
+from eldenet.results.studies.runner import run_row
+from eldenet.zoo import list_models
+
+SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
+REPOSITORY = Path(__file__).resolve().parents[2]
+STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
+
+
+def test_plans_are_checked(tiny, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
+        read_study(tmp_path)
+    with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
+        read_study(tiny).chosen(["none"])
+    whole = (tiny / "sweep.yaml").read_text()
+    for old, new, word in (
+        ("seeds: [0, 1]}", "sead: 1}", "sead"),
+        ("columns: [rmse, delta1]", "columns: [rsme]", "rsme"),
+        ("reference: [eldenet_s]", "reference: [eldenet_m]", "eldenet_m"),
+        ("reference: [eldenet_s]", "reference: eldenet_s", "a list of rows"),
+        *(("seeds: [0, 1]}", f"seeds: {seeds}}}", "different seeds") for seeds in ("1", "[0, 0]", "[a]")),
+        ("overrides: [model=eldenet],", "overrides: model=eldenet,", "a list of overrides"),
+        ("plots: [pareto, convergence]", "plots: [parreto]", "pareto, differences or convergence"),
+        ("learning_rate: 1.0e-3}", "learning_rate: fast}", "a number above 0"),
+        ("learning_rates: [1.0e-4, 1.0e-3]", "learning_rates: 1.0e-3", "a list of numbers"),
+        ("given: {kitti: data.root}", "given: data.root", "a mapping"),
+        (
+            "eldenet: {overrides: [model=eldenet], learning_rate: 1.0e-3}",
+            "eldenet: {from: tiny}",
+            "in a circle: tiny -> tiny",
+        ),
+        ("reference: [eldenet_s]", "reference:", "a list of rows"),
+        ("seeds: [0, 1]}", "seeds: }", "different seeds"),
+    ):
+        (tiny / "sweep.yaml").write_text(whole.replace(old, new))
+        with pytest.raises(ValueError, match=word):
+            read_study(tiny)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
+    (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
+    with pytest.raises(ValueError, match="in a circle: tiny -> other -> tiny"):
+        read_study(tiny)
+    (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
+    with pytest.raises(ValueError, match="without its protocol and source"):
+        read_expected(tiny)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        (
+            "[model=eldenet_s], seeds",
+            "[model=eldenet_s, optimizer.lr=2.0e-3], seeds",
+            "search of learning_rates",
+        ),
+        (
+            "[model=eldenet], learning",
+            "[model=eldenet, ++optimizer.lr=2.0e-3], learning",
+            "learning_rate: 0.001",
+        ),
+        ("  - trainer.epochs=1", "  - optimizer.lr=2.0e-3", "row eldenet_s"),
+        ("  - data.subset_seed=0", "  - optimizer.lr=2.0e-3", "search of learning_rates"),
+    ],
+)
+def test_a_learning_rate_that_would_not_count_is_refused(tiny, old, new, word):
+    whole = (tiny / "sweep.yaml").read_text()
+    assert old in whole
+    (tiny / "sweep.yaml").write_text(whole.replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"{word}.*optimizer\.lr=2.*write learning_rate: 2\.0e-3"):
+        read_study(tiny)
+
+
+def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
+    plan = short((tiny / "sweep.yaml").read_text())
+    (tiny / "sweep.yaml").write_text(
+        plan.replace("[model=eldenet_s],", "[model=eldenet_s, optimizer.lr=2.0e-3],")
+    )
+    row = read_study(tiny).chosen("eldenet_s")[0]
+    assert "optimizer.lr=2.0e-3" in row.overrides
+
+
+@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
+def test_every_row_of_every_study_composes(folder):
+    study = read_study(folder)
+    read_expected(folder)
+    assert (folder / "README.md").is_file()
+    known = list_models()
+    for row in study.rows:
+        plan = row.owner or study
+        overrides = [*plan.overrides, *row.overrides]
+        network = next((text[6:] for text in overrides[::-1] if text.startswith("model=")), "eldenet")
+        assert network in known, f"{row.name}: no network {network}"
+        tried = bool(plan.learning_rates) and row.learning_rate is None
+        trial = [*plan.rate_overrides, *row.rate_overrides] if tried else []
+        config = compose_run([*overrides, *trial], Path("f"), Path("r"), name=row.name, seed=0)
+        assert (config.model_name, config.ckpt_path, config.seed) == (row.name, "auto", 0)
+        assert cfg.plain(config.model)["_target_"].startswith("eldenet.")
+        if tried and config.data.name in SCORES_TRIALS:  # on a split of its own: other rooms, drives, cities
+            split = SCORES_TRIALS[config.data.name]
+            assert config.data.test.split == config.data.val.split == split != config.data.train.split
+            reported = compose_run(overrides, Path("f"), Path("r"), name=row.name, seed=0)
+            assert reported.data.test.split not in (split, reported.data.train.split)
+        elif tried:  # scored on training frames that it does not train on, nor does the table
+            assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
+            assert config.data.subset.train[1] <= config.data.subset.test[0]
+
+
+def test_the_screening_is_balanced(monkeypatch):
+    """Any two changes are on together, apart and off together in three runs each: their effects part."""
+    monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
+    effects = importlib.import_module("effects")
+    rows = effects.designed(read_study(effects.HERE))
+    columns = [{row.name for row in rows if word in row.overrides} for word in effects.CHANGES.values()]
+    columns.append(set(effects.NOTHING))
+    assert len(rows) == 12
+    for one, two in itertools.combinations(columns, 2):
+        assert (len(one), len(two), len(one & two)) == (6, 6, 3)
+
+
+@pytest.mark.slow
+def test_a_kitti_row_gets_from_given_folders_to_its_table(tmp_path):
+    """Two real frames: the way is shown, on another split and protocol than the row's own."""
+    root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti" / "depth"
+    if not os.environ.get("ELDENET_DATA") or not root.is_dir():
+        pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
+    folder = tmp_path / "table2"
+    folder.mkdir()
+    plan = cfg.read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
+    row = plan["rows"]["kitti_eldenet"]
+    row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth"]
+    plan["overrides"] += ["trainer.epochs=2", "trainer.evaluate_every=2"]
+    row["overrides"] += [f"data.{split}.split=all" for split in ("train", "val", "test")]
+    row["overrides"] += [f"data.subset.{split}=null" for split in ("train", "val", "test")]
+    row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
+    plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
+    (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
+    study = read_study(folder)
+    places = {"kitti": root, "kitti_raw": root.parent / "raw"}
+    outcomes = run_row(study, study.rows[0], tmp_path / "runs", given=places)
+    assert [outcome.status for outcome in outcomes] == ["done"]
+    write_study_report(folder)
+    assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"

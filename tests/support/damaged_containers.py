@@ -1,0 +1,139 @@
+"""What may happen to files that hold many frames: HDF5, MATLAB's .mat, tar."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat, savemat
+
+from support.damages import ANY, Damage, cut, empty, folder_instead, gone, web_page, zeros_at
+
+
+def hdf5(change: Callable[[h5py.File], None]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        with h5py.File(path, "r+") as file:
+            change(file)
+
+    return damage
+
+
+def replaced(key: str, change: Callable[[np.ndarray], Any]) -> Damage:
+    def damage(file: h5py.File) -> None:
+        new = change(file[key][()])
+        del file[key]
+        file[key] = new
+
+    return hdf5(damage)
+
+
+def without(key: str) -> Damage:
+    def damage(file: h5py.File) -> None:
+        del file[key]
+
+    return hdf5(damage)
+
+
+def group(key: str) -> Damage:
+    def damage(file: h5py.File) -> None:
+        del file[key]
+        file.create_group(key)
+
+    return hdf5(damage)
+
+
+def zeros_in_tables(path: Path, generator: np.random.Generator) -> None:
+    """Over the superblock of an HDF5 file."""
+    zeros_at(path, generator, 0, 8)
+
+
+H5 = (
+    *(*ANY, cut, cut, zeros_in_tables, without("rgb"), without("depth"), group("rgb"), group("depth")),
+    *(replaced("rgb", lambda a: a.astype(np.uint16)), replaced("rgb", lambda a: a.transpose(1, 2, 0))),
+    *(
+        replaced("rgb", lambda a: a[0]),
+        replaced("depth", lambda a: a.T),
+        replaced("depth", lambda a: a[None]),
+    ),
+    *(replaced("depth", lambda a: -a), replaced("depth", lambda a: a * np.nan)),
+    *(replaced("depth", lambda a: a * 1000), replaced("depth", lambda a: (a * 1000).astype(np.uint16))),
+)
+MAT = (
+    *(
+        *ANY,
+        cut,
+        cut,
+        zeros_in_tables,
+        without("images"),
+        without("depths"),
+        group("images"),
+        group("depths"),
+    ),
+    *(replaced("images", lambda a: a.astype(np.float32)), replaced("images", lambda a: a[:, 0])),
+    *(replaced("depths", lambda a: a.swapaxes(1, 2)), replaced("depths", lambda a: a[1:])),
+    *(replaced("images", lambda a: a[:3]), replaced("depths", lambda a: a[0])),
+)
+
+
+def in_frame(number: int, change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def damage(file: h5py.File) -> None:
+        file["depths"][number - 1] = change(file["depths"][number - 1])
+
+    return hdf5(damage)
+
+
+def split(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]) -> Damage:
+    def damage(path: Path, _: np.random.Generator) -> None:
+        savemat(path, change({key: loadmat(path)[key] for key in ("trainNdxs", "testNdxs")}))
+
+    return damage
+
+
+SPLITS_MAT = (
+    *(empty, gone, folder_instead, web_page),
+    split(lambda s: {"trainNdxs": s["trainNdxs"]}),
+    split(lambda s: {"testNdxs": s["testNdxs"]}),
+    split(lambda s: s | {"trainNdxs": s["trainNdxs"] * 0}),
+    split(lambda s: s | {"trainNdxs": s["testNdxs"]}),
+    split(lambda s: s | {"testNdxs": np.array([["a"]])}),
+)
+
+
+def cut_split(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: generator.integers(130, len(content) - 60)])  # before the second list ends
+
+
+def tar_header(path: Path, _: np.random.Generator) -> None:
+    """The header of the file in it is zeros: that looks like the end of an archive."""
+    content = bytearray(path.read_bytes())
+    start = content.index(b"\x89HDF") - 512
+    content[start : start + 512] = bytes(512)
+    path.write_bytes(content)
+
+
+def tar_cut(path: Path, generator: np.random.Generator) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: generator.integers(600, len(content) - 12000)])
+
+
+TAR = (empty, web_page, folder_instead, tar_header, tar_cut, tar_cut, tar_cut)
+
+
+def member(change: Damage) -> Damage:
+    """The one HDF5 file within a shard, damaged without changing its length."""
+
+    def damage(path: Path, generator: np.random.Generator) -> None:
+        content = bytearray(path.read_bytes())
+        start = content.index(b"\x89HDF")
+        size = int(content[start - 512 + 124 : start - 512 + 135], 8)
+        part = path.with_name("member.h5")
+        part.write_bytes(content[start : start + size])
+        change(part, generator)
+        new = part.read_bytes()
+        part.unlink()
+        content[start : start + size] = new[:size].ljust(size, b"\0")
+        path.write_bytes(content)
+
+    return damage

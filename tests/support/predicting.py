@@ -1,0 +1,50 @@
+"""A small trained network and pictures for it: what the tests of ``predict`` share."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+import eldenet
+from eldenet.config import compose
+from eldenet.deploy.outputs import Results
+from eldenet.predict import predict
+
+
+def photo(height: int = 48, width: int = 64) -> np.ndarray:
+    rows, cols = np.mgrid[:height, :width]
+    return np.stack([rows * 5 % 256, cols * 4 % 256, (rows + cols) * 2 % 256], -1).astype(np.uint8)
+
+
+def save(path: Path, picture: np.ndarray) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), picture[..., ::-1])
+    return path
+
+
+def listed(folder: Path) -> list[str]:
+    """Names of what people see in a folder."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def small_model(folder: Path) -> Path:
+    torch.manual_seed(0)
+    eldenet.load("eldenet_s").save_pretrained(folder, info={"input_size": [32, 64]})
+    return folder
+
+
+def run(model_folder: Path, source: Path, output: Path, *overrides: str) -> Results:
+    quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'"]
+    return predict(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+
+
+def read_ply(path: Path) -> np.ndarray:
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = header.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    kinds = {"float": "<f4", "uchar": "u1"}
+    fields = [line.split()[1:] for line in lines if line.startswith("property")]
+    vertices = np.frombuffer(body, np.dtype([(name, kinds[kind]) for kind, name in fields]))
+    assert f"element vertex {len(vertices)}" in lines
+    return vertices

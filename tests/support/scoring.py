@@ -1,0 +1,39 @@
+"""What the tests of metrics and protocols share."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from eldenet.config import compose, instantiate
+from eldenet.evaluation.metrics import DepthMetrics
+from eldenet.evaluation.protocol import EvalProtocol
+
+FOLDER = Path(__file__).parents[2] / "configs" / "protocol"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+
+
+def from_yaml(name: str) -> EvalProtocol:
+    return instantiate(compose("train", [f"protocol={name}"]).protocol)
+
+
+def batch(seed: int, images: int = 3, size: tuple[int, int] = (14, 18), known: float = 0.7):
+    generator = torch.Generator().manual_seed(seed)
+    shape = (images, 1, *size)
+    depth = 0.2 + 11 * torch.rand(shape, generator=generator)
+    prediction = depth * (0.6 + 0.8 * torch.rand(shape, generator=generator))
+    return prediction, depth, torch.rand(shape, generator=generator) < known
+
+
+def scores(protocol: EvalProtocol, *batches: tuple[Tensor, Tensor, Tensor]) -> dict[str, float]:
+    metrics = DepthMetrics(protocol)
+    for one in batches:
+        metrics.update(*one)
+    return metrics.compute()
+
+
+def assert_same(ours: dict[str, float], expected: dict[str, float], rel: float = 1e-5) -> None:
+    assert ours == {
+        name: pytest.approx(value, rel=rel, abs=1e-9, nan_ok=True) for name, value in expected.items()
+    }

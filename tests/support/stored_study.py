@@ -1,0 +1,87 @@
+"""A plan and stored runs of it as trainings leave them: what the tests of a study's tables share."""
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eldenet import config as cfg
+from eldenet.evaluation.metrics import METRICS
+from eldenet.results.studies.blocks import build_blocks
+from eldenet.results.studies.matching import compose_run
+from eldenet.results.studies.plan import Study, read_study
+
+PLAN = """
+overrides: [data=rooms, "data.frames={train: 16, val: 4, test: 6}", trainer.epochs=3]
+learning_rate: 1.0e-3
+seeds: [0, 1, 2]
+reference: [small]
+columns: [rmse, delta1]
+rows:
+  small: {overrides: [model=eldenet_s]}
+  large: {overrides: [model=eldenet]}
+  other: {overrides: [model=fastdepth], block: rooms}
+"""
+IMAGES = [f"room/{index}" for index in range(40)]
+
+
+def write_plan(folder: Path) -> Study:
+    (folder / "sweep.yaml").write_text(PLAN)
+    return read_study(folder)
+
+
+def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:
+    """A stored run as a training leaves it, with these figures of its images."""
+    (row,) = study.chosen(name)
+    overrides = [*study.overrides, *row.overrides, "optimizer.lr=1.0e-3"]
+    config = compose_run(overrides, Path("f"), Path("r"), name=name, seed=seed)
+    run = {
+        "model": name,
+        "seed": seed,
+        **{"data": "rooms", "split": "test", "split_hash": "abc", "train_split_hash": "def"},
+        "protocol": cfg.plain(config.data.protocol) | {"crop_fractions": None},
+        "metrics": dict.fromkeys(METRICS, 0.5) | {"delta1": float(delta1.mean()), "images": len(delta1)},
+        "constant_predictor": None,
+        "cost": {"params": 100, "gmacs": 1.0, "gflops": 2.0, "latency_ms_p50": 7.0, "throughput_img_s": 9.0}
+        | {"runtime": "torch", "precision": "fp32", "threads": 1, "device": "cpu"}
+        | {"height": 96, "width": 128, "batch": 8},
+        "hardware": {"processor": "some", "accelerator": None},
+        "versions": {"torch": "2"},
+        "resources": {"precision": "bf16"},
+        "date": "2026-01-01T00:00:00",
+        "sources": {},
+        "config": cfg.plain(config),
+    } | changes
+    folder = study.stored(row, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").write_text(json.dumps(run))
+    with (folder / "per_image.csv").open("w", newline="") as lines:
+        writer = csv.writer(lines)
+        writer.writerow(["name", "delta1"])
+        writer.writerows(zip(IMAGES, delta1, strict=False))
+    return folder
+
+
+def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:
+    """Row -> title -> cell."""
+    (found,) = [one for one in build_blocks(study) if one.name == block]
+    return {row[0]: dict(zip(found.titles, row, strict=True)) for row in found.rows}
+
+
+def notes(study: Study) -> list[str]:
+    return build_blocks(study)[0].notes
+
+
+def figures(offset: float, seed: int) -> np.ndarray:
+    return 0.5 + offset + 0.02 * np.random.default_rng(seed).standard_normal(len(IMAGES))
+
+
+def history(mse: Sequence[float]) -> list[dict[str, float]]:
+    """Of a training with this validation MSE after each epoch."""
+    return [
+        {"epoch": epoch, "train_total": value, "val_mse": value, "val_ssim": 0.9, "val_mae": value}
+        for epoch, value in enumerate(mse, 1)
+    ]

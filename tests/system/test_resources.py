@@ -1,0 +1,65 @@
+"""What a machine, or a container on it, gives: cores, memory; and what a run makes of it."""
+
+import os
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+
+from eldenet.system import resources
+from eldenet.system.resources import available_cores, available_memory, choose_resources
+
+
+@pytest.fixture
+def cgroup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(resources, "CGROUP", tmp_path)
+    return tmp_path
+
+
+def test_a_container_gives_what_it_does_not_use_yet(cgroup: Path) -> None:
+    whole = available_memory()
+    assert whole > 2**20
+    (cgroup / "memory.max").write_text("max\n")
+    (cgroup / "memory.current").write_text("700000\n")
+    assert available_memory() > 2**20
+    (cgroup / "memory.max").write_text("1000000\n")
+    assert available_memory() == 300_000
+    (cgroup / "memory.stat").write_text("anon 400000\nfile 300000\ninactive_file 200000\n")
+    assert available_memory() == 500_000  # the cache of files that nobody reads is given up
+    (cgroup / "memory.current").write_text("1300000\n")
+    assert available_memory() == 0
+
+
+@pytest.mark.parametrize(
+    ("quota", "cores"),
+    [
+        ("max 100000", 8),
+        ("200000 100000", 2),
+        ("150000 100000", 2),
+        ("20000 100000", 1),
+        ("900000 100000", 8),
+    ],
+)
+def test_a_container_gives_its_share_of_the_cores(
+    quota: str, cores: int, cgroup: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert available_cores() == 8
+    (cgroup / "cpu.max").write_text(f"{quota}\n")
+    assert available_cores() == cores
+
+
+def test_fp32_is_no_tf32() -> None:
+    before = torch.backends.cudnn.allow_tf32
+    try:
+        torch.backends.cudnn.allow_tf32 = True
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            choose_resources(device="cpu", threads=1, workers=0)
+        assert not torch.backends.cudnn.allow_tf32
+        if hasattr(torch.backends.cudnn, "conv"):  # torch 2.9
+            assert torch.backends.cudnn.conv.fp32_precision != "tf32"
+        assert not torch.backends.cuda.matmul.allow_tf32
+    finally:
+        torch.backends.cudnn.allow_tf32 = before

@@ -1,0 +1,162 @@
+"""What the images are normalised by: ImageNet's numbers, the data set's own, or given ones."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support import layouts
+from support.networks import same_model
+
+from eldenet.config import build_model, compose, plain
+from eldenet.data.folder import FolderDataset
+from eldenet.data.statistics import channel_statistics
+from eldenet.model import IMAGENET_MEAN, DepthNet
+from eldenet.results.run_log import RunLog
+from eldenet.train import build_seeded_model
+from eldenet.training.normalization import normalisation, write_normalisation
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> FolderDataset:
+    """Pictures of blocks of 4 x 4 equal pixels, so that every sixteenth says all."""
+    layouts.folder(tmp_path / "set", count=6)
+    generator = np.random.default_rng(0)
+    for i in range(6):
+        small = generator.integers(0, (250, 120, 60), (12, 16, 3)).astype(np.uint8)
+        layouts.picture(tmp_path / f"set/images/f{i:03d}.png", small.repeat(4, 0).repeat(4, 1))
+    return FolderDataset(tmp_path / "set", max_depth=10.0)
+
+
+def test_the_data_sets_own_are_numpys(frames: FolderDataset) -> None:
+    pixels = np.concatenate([frames.load_frame(i).image.reshape(-1, 3) for i in range(6)]) / 255.0
+    chosen = normalisation("dataset", frames)
+    np.testing.assert_allclose(chosen["mean"], pixels.mean(0), atol=1e-5)
+    np.testing.assert_allclose(chosen["std"], pixels.std(0), atol=1e-5)
+
+
+def test_the_draw_is_seeded(frames: FolderDataset) -> None:
+    means = [channel_statistics(frames, frames=2, seed=seed).mean for seed in (0, 0, 1)]
+    assert means[0] == means[1]
+    assert means[0] != means[2]
+    every = {tuple(channel_statistics(frames, frames=6, seed=seed).mean) for seed in range(3)}
+    assert len(every) == 1
+    with pytest.raises(ValueError, match="frames=0"):
+        channel_statistics(frames, frames=0)
+
+
+def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) -> None:
+    config = compose("train", [])
+    assert plain(config.normalisation) == "imagenet"
+    assert normalisation("imagenet", frames) == {}
+    chosen = build_model(config.model, **normalisation("imagenet", frames))
+    assert chosen.config == build_model(config.model).config  # so older checkpoints still fit
+    torch.testing.assert_close(build_model(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
+
+
+def test_given_numbers_reach_the_model_and_its_folder(frames: FolderDataset, tmp_path: Path) -> None:
+    config = compose("train", ["normalisation={mean: [0.28, 0.32, 0.3], std: [0.18, 0.19, 0.2]}"])
+    model = build_model(config.model, **normalisation(plain(config.normalisation), frames))
+    again = DepthNet.from_pretrained(model.save_pretrained(tmp_path / "model"))
+    torch.testing.assert_close(again.mean.flatten(), torch.tensor([0.28, 0.32, 0.3]))
+    torch.testing.assert_close(again.std.flatten(), torch.tensor([0.18, 0.19, 0.2]))
+
+
+def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) -> None:
+    first = normalisation("dataset", frames)
+    write_normalisation(tmp_path / "run", "dataset", first)
+    layouts.picture(tmp_path / "set/images/f001.png", np.full((48, 64, 3), 255, np.uint8))
+    assert normalisation("dataset", frames) != first
+    assert normalisation("dataset", frames, resumed=tmp_path / "run") == first
+    write_normalisation(tmp_path / "other", "imagenet", {})
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ("kitti", "normalisation='kitti': give imagenet, dataset"),
+        ({"mean": [0.5] * 3}, "give mean and std"),
+        ({"mean": [0.5] * 3, "std": [0.2] * 3, "max": 1}, "give mean and std"),
+        ({"mean": [0.5] * 2, "std": [0.2] * 3}, r"mean=\[0.5, 0.5\]: give three numbers"),
+        ({"mean": [0.5] * 3, "std": [0.2, 0.2, 0.0]}, "std above 0"),
+        ({"mean": [120, 110, 100], "std": [60, 60, 60]}, r"RGB in \[0, 1\]"),
+        ({"mean": [float("nan")] * 3, "std": [0.2] * 3}, "three numbers"),
+    ],
+)
+def test_what_cannot_be_is_refused(choice: Any, message: str, frames: FolderDataset) -> None:
+    with pytest.raises(ValueError, match=message):
+        normalisation(choice, frames)
+
+
+def test_pictures_of_one_colour_are_refused(tmp_path: Path) -> None:
+    layouts.folder(tmp_path, layouts.SMALL._replace(rgb=np.full((48, 64, 3), 90, np.uint8)), count=2)
+    with pytest.raises(ValueError, match="never changes in 2 frames"):
+        normalisation("dataset", FolderDataset(tmp_path, max_depth=10.0))
+
+
+def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
+    source = tmp_path / "start"
+    config = compose("train", ["model=eldenet_s", f"weights={source}", "model.head.max_depth=10", *words])
+    return build_seeded_model(config, RunLog(tmp_path), **arguments)
+
+
+def test_weights_bring_their_normalisation(tmp_path: Path, capsys) -> None:
+    theirs = {"mean": [0.3, 0.31, 0.32], "std": [0.2, 0.21, 0.22]}
+    config = compose("train", ["model=eldenet_s", "model.head.max_depth=10"])
+    start = build_model(config.model, **theirs)
+    start.save_pretrained(tmp_path / "start")
+    model, image = seeded(tmp_path), torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(0))
+    assert same_model(model, start)
+    assert "their normalisation is taken over, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
+    model.save_pretrained(tmp_path / "saved")
+    assert same_model(DepthNet.from_pretrained(tmp_path / "saved"), start)
+    mine = {"mean": [0.5] * 3, "std": [0.25] * 3}
+    words = [f"+model.{name}={values}" for name, values in mine.items()]
+    for overrides, arguments in (([], mine), (words, {})):
+        model = seeded(tmp_path, *overrides, **arguments)
+        assert model.config["mean"] == mine["mean"]
+        assert model.std.flatten().tolist() == mine["std"]
+        assert "the chosen mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25] stays" in capsys.readouterr().out
+        with torch.inference_mode():
+            assert not torch.equal(model.eval()(image), start.eval()(image))
+
+
+def test_weights_of_equal_settings_are_taken_without_a_word(tmp_path: Path, capsys) -> None:
+    start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
+    start.save_pretrained(tmp_path / "start")
+    assert same_model(seeded(tmp_path), start)
+    assert capsys.readouterr().out == ""
+
+
+def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
+    """Their tensors fit as well, and mean something else here."""
+    start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
+    start.save_pretrained(tmp_path / "start")
+    model = seeded(tmp_path, "model.head.max_depth=80", "model.backbone.shortcuts=false")
+    assert model.head.max_depth == 80
+    said = capsys.readouterr().out
+    assert "head.max_depth=80 (there 10" in said
+    assert "backbone.shortcuts=False (there True)" in said
+
+
+def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:
+    arguments = ("data=folder", f"data.root={tmp_path / 'set'}", "data.input_size=[32,40]", "model=eldenet_s")
+    arguments += ("trainer.epochs=2", "trainer.batch_size=4", "normalisation=dataset", "run_dir=run")
+    finished = run_command("train", *arguments)
+    assert finished.returncode == 0, finished.stderr
+    run = json.loads((tmp_path / "run/run.json").read_text())
+    stored = json.loads((tmp_path / "run/model/config.json").read_text())["model"]
+    kept = json.loads((tmp_path / "run/normalisation.json").read_text())
+    assert run["normalisation"] == {name: pytest.approx(kept[name]) for name in ("mean", "std")}
+    assert (stored["mean"], stored["std"]) == (kept["mean"], kept["std"])
+    assert kept["mean"][0] > kept["mean"][1] > kept["mean"][2]
+    layouts.picture(tmp_path / "set/images/f001.png", np.full((48, 64, 3), 255, np.uint8))
+    resumed = run_command("train", *arguments, "ckpt_path=auto")
+    assert resumed.returncode == 0, resumed.stderr
+    assert json.loads((tmp_path / "run/normalisation.json").read_text()) == kept
+    both = run_command("train", *arguments[:-1], "run_dir=other", "+model.mean=[0.5,0.5,0.5]")
+    assert both.returncode == 1
+    assert "take one of them" in both.stderr

@@ -1,0 +1,166 @@
+"""Several processes: they train to the weights of one with their batches together, and prepare data once."""
+
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from support.synthetic import SyntheticDepth
+
+import eldenet
+from eldenet.data.transforms import Augmentation
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.losses.base import WeightedSum, WeightedTerm
+from eldenet.losses.distillation import DistilledTerm, Teacher
+from eldenet.losses.pointwise import L1Loss
+from eldenet.results.run_record import differences
+from eldenet.system.resources import Resources, seed_everything
+from eldenet.training.checkpoint import load_checkpoint
+from eldenet.training.optim import constant
+from eldenet.training.trainer import Trainer
+
+FRAMES, TOGETHER = 24, 8
+
+
+class FrozenStatistics(Trainer):
+    """Trains with BatchNorm in eval mode: a batch's statistics are what processes do not share."""
+
+    def train_step(self, batch, *, update):
+        self.model.eval()
+        return super().train_step(batch, update=update)
+
+
+def with_statistics(name: str, seed: int) -> torch.nn.Module:
+    """A new network whose BatchNorm has seen the data: in eval mode its features are neither 0 nor huge."""
+    seed_everything(seed)
+    model = eldenet.load(name).train()
+    images = torch.stack([sample["image"] for sample in map(SyntheticDepth(8).__getitem__, range(8))])
+    with torch.no_grad():
+        for _ in range(30):
+            model(images)
+    return model
+
+
+def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
+    """Two epochs with ``TOGETHER`` images per update, dealt out to the processes; features are distilled."""
+    torch.set_num_threads(1)
+    teacher, model = Teacher(with_statistics("eldenet", seed=0)), with_statistics("eldenet_s", seed=1)
+    distilled = DistilledTerm(L1Loss(), teacher, weight=0.1, feature_weight=1.0, feature_strides=(16,))
+    trainer = (FrozenStatistics if frozen else Trainer)(
+        optimizer=partial(torch.optim.SGD, lr=3e-4),
+        scheduler=constant,
+        epochs=2,
+        batch_size=TOGETHER // processes,
+    )
+    trainer.fit(
+        model,
+        SyntheticDepth(FRAMES, transform=Augmentation(affine=0.0)),  # every pixel known: equal shares
+        SyntheticDepth(5),
+        WeightedSum({"l1": WeightedTerm(L1Loss()), "distilled": distilled}),
+        EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense"),
+        folder,
+        Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2),
+    )
+    trainer.accelerator.wait_for_everyone()
+    return trainer
+
+
+def torchrun(*command: str, timeout: int = 240, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [
+            *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
+            *command,
+        ],
+        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=timeout,
+    )
+
+
+def largest_difference(one: Path, two: Path, group: str) -> float:
+    """Of a weight; BatchNorm's running statistics apart."""
+    first, second = (load_checkpoint(folder)[group] for folder in (one, two))
+    assert first.keys() == second.keys()
+    first = {name: value for name, value in first.items() if "running_" not in name}
+    assert first
+    return max(float((first[name].double() - second[name].double()).abs().max()) for name in first)
+
+
+def test_two_processes_train_to_the_weights_of_one(tmp_path):
+    """With BatchNorm's own statistics they may not; how far they drift is printed (``pytest -s``)."""
+    finished = torchrun(__file__, str(tmp_path))
+    assert finished.returncode == 0, finished.stderr[-3000:]
+    for frozen in (True, False):
+        train(tmp_path / f"one-{frozen}", 1, frozen=frozen)
+    gap = {
+        (frozen, group): largest_difference(tmp_path / f"one-{frozen}", tmp_path / f"two-{frozen}", group)
+        for frozen in (True, False)
+        for group in ("model", "loss")
+    }
+    print("largest difference of a weight:", gap)
+    assert gap[True, "model"] < 1e-5
+    assert gap[True, "loss"] < 1e-5
+    start = with_statistics("eldenet_s", seed=1).state_dict()  # it did train
+    trained = load_checkpoint(tmp_path / "one-True")["model"]
+    assert max(float((trained[name] - start[name]).abs().max()) for name in start) > 1e-3
+    # the validation counted each of the five frames once
+    progress = [load_checkpoint(tmp_path / f"{name}-True")["progress"] for name in ("one", "two")]
+    for one, two in zip(*(entry["history"] for entry in progress), strict=True):
+        assert one["val_rmse"] == pytest.approx(two["val_rmse"], rel=1e-5)
+
+
+def test_missing_rooms_are_rendered_by_one_process(tmp_path):
+    script = tmp_path / "ranks.py"
+    script.write_text(
+        "import json, os, sys, time\n"
+        "from pathlib import Path\n"
+        "from eldenet.system.resources import Resources, main_process_first\n"
+        "folder, rank = Path(sys.argv[1]), os.environ['RANK']\n"
+        "with main_process_first(Resources('cpu', 'fp32', 1, 0, 1)):\n"
+        "    (folder / rank).write_text(json.dumps(sorted(path.name for path in folder.glob('[01]'))))\n"
+        "    time.sleep(1.0 if rank == '0' else 0.0)\n"
+        "    (folder / f'done-{rank}').touch()\n"
+        "    assert (folder / 'done-0').exists()\n"
+        "from accelerate import PartialState\n"
+        "PartialState().destroy_process_group()\n"
+    )
+    finished = torchrun(str(script), str(tmp_path))
+    assert finished.returncode == 0, finished.stderr[-3000:]
+    assert json.loads((tmp_path / "0").read_text()) == []
+    assert json.loads((tmp_path / "1").read_text()) == ["0"]
+
+
+def test_settings_that_tell_two_runs_apart():
+    ours = {
+        "run_dir": "a",
+        "seed": 0,
+        "data": {"name": "x", "root": "/here", "cache": False, "subset": {"train": None}},
+        "augmentation": {"_target_": "A", "flip": 0.5, "new_option": 1},
+        "loss": {"_target_": "Sum", "terms": {"l1": {"_target_": "Term", "weight": 1.0}}},
+    }
+    theirs = json.loads(json.dumps(ours)) | {"run_dir": "b"}
+    theirs["data"] |= {"root": "/there", "cache": "ram"}
+    del theirs["augmentation"]["new_option"]  # the class had none then
+    assert differences(ours, theirs) == []
+    theirs["loss"]["terms"]["ssim"] = {"_target_": "Term", "weight": 1.0}
+    assert [text.partition("=")[0] for text in differences(ours, theirs)] == ["loss.terms.ssim"]
+    assert differences(ours | {"augmentation": None}, ours)
+    assert differences(ours | {"augmentation": {}}, ours)
+    assert differences(ours | {"seed": 1}, ours) == ["seed=1 (there 0)"]
+    adam = {"optimizer": {"_target_": "torch.optim.Adam", "lr": 1e-3}}
+    asked = {"optimizer": adam["optimizer"] | {"amsgrad": False}}  # torch's default: so the run was made
+    assert differences(asked, adam) == []
+    asked["optimizer"]["amsgrad"] = True
+    assert differences(asked, adam) == ["optimizer.amsgrad=True (there False)"]
+
+
+if __name__ == "__main__":  # one of torchrun's processes
+    for statistics in (True, False):
+        done = train(Path(sys.argv[1]) / f"two-{statistics}", 2, frozen=statistics)
+    done.accelerator.end_training()

@@ -1,0 +1,216 @@
+"""A stopped or killed training goes on to the very same weights, or is refused in a clear line."""
+
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from support.synthetic import SyntheticDepth
+from support.training import ONE_THREAD, digest, fit, make_trainer
+
+from eldenet.config import compose, plain
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.losses.pointwise import L1Loss
+from eldenet.results.run_record import write_json
+from eldenet.train import train
+from eldenet.training.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
+from eldenet.training.optim import cosine
+from eldenet.training.trainer import Trainer
+
+
+class NoisyLoss(L1Loss):
+    """Draws from torch's generator, as dropout does."""
+
+    def forward(self, prediction, target, mask):
+        return super().forward(prediction, target, mask) * (0.5 + torch.rand(()))
+
+
+@pytest.mark.parametrize(
+    ("options", "loss"),
+    [
+        ({}, L1Loss),
+        ({"ema_decay": 0.9}, NoisyLoss),
+        ({"accumulate": 2, "gradient_clip": 1.0}, L1Loss),
+        ({"accumulate": 3, "evaluate_every": 2}, L1Loss),
+    ],
+)
+def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options, loss):
+    fit(tmp_path / "whole", epochs=3, checkpoint_every=1, loss=loss(), **options)
+
+    class Stopped(Exception):
+        pass
+
+    class StoppingTrainer(Trainer):
+        calls = 0
+
+        def train_step(self, batch, *, update):
+            StoppingTrainer.calls += 1
+            if StoppingTrainer.calls == 7:  # in the middle of the second epoch
+                raise Stopped
+            return super().train_step(batch, update=update)
+
+    settings = {
+        "optimizer": partial(torch.optim.Adam, lr=3e-3),
+        "scheduler": cosine,
+        "epochs": 3,
+        "batch_size": 4,
+        "checkpoint_every": 1,
+    } | options
+    with pytest.raises(Stopped):
+        fit(tmp_path / "part", trainer=StoppingTrainer(**settings), loss=loss())
+    assert load_checkpoint(tmp_path / "part")["progress"]["epoch"] == 1
+    fit(tmp_path / "part", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part", loss=loss())
+    assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+    # into another folder: the best epoch so far comes along
+    fit(tmp_path / "other", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part", loss=loss())
+    assert digest(tmp_path / "other") == digest(tmp_path / "whole")
+
+
+def command_of(folder: Path, *more: str) -> list[str]:
+    return [
+        *(sys.executable, "-m", "eldenet.train", "data=rooms", "model=eldenet_s", f"run_dir={folder}"),
+        *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 64, val: 8, test: 8}"),
+        *("trainer.epochs=3", "trainer.batch_size=4", "trainer.checkpoint_every=1", "runtime.threads=1"),
+        *("runtime.workers=2", *more),
+    ]
+
+
+def test_sigkill_at_random_steps_with_workers_and_augmentation(tmp_path, cache):
+    environment = {**os.environ, "ELDENET_CACHE": cache}
+    subprocess.run(command_of(tmp_path / "whole"), env=environment, check=True, capture_output=True)
+    generator = random.Random(0)
+    kills = 0
+    for _attempt in range(8):
+        process = subprocess.Popen(
+            command_of(tmp_path / "killed", "ckpt_path=auto"),
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        last = tmp_path / "killed" / "checkpoints" / "last.pt"
+        before = last.stat().st_mtime_ns if last.is_file() else 0
+        deadline = time.monotonic() + 60
+        while process.poll() is None and time.monotonic() < deadline:  # until it has made some progress
+            if last.is_file() and last.stat().st_mtime_ns > before:
+                break
+            time.sleep(0.02)
+        time.sleep(generator.uniform(0.0, 0.5))
+        if kills < 3 and process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            kills += 1
+        elif process.wait(timeout=120) == 0:
+            break
+    assert kills >= 1, "the training ended before it could be killed once"
+    assert digest(tmp_path / "killed") == digest(tmp_path / "whole")
+    ends = [load_checkpoint(tmp_path / name)["model"] for name in ("killed", "whole")]
+    assert all(torch.equal(ends[0][key], ends[1][key]) for key in ends[0])
+
+
+def test_resuming_another_training_is_refused(tmp_path):
+    fit(tmp_path, epochs=1)
+    with pytest.raises(ValueError, match="belongs to another training"):
+        fit(tmp_path, epochs=1, batch_size=8, ckpt_path=tmp_path)
+    # the checkpoint's own learning rate would win without a word
+    with pytest.raises(ValueError, match="optimizer differ"):
+        fit(tmp_path, epochs=1, optimizer=partial(torch.optim.Adam, lr=1e-5), ckpt_path=tmp_path)
+    with pytest.raises(ValueError, match="scheduler differ"):
+        fit(tmp_path, epochs=1, scheduler=partial(cosine, final=0.5), ckpt_path=tmp_path)
+    with pytest.raises(ValueError, match="ema_decay differ"):
+        fit(tmp_path, epochs=1, ema_decay=0.9, ckpt_path=tmp_path)
+    # values of another metric, or of other frames, would be compared with the best so far
+    for options, name in (
+        ({"monitor": "abs_rel"}, "monitor"),
+        ({"val_frames": 5}, "validation split"),
+        ({"protocol": EvalProtocol("other", min_depth=0.1, ground_truth="dense")}, "protocol"),
+        # what "auto" is on another machine, and weights that were trained anew at the same place
+        ({"resources": replace(ONE_THREAD, precision="bf16")}, "precision"),
+        ({"sources": {"weights": "0" * 16}}, "sources"),
+    ):
+        with pytest.raises(ValueError, match=f"{name} differ"):
+            fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)
+
+
+def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
+    begun = compose("train", ["model_name=small", f"run_dir={tmp_path}", "trainer.checkpoint_every=7"])
+    OmegaConf.save(begun, tmp_path / "config.yaml", resolve=True)
+    (tmp_path / "checkpoints").mkdir()
+    last = tmp_path / "checkpoints" / "last.pt"
+    save_checkpoint(last, {"progress": {}})
+    for given in ("auto", tmp_path, last):
+        other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
+        with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
+            train(other, tmp_path)
+
+
+def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
+    config = compose("train", ["model_name=small", f"run_dir={tmp_path}", "ckpt_path=auto"])
+    record = {"metrics": {}, "config": plain(config), "training": None}
+    write_json(tmp_path / "run.json", record)
+    with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
+        train(config, tmp_path)
+    write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
+    monkeypatch.setattr("eldenet.config.build_split", lambda *_: SyntheticDepth(2))
+    assert math.isnan(train(config, tmp_path))
+
+
+def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
+    fit(tmp_path / "run", epochs=1)
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "run" / "checkpoints" / "last.pt").rename(tmp_path / "alone" / "last.pt")
+    with pytest.raises(FileNotFoundError, match="best epoch so far is 1"):
+        fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path / "alone" / "last.pt")
+
+
+def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
+    fit(tmp_path / "cpu", epochs=1)
+    set_to = []
+    monkeypatch.setattr(torch.cuda, "set_rng_state", set_to.append)
+    assert load_checkpoint(tmp_path / "cpu")["cuda_rng"] is None
+
+    def state(drawn: int) -> TrainingState:
+        monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+        monkeypatch.setattr(torch.cuda, "get_rng_state", lambda: torch.tensor([drawn], dtype=torch.uint8))
+        model = torch.nn.Linear(2, 2)
+        optimizer = torch.optim.SGD(model.parameters(), lr=0.1)
+        scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer)
+        return TrainingState(model, None, optimizer, scheduler, L1Loss(), None, Progress(), {})
+
+    state(7).save(tmp_path / "last.pt")
+    state(3).restore(tmp_path / "last.pt")
+    assert [value.item() for value in set_to] == [7]
+    without = load_checkpoint(tmp_path / "last.pt")
+    del without["cuda_rng"]
+    save_checkpoint(tmp_path / "old.pt", without)
+    state(3).restore(tmp_path / "old.pt")
+    assert len(set_to) == 1
+
+
+def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no checkpoint at"):
+        load_checkpoint(tmp_path / "none.pt")
+    save_checkpoint(tmp_path / "foreign.pt", {"weights": torch.zeros(2)})
+    with pytest.raises(ValueError, match="no training checkpoint"):
+        load_checkpoint(tmp_path / "foreign.pt")
+    whole = (tmp_path / "foreign.pt").read_bytes()
+    (tmp_path / "cut.pt").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"cut\.pt can't be read"):
+        load_checkpoint(tmp_path / "cut.pt")
+
+    class Dangerous:
+        def __reduce__(self):
+            return (os.system, ("echo executed > /dev/null",))
+
+    torch.save({"progress": Dangerous()}, tmp_path / "pickle.pt")
+    with pytest.raises(ValueError, match=r"pickle\.pt can't be read"):
+        load_checkpoint(tmp_path / "pickle.pt")

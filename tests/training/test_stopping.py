@@ -1,0 +1,98 @@
+"""Ctrl-C and ``systemctl stop`` end a prediction in order: films play, no file is half, the status tells."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from support.films import read_video, write_video
+from support.predicting import listed, photo, run, save
+
+from eldenet.deploy.predictor import DepthPredictor
+from eldenet.system.signals import stop_wish
+
+
+@pytest.fixture
+def third_picture(monkeypatch: pytest.MonkeyPatch):
+    """Give a function that lets a signal come in the middle of the third picture."""
+
+    def arrange(number: signal.Signals) -> None:
+        predict, seen = DepthPredictor.__call__, []
+
+        def depth(predictor: DepthPredictor, frame):
+            seen.append(frame)
+            if len(seen) == 3:
+                signal.raise_signal(number)
+            return predict(predictor, frame)
+
+        monkeypatch.setattr(DepthPredictor, "__call__", depth)
+
+    return arrange
+
+
+@pytest.mark.parametrize(
+    ("number", "called"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")]
+)
+def test_a_video_that_is_stopped_keeps_its_film(
+    model_folder: Path, tmp_path: Path, third_picture, capsys, number, called
+) -> None:
+    third_picture(number)
+    handler = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt if called == "Ctrl-C" else SystemExit) as end:
+        run(model_folder, write_video(tmp_path / "walk.mp4", 9), tmp_path / "out", "formats=[colour,depth]")
+    if called != "Ctrl-C":
+        assert end.value.code == 128 + number
+    assert signal.getsignal(number) == handler
+    assert listed(tmp_path / "out") == ["walk", "walk_depth.mp4"]
+    assert len(read_video(tmp_path / "out/walk_depth.mp4")[0]) == 3
+    assert listed(tmp_path / "out/walk") == [f"00000{number}_depth.png" for number in range(3)]
+    assert f"stopped by {called}: 3 frames of walk.mp4: colour + depth in" in capsys.readouterr().out
+    (path,) = (tmp_path / "out/.predict").iterdir()
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert {"name": "walk", "file": "walk_depth.mp4"}.items() <= lines[-2].items()
+    assert lines[-1] == {"ended": called, "images": 3}
+
+
+def test_a_folder_that_is_stopped_says_how_far_it_came(
+    model_folder: Path, tmp_path: Path, third_picture, capsys
+) -> None:
+    third_picture(signal.SIGINT)
+    for name in "abcde":
+        save(tmp_path / f"in/{name}.png", photo())
+    with pytest.raises(KeyboardInterrupt):
+        run(model_folder, tmp_path / "in", tmp_path / "out")
+    assert listed(tmp_path / "out") == [
+        f"{name}_{kind}.png" for name in "abc" for kind in ("colour", "depth")
+    ]
+    assert "stopped by Ctrl-C: 3 of 5 pictures: depth + colour in" in capsys.readouterr().out
+
+
+def test_a_camera_ends_so(model_folder: Path, tmp_path: Path, third_picture) -> None:
+    """It has no other end, so that is none to complain of."""
+    third_picture(signal.SIGTERM)
+    # as from a camera, frames that come too fast are dropped: enough of them for three on a busy machine
+    source = write_video(tmp_path / "walk.ts", 4000)
+    results = run(model_folder, f"file://{source}", tmp_path / "out")  # type: ignore[arg-type]
+    assert results.images == 3
+
+
+def test_a_second_ctrl_c_waits_for_nothing() -> None:
+    with stop_wish() as wish:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        assert str(wish) == "SIGTERM"
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_ctrl_c_ends_the_command_with_130(model_folder: Path, tmp_path: Path, run_command) -> None:
+    write_video(tmp_path / "walk.mp4", 4000)
+    begun = "out/.walk_depth.part.mp4"
+    done = run_command(
+        "predict", f"checkpoint={model_folder}", "source=walk.mp4", "output=out", interrupt_at=begun
+    )
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+    frames = len(read_video(tmp_path / "out/walk_depth.mp4")[0])
+    assert 1 <= frames < 4000
+    assert f"stopped by Ctrl-C: {frames} frame" in done.stdout
