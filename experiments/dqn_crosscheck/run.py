@@ -62,6 +62,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300_000)
     parser.add_argument("--worlds", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=HERE / "results.md")
     args = parser.parse_args()
     where = environment()
     lines = [
@@ -89,7 +90,7 @@ def main() -> None:
         f"torch {where['versions']['torch']}, mujoco {where['versions']['mujoco']}, {where['date']}; "
         f"`python experiments/dqn_crosscheck/{where['command']}`.",
     ]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
+    args.out.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
