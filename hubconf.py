@@ -2,7 +2,7 @@
 
 Every function takes the options of :func:`eldenet.zoo.load`, such as
 ``overrides=["model.head.max_depth=80"]``, and returns a network in eval mode: image ``(B, 3, H, W)``, RGB in
-[0, 1] -> depth ``(B, 1, H, W)`` [m]. It is freshly initialised but for ``eldenet(weights="rooms")``.
+[0, 1] -> depth ``(B, 1, H, W)`` [m]. It is freshly initialized but for ``eldenet(weights="rooms")``.
 """
 
 from typing import Any as _Any  # torch.hub lists every callable without an underscore

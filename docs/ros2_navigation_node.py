@@ -17,8 +17,8 @@ outer columns. The node then ends with an error that says so.
 
 The goal's distance and bearing come from odometry, so they drift with it: that is goal=odometry of
 python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the
-simulation's default. On a robot that localises (in a map, by a beacon), publish the corrected pose as
-odometry, or fuse its positions with the wheels' odometry in eldenet.navigation.localisation.Localiser, as
+simulation's default. On a robot that localizes (in a map, by a beacon), publish the corrected pose as
+odometry, or fuse its positions with the wheels' odometry in eldenet.navigation.localization.Localizer, as
 goal=fixes does.
 
 ros2 run needs a package around this file; for a try: python3 ros2_navigation_node.py
@@ -39,7 +39,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 
-CAMERA_HEIGHT = 0.40  # optical centre above the floor, as in the simulation: change it to your robot's [m]
+CAMERA_HEIGHT = 0.40  # optical center above the floor, as in the simulation: change it to your robot's [m]
 PERIOD = 0.2  # the policy was trained at this rate [s]
 GOAL_RADIUS = 0.5  # [m]
 STALE = 0.5  # older data stop the robot [s]
@@ -72,16 +72,16 @@ class NavigationNode(Node):
         return self.get_clock().now().nanoseconds * 1e-9
 
     def on_depth(self, message: Image) -> None:
-        """Take a depth image over, in metres."""
+        """Take a depth image over, in meters."""
         kinds = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}
         if message.encoding not in kinds:
             self.get_logger().error(f"depth is {message.encoding}: 32FC1 or 16UC1 is needed", once=True)
             return
-        kind, metres = kinds[message.encoding]
+        kind, meters = kinds[message.encoding]
         kind = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
         rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
         values = rows[:, : message.width * kind.itemsize].copy().view(kind)
-        self.depth = values.astype(np.float64) * metres
+        self.depth = values.astype(np.float64) * meters
         self.depth_time = self.now()
 
     def on_camera(self, message: CameraInfo) -> None:

@@ -244,7 +244,7 @@ def prepare(
 
 def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", folder: Path) -> Path:
     from eldenet.deploy.files import describe, write_onnx, write_openvino
-    from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
     from eldenet.deploy.runtimes import TORCH, installed
 
     if not installed(case.runtime):
@@ -258,11 +258,11 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
         write_onnx(model, graph, size, batch=case.batch, metadata=facts)
     # the scales of int8 come from the calibration pictures: others make another file
     pictures = hashlib.sha256(calibrated(config).encode()).hexdigest()[:8]
-    quantised = f"-int8-{pictures}" if case.precision == "int8" else ""
-    path = folder / f"{stem}{quantised}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
+    quantized = f"-int8-{pictures}" if case.precision == "int8" else ""
+    path = folder / f"{stem}{quantized}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
     if path.is_file() and not (config.overwrite and path != graph):
         return path
-    if not quantised:
+    if not quantized:
         return write_openvino(graph, path, facts)
     from eldenet.deploy.predictor import as_image, resized
     from eldenet.export import read_pictures
@@ -270,8 +270,8 @@ def _make(case: "Case", model: "DepthNet", name: str, config: "DictConfig", fold
     frames = read_pictures(config.pictures, config.calibration, "train")
     inputs = [as_image(resized(frame, size)).repeat(case.batch, axis=0) for frame in frames]
     if case.runtime == "onnxruntime":
-        return quantise_onnx(graph, path, inputs)
-    return quantise_openvino(graph, path, inputs, facts)
+        return quantize_onnx(graph, path, inputs)
+    return quantize_openvino(graph, path, inputs, facts)
 
 
 if __name__ == "__main__":

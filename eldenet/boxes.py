@@ -1,4 +1,4 @@
-"""Boxes: what a 2D detector says (:class:`Detections2D`), and upright boxes in metres (:class:`Boxes3D`).
+"""Boxes: what a 2D detector says (:class:`Detections2D`), and upright boxes in meters (:class:`Boxes3D`).
 
 Convention: KITTI's (Geiger et al., CVPR 2012). x right, y down, z forward; a box stands upright, ``yaw``
 turns it about y and is 0 where its length runs along x: length axis ``(cos, 0, -sin)``, width axis
@@ -31,10 +31,10 @@ class Detections2D:
     """Objects of one picture, as arrays.
 
     Convention: 2D boxes are what the object covers, from border to border, in the pixel coordinates of
-    :mod:`eldenet.geometry`: pixel centres lie on whole numbers, so a box around the pixels a to b reaches
+    :mod:`eldenet.geometry`: pixel centers lie on whole numbers, so a box around the pixels a to b reaches
     from a - 0.5 to b + 0.5, and a picture of W columns from -0.5 to W - 0.5. Detectors, COCO, YOLO and
     supervision count from the picture's corner instead: :func:`eldenet.geometry.from_corner`. KITTI's labels
-    are projections with whole-numbered pixel centres and stay as they are.
+    are projections with whole-numbered pixel centers and stay as they are.
 
     Attributes:
         xyxy: ``(N, 4)`` left, top, right, bottom [px of the picture], see above.
@@ -134,7 +134,7 @@ class Box3D:
 
     @property
     def distance(self) -> float:
-        """Of the centre from the origin, on the ground [m]."""
+        """Of the center from the origin, on the ground [m]."""
         return float(np.hypot(self.center[0], self.center[2]))
 
 

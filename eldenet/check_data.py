@@ -122,7 +122,7 @@ def _show(
     for found in checks:
         if found.split == "train" and found.mean:
             mean, std = (",".join(f"{v:.4f}" for v in values) for values in (found.mean, found.std))
-            log.say(f"the training images' own: 'normalisation={{mean: [{mean}], std: [{std}]}}'")
+            log.say(f"the training images' own: 'normalization={{mean: [{mean}], std: [{std}]}}'")
     for line in faults:
         log.say(line)
     verdict = "something is wrong, see above" if faults else "all is well"

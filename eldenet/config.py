@@ -169,7 +169,7 @@ def build_split(
     Args:
         config: the whole config, with ``data`` and, to augment, ``augmentation``.
         split: "train", "val" or "test": an entry of ``config.data``.
-        protocol: whose frame geometry (resize, centre crop) is applied first.
+        protocol: whose frame geometry (resize, center crop) is applied first.
         augment: for training.
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.

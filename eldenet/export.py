@@ -44,10 +44,10 @@ class Job:
 
 
 def export(config: "DictConfig") -> Path:
-    """Load, fold, write, quantise where asked for, compare with torch, say what came out."""
+    """Load, fold, write, quantize where asked for, compare with torch, say what came out."""
     import eldenet
     from eldenet.deploy.files import describe, write_onnx, write_openvino
-    from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
     from eldenet.results.run_log import RunLog
     from eldenet.zoo import note_if_untrained
 
@@ -57,7 +57,7 @@ def export(config: "DictConfig") -> Path:
     if note := note_if_untrained(config.checkpoint):
         log.say(note)
     pictures = read_pictures(config.pictures, max(config.checks, 1), "test")
-    facts = describe(model, job.name, job.size, camera_size=job.camera_size, licence=config.licence)
+    facts = describe(model, job.name, job.size, camera_size=job.camera_size, license=config.license)
     facts["precision"] = job.precision
     with tempfile.TemporaryDirectory() as temporary:
         # the fp32 graph is what everything else is made from
@@ -76,9 +76,9 @@ def export(config: "DictConfig") -> Path:
             inputs = batches(frames, job)
             log.say(f"int8: scales from {len(frames)} pictures")
             if job.format == "onnx":
-                quantise_onnx(graph, job.output, inputs)
+                quantize_onnx(graph, job.output, inputs)
             else:
-                quantise_openvino(graph, job.output, inputs, facts)
+                quantize_openvino(graph, job.output, inputs, facts)
         elif job.format == "openvino":
             write_openvino(graph, job.output, facts)
     report(job, model, pictures, log)
@@ -190,7 +190,7 @@ def report(job: Job, model: "DepthNet", pictures: list[np.ndarray], log: "RunLog
     counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common(4))
     files = [job.output, job.output.with_suffix(".bin")]
     weight = sum(path.stat().st_size for path in files if path.exists()) / 1e6
-    log.say(f"{kinds.total()} operations ({counted}, ...), {norms} batch normalisations")
+    log.say(f"{kinds.total()} operations ({counted}, ...), {norms} batch normalizations")
     log.say(f"written to {job.output} ({weight:.2f} MB)")
 
 

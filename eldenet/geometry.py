@@ -1,6 +1,6 @@
 """Pinhole geometry: intrinsics under image operations, back-projection, disparity.
 
-Convention: pixel centres lie on whole numbers (the first pixel's centre is (0, 0)), x right, y down,
+Convention: pixel centers lie on whole numbers (the first pixel's center is (0, 0)), x right, y down,
 z forward, as in OpenCV. A resize by s therefore moves a point u to (u + 0.5) * s - 0.5.
 """
 
@@ -75,7 +75,7 @@ def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> 
 def crop_corner(size: tuple[int, int], crop: tuple[int, int], anchor: str) -> tuple[int, int]:
     """Top and left [px] of a crop ``(height, width)`` of a frame of ``size``.
 
-    Convention: "center" rounds half to even, as torchvision's centre crop; "bottom" is BTS's KB crop: the
+    Convention: "center" rounds half to even, as torchvision's center crop; "bottom" is BTS's KB crop: the
     lowest rows, ``(width - crop width) // 2`` from the left.
     """
     if anchor == "bottom":
@@ -90,7 +90,7 @@ def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     the others. 0 is unknown.
     """
     rows, cols = np.nonzero(depth)
-    # a pixel's centre at u + 0.5 goes to (u + 0.5) * s, so to pixel floor((u + 0.5) * s)
+    # a pixel's center at u + 0.5 goes to (u + 0.5) * s, so to pixel floor((u + 0.5) * s)
     to_rows = (2 * rows + 1) * size[0] // (2 * depth.shape[0])
     to_cols = (2 * cols + 1) * size[1] // (2 * depth.shape[1])
     return nearest_points(to_rows, to_cols, depth[rows, cols], size)
@@ -125,7 +125,7 @@ class PinholeCamera:
     Attributes:
         intrinsics: ``(3, 3)`` K [px].
         rotation: ``(3, 3)`` R, level from camera.
-        translation: ``(3,)`` t, the optical centre in the level frame [m].
+        translation: ``(3,)`` t, the optical center in the level frame [m].
     """
 
     intrinsics: np.ndarray

@@ -1,4 +1,4 @@
-"""Heads turn a network's raw map into metres; the range is the head's own."""
+"""Heads turn a network's raw map into meters; the range is the head's own."""
 
 from torch import Tensor, nn
 
@@ -16,13 +16,13 @@ class Head(Configurable, nn.Module):
             )
         self.min_depth, self.max_depth = float(min_depth), float(max_depth)
 
-    def to_metres(self, raw: Tensor) -> Tensor:
-        """Map any real number to metres."""
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """Map any real number to meters."""
         raise NotImplementedError
 
     def forward(self, raw: Tensor) -> Tensor:
-        """Same as :meth:`to_metres`."""
-        return self.to_metres(raw)
+        """Same as :meth:`to_meters`."""
+        return self.to_meters(raw)
 
 
 class LinearHead(Head):
@@ -31,8 +31,8 @@ class LinearHead(Head):
     def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
 
-    def to_metres(self, raw: Tensor) -> Tensor:
-        """Map any real number to metres."""
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """Map any real number to meters."""
         return self.min_depth + (self.max_depth - self.min_depth) * raw.sigmoid()
 
 
@@ -42,8 +42,8 @@ class InverseHead(Head):
     def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
 
-    def to_metres(self, raw: Tensor) -> Tensor:
-        """Map any real number to metres."""
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """Map any real number to meters."""
         far, near = 1 / self.max_depth, 1 / self.min_depth
         return 1 / (far + (near - far) * raw.sigmoid())
 
@@ -54,8 +54,8 @@ class LogHead(Head):
     def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
 
-    def to_metres(self, raw: Tensor) -> Tensor:
-        """Map any real number to metres."""
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """Map any real number to meters."""
         ratio = self.max_depth / self.min_depth
         return self.min_depth * ratio ** raw.sigmoid()
 
@@ -67,7 +67,7 @@ class ScaledHead(Head):
     heads squash instead.
 
     Args:
-        scale: [m] per unit of the raw map; 0.01 for centimetres.
+        scale: [m] per unit of the raw map; 0.01 for centimeters.
         min_depth: [m].
         max_depth: [m].
     """
@@ -75,9 +75,9 @@ class ScaledHead(Head):
     def __init__(self, scale: float = 1.0, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
         if scale <= 0:
-            raise ValueError(f"scale={scale}: metres per unit of the raw map, more than 0 is needed")
+            raise ValueError(f"scale={scale}: meters per unit of the raw map, more than 0 is needed")
         self.scale = float(scale)
 
-    def to_metres(self, raw: Tensor) -> Tensor:
-        """Map any real number to metres."""
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """Map any real number to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)

@@ -22,7 +22,7 @@ class DepthwiseConv2d(nn.Conv2d):
 
 
 class ConvNormAct(nn.Sequential):
-    """Convolution without bias, batch normalisation, activation.
+    """Convolution without bias, batch normalization, activation.
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
@@ -57,7 +57,7 @@ class ConvNormAct(nn.Sequential):
             stride=stride,
             padding=(kernel_size - 1) // 2,
             groups=groups,
-            bias=False,  # the normalisation has one
+            bias=False,  # the normalization has one
         )
         self.norm = nn.BatchNorm2d(out_channels)
         self.activation = activation()
@@ -94,7 +94,7 @@ class DepthwiseSeparable(nn.Sequential):
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
-    Both convolutions end in normalisation and activation (MobileNetV1, PP-LCNet), and those networks have no
+    Both convolutions end in normalization and activation (MobileNetV1, PP-LCNet), and those networks have no
     shortcut.
 
     Args:

@@ -1,4 +1,4 @@
-"""DepthNet: normalise -> network -> head. Written to and read from ``config.json`` + safetensors."""
+"""DepthNet: normalize -> network -> head. Written to and read from ``config.json`` + safetensors."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +25,7 @@ class EncoderDecoder(Configurable, nn.Module):
     """A backbone and a decoder that fits it: one kind of network.
 
     Args:
-        backbone: image ``(B, 3, H, W)``, normalised -> features, finest first.
+        backbone: image ``(B, 3, H, W)``, normalized -> features, finest first.
         decoder: a decoder class with its options but without ``feature_info``, which the backbone supplies
             (``functools.partial``, or ``_partial_: true`` in YAML).
     """
@@ -39,7 +39,7 @@ class EncoderDecoder(Configurable, nn.Module):
         self.config["decoder"] = self.decoder.config
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
         raw = self.decoder(self.backbone(image))
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
         # a map finer than the finest feature may reach beyond an image of odd size, which no decoder sees
@@ -47,13 +47,13 @@ class EncoderDecoder(Configurable, nn.Module):
 
 
 class DepthNet(Configurable, nn.Module):
-    """A depth network that takes camera images and returns metres.
+    """A depth network that takes camera images and returns meters.
 
     Args:
-        network: normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
-        head: raw map -> metres, with the range.
+        network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
+        head: raw map -> meters, with the range.
         refine: optional ``(depth, image) -> depth`` on the finished map.
-        mean: per-channel mean of the normalisation, RGB in [0, 1].
+        mean: per-channel mean of the normalization, RGB in [0, 1].
         std: per-channel standard deviation.
 
     Attributes:
@@ -86,10 +86,10 @@ class DepthNet(Configurable, nn.Module):
         decoder: Callable[[Sequence[FeatureInfo]], Decoder],
         head: Head,
         refine: nn.Module | None = None,
-        **normalisation: Sequence[float],
+        **normalization: Sequence[float],
     ) -> Self:
         """``DepthNet(EncoderDecoder(backbone, decoder), head)``: flat, as the model YAMLs write it."""
-        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **normalisation)
+        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **normalization)
 
     def forward(self, image: Tensor) -> Tensor:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
@@ -104,7 +104,7 @@ class DepthNet(Configurable, nn.Module):
         raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
-        depth = self.head.to_metres(raw)
+        depth = self.head.to_meters(raw)
         return depth if self.refine is None else self.refine(depth, image)
 
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:

@@ -120,7 +120,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
-    from eldenet.navigation.evaluation import as_rows, summarise
+    from eldenet.navigation.evaluation import as_rows, summarize
     from eldenet.results.run_record import RUN_FILE, write_rows
     from eldenet.simulation.arenas import arenas_hash
 
@@ -131,7 +131,7 @@ def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "Run
         arenas, rows = _cross(config, density, make_policy, sensor, log)
         hashes[str(density)] = arenas_hash(arenas)
         write_rows(folder / f"worlds_{density}.csv", *as_rows(rows))
-        metrics[str(density)] = summarise(rows)
+        metrics[str(density)] = summarize(rows)
         table.append([str(density), *_cells(metrics[str(density)])])
     record = write_record(config, folder, {**who, "metrics": metrics, "arenas": hashes})
     title = (

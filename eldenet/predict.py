@@ -162,12 +162,12 @@ def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
     if camera is not None and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={camera}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
     if span is not None and not 0 <= span[0] < span[1]:
-        raise ValueError(f"depth_range={span}: give [near, far] in metres, 0 <= near < far")
+        raise ValueError(f"depth_range={span}: give [near, far] in meters, 0 <= near < far")
     if config.formats is None:
         formats = (
-            ["colour"]
+            ["color"]
             if is_video
-            else ["depth", "colour"] + ["ply"] * (camera is not None and not config.boxes)
+            else ["depth", "color"] + ["ply"] * (camera is not None and not config.boxes)
         )
     else:
         formats = cfg.listed(config.formats)
@@ -230,7 +230,7 @@ def _numbers(config: "DictConfig", name: str, count: int) -> list[float] | None:
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        meaning = {"intrinsics": "[fx, fy, cx, cy] in pixels", "depth_range": "[near, far] in metres"}[name]
+        meaning = {"intrinsics": "[fx, fy, cx, cy] in pixels", "depth_range": "[near, far] in meters"}[name]
         raise ValueError(f"{name}={given}: give {meaning}, {count} numbers")
     return numbers
 

@@ -12,7 +12,7 @@ class JointBilateral(Configurable, nn.Module):
 
     Args:
         kernel_size: of the window [px], odd.
-        sigma_color: how different two colours may be [1], image range [0, 1].
+        sigma_color: how different two colors may be [1], image range [0, 1].
         sigma_space: how far apart two pixels may be [px].
     """
 

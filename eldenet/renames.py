@@ -20,22 +20,25 @@ TARGETS = {
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
 OPTIONS: dict[str, dict[str, str]] = {}
-#: Settings (dotted) that were renamed: old name -> new name.
-SETTINGS: dict[str, str] = {}
+#: Sections and entries that were renamed, wherever they stand: old name -> new name.
+KEYS = {"normalisation": "normalization"}
+#: Values that were renamed: (key, old value) -> new value.
+VALUES: dict[tuple[str, Any], str] = {("encoding", "metres"): "meters", ("space", "metres"): "meters"}
 
 
-def renamed(content: Any, name: str = "") -> Any:
-    """``content``, plain (of a stored config or a record that holds one), with today's names."""
+def renamed(content: Any) -> Any:
+    """``content`` (a stored config, or a record that holds one, as plain values) with today's names."""
     if isinstance(content, list | tuple):
-        return [renamed(item, name) for item in content]
+        return [renamed(item) for item in content]
     if not isinstance(content, Mapping):
         return content
     target = content.get("_target_")
-    target = TARGETS.get(target, target) if isinstance(target, str) else None
-    options = OPTIONS.get(str(target), {})
+    target = TARGETS.get(str(target), target)
+    options = KEYS | OPTIONS.get(str(target), {})
     found = {}
     for key, value in content.items():
-        dotted = f"{name}.{key}" if name else str(key)
-        new = SETTINGS[dotted].rpartition(".")[2] if dotted in SETTINGS else options.get(key, key)
-        found[new] = target if key == "_target_" and target else renamed(value, dotted)
+        new = options.get(key, key)
+        found[new] = target if key == "_target_" else renamed(value)
+        if isinstance(value, str) and (new, value) in VALUES:
+            found[new] = VALUES[new, value]
     return found

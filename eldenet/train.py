@@ -41,7 +41,7 @@ def train(config: "DictConfig", folder: Path) -> float:
     from eldenet.results.score import score_and_record
     from eldenet.results.tables import closing_table
     from eldenet.system.resources import choose_resources
-    from eldenet.training.normalization import normalisation, write_normalisation
+    from eldenet.training.normalization import normalization, write_normalization
 
     record = finished_run(config, folder)
     if record is not None:
@@ -59,18 +59,18 @@ def train(config: "DictConfig", folder: Path) -> float:
         seed=config.seed,
     )
     loss = build_loss(config)
-    build_seeded_model(config, RunLog(folder, quiet=True))  # built again once its normalisation is known
+    build_seeded_model(config, RunLog(folder, quiet=True))  # built again once its normalization is known
     train_set, val_set, test_set = build_splits(config, protocol, resources)
     log = RunLog(folder, quiet=not cfg.is_main_process())
     resumed = None if checkpoint is None else run_folder(checkpoint)
-    chosen = normalisation(cfg.plain(config.normalisation), train_set, resumed=resumed)
+    chosen = normalization(cfg.plain(config.normalization), train_set, resumed=resumed)
     if chosen.keys() & config.model.keys():
-        raise ValueError("both normalisation and model.mean or model.std are given: take one of them")
+        raise ValueError("both normalization and model.mean or model.std are given: take one of them")
     model = build_seeded_model(config, log, **chosen)
     if cfg.is_main_process():
         folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(config, folder / "config.yaml", resolve=True)
-        write_normalisation(folder, cfg.plain(config.normalisation), chosen)
+        write_normalization(folder, cfg.plain(config.normalization), chosen)
     log.say(
         f"{config.data.name}: {len(train_set)} training and {len(val_set)} validation frames; "
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} workers"
@@ -117,7 +117,7 @@ def train(config: "DictConfig", folder: Path) -> float:
 
 
 def build_loss(config: "DictConfig") -> "WeightedSum":
-    """What is minimised.
+    """What is minimized.
 
     Raises:
         ValueError: a teacher is named that it does not learn from.
@@ -212,7 +212,7 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
         ValueError: the weights are those of another network, or of none.
     """
     from eldenet.system.resources import seed_everything
-    from eldenet.training.normalization import keep_normalisation
+    from eldenet.training.normalization import keep_normalization
 
     seed_everything(config.seed)
     model = cfg.build_model(config.model, **arguments)
@@ -245,7 +245,7 @@ def build_seeded_model(config: "DictConfig", log: "RunLog", **arguments: Any) ->
             missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
             log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
         chosen = bool(arguments) or bool({"mean", "std"} & config.model.keys())
-        for line in (keep_normalisation(model, start, chosen=chosen), _other_settings(model, start)):
+        for line in (keep_normalization(model, start, chosen=chosen), _other_settings(model, start)):
             if line:
                 log.say(line)
     return model

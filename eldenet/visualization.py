@@ -1,4 +1,4 @@
-"""Pictures of depth: colours, and the row image / ground truth / prediction / error."""
+"""Pictures of depth: colors, and the row image / ground truth / prediction / error."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,8 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 PANELS = ("image", "depth", "prediction", "relative error (0 to 0.5)")
 
 
-def colour_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None) -> np.ndarray:
-    """Colour a depth map ``(H, W)`` [m] as ``(H, W, 3)`` uint8 RGB: near is warm, far is cool.
+def color_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None) -> np.ndarray:
+    """Color a depth map ``(H, W)`` [m] as ``(H, W, 3)`` uint8 RGB: near is warm, far is cool.
 
     Args:
         depth: [m].
@@ -28,19 +28,19 @@ def colour_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray |
         known: bool; where False the picture is black.
     """
     share = np.clip((np.nan_to_num(depth) - near) / max(far - near, 1e-9), 0, 1)
-    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    colors = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
     if known is not None:
-        colours[~known] = UNKNOWN
-    return colours
+        colors[~known] = UNKNOWN
+    return colors
 
 
-def colour_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Relative error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is 0.5 and more."""
     relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
-    colours = cv2.applyColorMap((255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    colours = colours[..., ::-1].copy()
-    colours[~known] = UNKNOWN
-    return colours
+    colors = cv2.applyColorMap((255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    colors = colors[..., ::-1].copy()
+    colors[~known] = UNKNOWN
+    return colors
 
 
 def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) -> np.ndarray:
@@ -61,9 +61,9 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
     near, far = np.percentile(truth[known], (2, 98)) if known.any() else (0.0, 1.0)
     panels = [
         photo,
-        colour_depth(truth, near, far, known),
-        colour_depth(guess, near, far),
-        colour_error(guess, truth, known),
+        color_depth(truth, near, far, known),
+        color_depth(guess, near, far),
+        color_error(guess, truth, known),
     ]
     times = max(1, round(PANEL_WIDTH / width))  # small maps are enlarged, pixel by pixel
     panels = [panel.repeat(times, axis=0).repeat(times, axis=1) for panel in panels]
@@ -98,13 +98,13 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:
-    """Image ``(H, W, 3)`` uint8 above its coloured depth [m], both ``PANEL_WIDTH`` wide; unknown is black."""
+    """Image ``(H, W, 3)`` uint8 above its colored depth [m], both ``PANEL_WIDTH`` wide; unknown is black."""
     known = (depth > 0) & (depth <= max_depth)
     near, far = np.percentile(depth[known], (2, 98)) if known.any() else (0.0, 1.0)
     pieces = []
     for picture, way in (
         (image, cv2.INTER_AREA),
-        (colour_depth(depth, near, far, known), cv2.INTER_NEAREST_EXACT),
+        (color_depth(depth, near, far, known), cv2.INTER_NEAREST_EXACT),
     ):
         height = max(1, round(picture.shape[0] * PANEL_WIDTH / picture.shape[1]))
         pieces.append(np.asarray(cv2.resize(picture, (PANEL_WIDTH, height), interpolation=way), np.uint8))
@@ -134,7 +134,7 @@ def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.
 
 
 def visible_range(depth: np.ndarray) -> tuple[float, float]:
-    """Nearest and farthest depth [m] worth a colour: the 2nd and 98th percentile of what is known."""
+    """Nearest and farthest depth [m] worth a color: the 2nd and 98th percentile of what is known."""
     known = depth[np.isfinite(depth) & (depth > 0)]
     if not known.size:
         return 0.0, 1.0
@@ -143,7 +143,7 @@ def visible_range(depth: np.ndarray) -> tuple[float, float]:
 
 
 def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: float) -> np.ndarray:
-    """One picture ``(h, w, 3)`` uint8 RGB: photo, coloured depth, scale in metres.
+    """One picture ``(h, w, 3)`` uint8 RGB: photo, colored depth, scale in meters.
 
     Args:
         photo: ``(H, W, 3)`` uint8 RGB.
@@ -155,7 +155,7 @@ def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: f
     height and width are even, as video codecs want them.
     """
     known = np.isfinite(depth) & (depth > 0)
-    panels = [photo, colour_depth(depth, near, far, known)]
+    panels = [photo, color_depth(depth, near, far, known)]
     factor = -(-SMALLEST_HEIGHT // photo.shape[0]) if photo.shape[0] < SMALLEST_HEIGHT else 1
     if factor > 1:
         panels = [np.repeat(np.repeat(panel, factor, axis=0), factor, axis=1) for panel in panels]
@@ -166,7 +166,7 @@ def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: f
 
 
 def depth_scale(near: float, far: float, height: int) -> np.ndarray:
-    """Colours from ``near`` (top) to ``far`` [m], round numbers beside them: ``(height, w, 3)`` uint8 RGB."""
+    """Colors from ``near`` (top) to ``far`` [m], round numbers beside them: ``(height, w, 3)`` uint8 RGB."""
     size = height / 800 + 0.2  # of the letters
     margin, bar = round(24 * size) + 2, max(10, height // 24)
     ticks = round_numbers(near, far)
@@ -178,7 +178,7 @@ def depth_scale(near: float, far: float, height: int) -> np.ndarray:
     scale = np.full((height, bar + 10 + wide + 6, 3), 255, np.uint8)
     length = height - 2 * margin
     ramp = np.linspace(near, far, length)[:, None].repeat(bar, axis=1)
-    scale[margin : margin + length, :bar] = colour_depth(ramp, near, far)
+    scale[margin : margin + length, :bar] = color_depth(ramp, near, far)
     for tick, label in zip(ticks, labels, strict=True):
         row = margin + round((tick - near) / (far - near) * (length - 1))
         cv2.line(scale, (bar, row), (bar + 5, row), (0, 0, 0), 1)

@@ -27,7 +27,7 @@ def note_if_untrained(source: str | Path) -> str:
     """What to say of a network that is built by name, where trained ones are wanted; empty for any other."""
     if str(source) not in list_models():
         return ""
-    return f"note: {source} is a freshly initialised network: its depth means nothing"
+    return f"note: {source} is a freshly initialized network: its depth means nothing"
 
 
 def load(
@@ -41,7 +41,7 @@ def load(
     """Build a network by name, or read a trained one.
 
     Args:
-        source: a name of :func:`list_models` (freshly initialised) or of :func:`list_weights` (trained), a
+        source: a name of :func:`list_models` (freshly initialized) or of :func:`list_weights` (trained), a
             folder written by ``save_pretrained``, a run folder of ``eldenet.train`` (its best epoch), or a
             Hub id ``owner/name``.
         weights: for a name of :func:`list_models`: what the package's weights for it were trained on

@@ -30,10 +30,10 @@ def random_boxes(count: int, seed: int = 0) -> Boxes3D:
     return Boxes3D(center, size, yaw, np.ones(count), np.zeros(count, np.int64), ("car",))
 
 
-# --- corners, centres, faces ---
+# --- corners, centers, faces ---
 
 
-def test_the_centre_is_the_mean_of_the_eight_vertices_and_the_faces_of_four():
+def test_the_center_is_the_mean_of_the_eight_vertices_and_the_faces_of_four():
     boxes = random_boxes(20)
     np.testing.assert_allclose(boxes.corners.mean(1), boxes.center, atol=1e-12)
     np.testing.assert_allclose(boxes.corners[:, :4].mean(1), boxes.bottom_center, atol=1e-12)
@@ -41,7 +41,7 @@ def test_the_centre_is_the_mean_of_the_eight_vertices_and_the_faces_of_four():
 
 
 def test_corners_follow_kittis_rotation_matrix():
-    """The benchmark's own reading: R_y(ry) applied to (+-l/2, 0 or -h, +-w/2), from the bottom centre."""
+    """The benchmark's own reading: R_y(ry) applied to (+-l/2, 0 or -h, +-w/2), from the bottom center."""
     boxes = random_boxes(5)
     for index in range(5):
         length, width, height = boxes.size[index]

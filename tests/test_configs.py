@@ -51,7 +51,7 @@ SUPPLIED: dict[str, set[str]] = {
 HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet.from_parts": {
         "refine",  # chosen as a group: model/refine=joint_bilateral
-        "normalisation",  # ImageNet's, which every pretrained backbone expects
+        "normalization",  # ImageNet's, which every pretrained backbone expects
     },
     "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, of networks that are one piece
     # Numbers of one machine, not of the data set; the default fits every machine.

@@ -156,7 +156,7 @@ def test_a_saved_model_fetches_nothing(
         (lambda content: content["model"].update(mean=[0.5]), "DepthNet does not fit"),
         (lambda content: content["model"]["head"].update(max_depth="far"), "LinearHead does not fit"),
         (lambda content: content["model"]["head"].update(max_depth=-1), "0 < min_depth < max_depth"),
-        (lambda content: content["model"]["head"].update(colour="red"), "LinearHead does not fit.*colour"),
+        (lambda content: content["model"]["head"].update(color="red"), "LinearHead does not fit.*color"),
         (
             lambda content: content["model"]["network"]["backbone"].update(scale=0.5),
             "does not fit its own config",

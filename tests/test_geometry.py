@@ -32,7 +32,7 @@ def test_pinhole_names_its_numbers() -> None:
 @given(point=points, height=sides, width=sides)
 def test_resize_moves_every_point_as_pixels_move(point: np.ndarray, height: int, width: int) -> None:
     u, v = project(point, K)
-    # in units of the whole image, from its outer border half a pixel before the first centre, nothing moves
+    # in units of the whole image, from its outer border half a pixel before the first center, nothing moves
     expected = (u + 0.5) / 640 * width - 0.5, (v + 0.5) / 480 * height - 0.5
     assert project(point, resize_intrinsics(K, (480, 640), (height, width))) == pytest.approx(expected)
 

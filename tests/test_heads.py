@@ -1,4 +1,4 @@
-"""From a raw map to metres."""
+"""From a raw map to meters."""
 
 import math
 

@@ -24,8 +24,8 @@ LAYERS = {
     1: "boxes layers geometry heads protocol refinement resources modes",
     2: "backbones decoders baselines losses data simulation",
     3: "model metrics",
-    4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalisation "
-    "pictures pointcloud predictions predictor profiling quantisation record runlog runtimes schedules "
+    4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalization "
+    "pictures pointcloud predictions predictor profiling quantization record runlog runtimes schedules "
     "sources tables written",
     5: "trainer",
     6: "perception",

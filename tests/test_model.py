@@ -1,4 +1,4 @@
-"""The whole network: images in, metres out."""
+"""The whole network: images in, meters out."""
 
 import copy
 import pickle
@@ -19,7 +19,7 @@ HEADS = [LinearHead, InverseHead, LogHead]
 
 @pytest.mark.parametrize("head", HEADS)
 @pytest.mark.parametrize("size", [(64, 96), (97, 131), (33, 47), (120, 160)])
-def test_metres_at_the_images_size(size: tuple[int, int], head: type[Head]) -> None:
+def test_meters_at_the_images_size(size: tuple[int, int], head: type[Head]) -> None:
     model = small_net(head=head(0.5, 4.0))
     with torch.inference_mode():
         depth = model(picture(*size))
@@ -28,7 +28,7 @@ def test_metres_at_the_images_size(size: tuple[int, int], head: type[Head]) -> N
     assert 0.5 <= depth.min() < depth.max() <= 4.0 + 1e-6
 
 
-def test_the_network_gets_normalised_images() -> None:
+def test_the_network_gets_normalized_images() -> None:
     seen: list[Tensor] = []
 
     class Spy(nn.Module):
@@ -44,7 +44,7 @@ def test_the_network_gets_normalised_images() -> None:
     torch.testing.assert_close(seen[1], (image - 0.5) / 2)
 
 
-def test_half_precision_networks_still_give_float32_metres() -> None:
+def test_half_precision_networks_still_give_float32_meters() -> None:
     model = small_net().bfloat16()
     with torch.inference_mode():
         assert model(picture(32, 32).bfloat16()).dtype == torch.float32

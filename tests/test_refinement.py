@@ -35,7 +35,7 @@ def test_refined_depth_stays_within_its_range() -> None:
 def test_refinement_follows_the_images_edges() -> None:
     depth, image = scene()
     refined = JointBilateral()(depth, image)[0, 0, 12]
-    gaussian = JointBilateral(sigma_color=1e3)(depth, image)[0, 0, 12]  # all colours alike: a plain Gaussian
+    gaussian = JointBilateral(sigma_color=1e3)(depth, image)[0, 0, 12]  # all colors alike: a plain Gaussian
     jump = [float(line[16] - line[15]) for line in (gaussian, depth[0, 0, 12], refined)]
     assert jump[0] < jump[1] < jump[2]
 

@@ -27,7 +27,7 @@ class Backbone(Configurable, nn.Module):
         """Encode a batch of images.
 
         Args:
-            image: ``(B, 3, H, W)``, normalised by mean and standard deviation (``DepthNet`` does that).
+            image: ``(B, 3, H, W)``, normalized by mean and standard deviation (``DepthNet`` does that).
 
         Returns:
             One map ``(B, channels, ceil(H / stride), ceil(W / stride))`` per entry of ``feature_info``.

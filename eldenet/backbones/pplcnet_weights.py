@@ -113,7 +113,7 @@ def from_onnx(path: str | Path, module: nn.Module) -> Weights:
 
     Such a file has numbered names, so the convolutions are taken in the order in which the graph runs them,
     which is also the order in which ``module`` defines its own. What follows the last of these (the head)
-    is left out. Where an exporter has folded a batch normalisation into its convolution, the layer's own
+    is left out. Where an exporter has folded a batch normalization into its convolution, the layer's own
     becomes the identity plus the folded bias: equal numbers in evaluation, but nothing that fine-tuning
     should start from.
 

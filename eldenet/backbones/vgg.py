@@ -20,7 +20,7 @@ class VGG16(Backbone):
     torchvision's round down. The two agree for sizes that 32 divides.
 
     Args:
-        batch_norm: with batch normalisation after every convolution.
+        batch_norm: with batch normalization after every convolution.
         pretrained: ``True`` for torchvision's ImageNet weights, their name, or a local file.
 
     Raises:

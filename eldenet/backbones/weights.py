@@ -91,7 +91,7 @@ def load_torchvision_weights(
     from torchvision.models import get_model_weights
 
     published = {weights.name: weights for weights in get_model_weights(name)}
-    # VGG's IMAGENET1K_FEATURES expects another mean and standard deviation than DepthNet's normalisation.
+    # VGG's IMAGENET1K_FEATURES expects another mean and standard deviation than DepthNet's normalization.
     published.pop("IMAGENET1K_FEATURES", None)
     choice = "IMAGENET1K_V1" if pretrained is True else str(pretrained)
     if choice in published:

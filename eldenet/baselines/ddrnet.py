@@ -108,8 +108,8 @@ class DDRNet(nn.Module):
     Hong et al., "Deep Dual-resolution Networks for Real-time and Accurate Semantic Segmentation of Road
     Scenes" (arXiv 2101.06085), with its segmentation head as the last layer, as GuideDepth uses it.
 
-    Convention: convolutions that a normalisation follows have no bias (the published stem's have one, which
-    the normalisation takes out again).
+    Convention: convolutions that a normalization follows have no bias (the published stem's have one, which
+    the normalization takes out again).
 
     Args:
         out_channels: of the head.
@@ -150,7 +150,7 @@ class DDRNet(nn.Module):
         init_kaiming(self)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalised image -> features at stride 8."""
+        """Normalized image -> features at stride 8."""
         fine = coarse = self.shared(self.stem(image)).relu()
         for index in range(2):
             coarse, fine = self.coarse[index](coarse), self.fine[index](fine)

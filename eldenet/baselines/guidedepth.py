@@ -53,8 +53,8 @@ class GuideDepth(Configurable, nn.Module):
     Rudolph et al., "Lightweight Monocular Depth Estimation through Guided Decoding" (ICRA 2022, arXiv
     2203.04206). The raw map has the image's size.
 
-    Convention: convolutions that a normalisation follows have no bias (the published ones have: 624 numbers
-    of 5.8 million, which the normalisation takes out again). Training needs batches of two images or more.
+    Convention: convolutions that a normalization follows have no bias (the published ones have: 624 numbers
+    of 5.8 million, which the normalization takes out again). Training needs batches of two images or more.
 
     Args:
         size: ``"full"``, or ``"small"`` for GuideDepth-S, whose decoder is thinner.
@@ -72,10 +72,10 @@ class GuideDepth(Configurable, nn.Module):
         self.up = nn.ModuleList(GuidedUpsampling(wide, narrow) for wide, narrow in pairwise(channels))
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, H, W)``."""
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, H, W)``."""
         x = self.features(image)
         for step, stride in zip(self.up, (4, 2, 1), strict=True):
-            guide = image[..., ::stride, ::stride]  # nearest-neighbour interpolation
+            guide = image[..., ::stride, ::stride]  # nearest-neighbor interpolation
             x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
             x = step(guide, crop_or_pad(x, guide))
         return x

@@ -194,7 +194,7 @@ class LiteMono(Configurable, nn.Module):
     gets; that sigmoid is inverse depth there (``model/head=inverse``).
 
     Convention: only the finest of the paper's three outputs is built (the others serve its self-supervised
-    training), nor is the layer normalisation that the published CDC blocks hold but do not use: 0.1 to 0.2 %
+    training), nor is the layer normalization that the published CDC blocks hold but do not use: 0.1 to 0.2 %
     fewer parameters. Images need 17 pixels on each side.
 
     Args:
@@ -237,7 +237,7 @@ class LiteMono(Configurable, nn.Module):
                 nn.init.zeros_(layer.bias)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 2), ceil(W / 2))``."""
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 2), ceil(W / 2))``."""
         features = self.encoder(image)
         x = features[-1]
         for before, after, skip in zip(

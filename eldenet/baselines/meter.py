@@ -188,7 +188,7 @@ class METER(Configurable, nn.Module):
             load_published(self, weights)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalised image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 4), ceil(W / 4))``."""
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 4), ceil(W / 4))``."""
         stride4 = self.convolutions[1](self.convolutions[0](self.stem(image)))
         x = self.convolutions[3](self.convolutions[2](stride4))
         skips = [stride4]
@@ -241,8 +241,8 @@ def load_published(network: METER, path: str | Path) -> None:
     """Load a file of METER's published weights: every tensor finds its place, and none is missing.
 
     Convention: what the two published networks take and give (measured, the repository does not say):
-    NYU: ImageNet's normalisation, 256 x 192 images, centimetres: ``ScaledHead(0.01)``;
-    KITTI: no normalisation (``mean=(0, 0, 0), std=(1, 1, 1)``), 636 x 192 images, decimetres:
+    NYU: ImageNet's normalization, 256 x 192 images, centimeters: ``ScaledHead(0.01)``;
+    KITTI: no normalization (``mean=(0, 0, 0), std=(1, 1, 1)``), 636 x 192 images, decimeters:
     ``ScaledHead(0.1, max_depth=80)``.
 
     Args:

@@ -90,7 +90,7 @@ def read_pfm(path: Path) -> np.ndarray:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """The one channel of an OpenEXR file, or any of several that are equal (grey), ``(H, W)``.
+    """The one channel of an OpenEXR file, or any of several that are equal (gray), ``(H, W)``.
 
     Raises:
         FileNotFoundError: where there is no such file.

@@ -102,7 +102,7 @@ class DepthDataset(Dataset[DepthSample]):
         self._store: FrameStore | None = None
 
     def load_frame(self, index: int) -> Frame:
-        """Read frame ``index`` from disk, decoded to RGB and metres."""
+        """Read frame ``index`` from disk, decoded to RGB and meters."""
         raise NotImplementedError
 
     def frame_files(self, index: int) -> Sequence[Path]:
@@ -234,7 +234,7 @@ class DepthDataset(Dataset[DepthSample]):
 def resize_frame(
     frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False
 ) -> Frame:
-    """Resize image (area or bilinear) and, if asked, depth (nearest: metres of two surfaces do not mix).
+    """Resize image (area or bilinear) and, if asked, depth (nearest: meters of two surfaces do not mix).
 
     Sparse depth keeps its points instead (:func:`~eldenet.geometry.resize_sparse`): nearest would lose most.
     """

@@ -125,7 +125,7 @@ class Cityscapes(DepthDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         image_file, disparity_file, camera_file, *label_file = (self.root / f for f in self.files[index])
-        image = read_image(image_file, grey=False)
+        image = read_image(image_file, gray=False)
         disparity = read_depth(disparity_file, DISPARITY)
         if image.shape[:2] != disparity.shape:
             raise ValueError(
@@ -199,7 +199,7 @@ class CityscapesMTAN(DepthDataset):
 
     Convention: the set does not say its unit. That a value v is p / 65535 of the official disparity file's p
     is inferred from its range (0.49 = 126 px), not documented; then depth = baseline x focal x 256 /
-    (65535 v - 1). The frames' own cameras are not in the set, so even then metres are rough, and there are no
+    (65535 v - 1). The frames' own cameras are not in the set, so even then meters are rough, and there are no
     intrinsics. Pictures are brought to 8 bits.
 
     Args:
@@ -254,10 +254,10 @@ class CityscapesMTAN(DepthDataset):
             kinds.append(found[0])
         self.files = [tuple(f"{part}/{kind}/{n}.npy" for kind in kinds) for n in numbers]
         self.constant = inverse_scale * 65535
-        self.encoding = DepthEncoding("MTAN inverse depth", dtype="float", decode=self._metres)
+        self.encoding = DepthEncoding("MTAN inverse depth", dtype="float", decode=self._meters)
         self.check_frames(self.root, self.files)
 
-    def _metres(self, inverse: np.ndarray) -> np.ndarray:
+    def _meters(self, inverse: np.ndarray) -> np.ndarray:
         steps = inverse.astype(np.float64) * 65535 - 1  # of 1/256 px; up to 0 is infinitely far
         return np.where(steps > 1e-6, self.constant / np.maximum(steps, 1e-6), 0.0)
 
@@ -266,7 +266,7 @@ class CityscapesMTAN(DepthDataset):
         return [self.root / file for file in self.files[index]]
 
     def frame_settings(self) -> dict[str, object]:
-        """What makes metres of inverse depth."""
+        """What makes meters of inverse depth."""
         return {"constant": self.constant}
 
     def load_frame(self, index: int) -> Frame:
@@ -277,7 +277,7 @@ class CityscapesMTAN(DepthDataset):
             raise ValueError(f"{image_file} is {image.shape} {image.dtype}, wanted (H, W, 3) float")
         if not (image.min(initial=0) >= -1e-3 and image.max(initial=0) <= 1.001):  # NaN fails too
             raise ValueError(
-                f"{image_file} reaches from {image.min()} to {image.max()}: wanted 0 to 1, is it normalised?"
+                f"{image_file} reaches from {image.min()} to {image.max()}: wanted 0 to 1, is it normalized?"
             )
         if image.shape[:2] != inverse.shape:
             raise ValueError(
@@ -286,7 +286,7 @@ class CityscapesMTAN(DepthDataset):
             )
         if inverse.max(initial=0) > 1:
             raise ValueError(
-                f"{depth_file} reaches {inverse.max()}: inverse depth ends at 1, is it in metres?"
+                f"{depth_file} reaches {inverse.max()}: inverse depth ends at 1, is it in meters?"
             )
         depth = decode_depth(inverse, self.encoding, depth_file)
         labels = read_label_array(label_file[0], len(self.class_names)) if label_file else None

@@ -23,7 +23,7 @@ images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CS
 class FolderDataset(DepthDataset):
     """Pictures and depth maps matched by name, or paired by a CSV.
 
-    The split is by blocks of frames that follow each other in name order, because neighbours in a recording
+    The split is by blocks of frames that follow each other in name order, because neighbors in a recording
     show nearly the same: a frame-by-frame split would test on what was trained. Better still, name the
     validation frames of other places in ``val_names``.
 
@@ -34,7 +34,7 @@ class FolderDataset(DepthDataset):
         csv: CSV below ``root`` without a header, ``image,depth`` a line, relative to ``root``; replaces
             ``images`` and ``depths``.
         encoding: of the depth files: a name of :data:`eldenet.data.io.ENCODINGS`, or
-            ``{scale: metres per step, offset: steps, dtype: uint8 | uint16 | float}``.
+            ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
         intrinsics: ``[fx, fy, cx, cy]`` of the pictures as they lie on disk [px], all of one size then; None
             where unknown.
         split: "train", "val" or "all".

@@ -118,7 +118,7 @@ def check_split(
     fine = np.zeros(len(_EDGES) - 1, np.int64)
     coarse = np.zeros(HISTOGRAM_BINS, np.int64)
     pixels = valid = outside = 0
-    colours = ChannelSums()
+    colors = ChannelSums()
     for index in spread(len(dataset), frames):
         advance(1)
         found.looked_at += 1
@@ -136,7 +136,7 @@ def check_split(
         outside += int(known.sum()) - values.size
         fine += np.histogram(values, _EDGES)[0]
         coarse += np.histogram(values, HISTOGRAM_BINS, (0.0, dataset.max_depth))[0]
-        colours.add(image)
+        colors.add(image)
         if intrinsics is not None:
             found.with_intrinsics += 1
             if found.intrinsics is None:
@@ -148,7 +148,7 @@ def check_split(
         share = np.cumsum(fine) / fine.sum()
         middles = np.sqrt(_EDGES[:-1] * _EDGES[1:])
         found.percentiles = {f"p{q}": float(middles[np.argmax(share >= q / 100)]) for q in _PERCENTILES}
-    found.mean, found.std = colours.mean, colours.std
+    found.mean, found.std = colors.mean, colors.std
     return found
 
 

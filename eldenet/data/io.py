@@ -1,4 +1,4 @@
-"""Reading images and depth maps from disk: whole files or a clear error, metres or a clear error.
+"""Reading images and depth maps from disk: whole files or a clear error, meters or a clear error.
 
 A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``formats.FORMATS``.
 """
@@ -16,11 +16,11 @@ from eldenet.data.file_checks import FORMATS, decode_picture
 
 @dataclass(frozen=True)
 class DepthEncoding:
-    """How numbers in a depth file become metres: ``(v + offset) * scale``; 0, NaN and below 0 are unknown.
+    """How numbers in a depth file become meters: ``(v + offset) * scale``; 0, NaN and below 0 are unknown.
 
     Attributes:
         name: what a configuration calls it.
-        scale: metres per step.
+        scale: meters per step.
         offset: added to the number before scaling [steps].
         dtype: numpy type the file must hold; "float" allows float16, float32 and float64.
         decode: replaces scale and offset where a straight line does not do: pixel by pixel,
@@ -40,26 +40,26 @@ class DepthEncoding:
         """Tells one encoding from another; ``decode`` goes by its name."""
         return f"{self.name}: {self.scale!r}, {self.offset!r}, {self.dtype}"
 
-    def to_metres(self, raw: np.ndarray) -> np.ndarray:
+    def to_meters(self, raw: np.ndarray) -> np.ndarray:
         """Turn ``(H, W)`` numbers of the file into float32 [m], 0 where unknown."""
         if raw.dtype in (np.uint8, np.uint16):
             return _table(self, raw.dtype.str)[raw]  # ten times faster than arithmetic over the picture
-        return self._metres_of(raw)
+        return self._meters_of(raw)
 
-    def _metres_of(self, raw: np.ndarray) -> np.ndarray:
+    def _meters_of(self, raw: np.ndarray) -> np.ndarray:
         known = np.isfinite(raw) & (raw > 0)
         if self.decode is not None:
-            metres = self.decode(raw)
+            meters = self.decode(raw)
         else:
             # In double, rounded once: the same last digit as a straight reading in numpy.
-            metres = (np.where(known, raw, 0).astype(np.float64) + self.offset) * self.scale
-        return np.where(known, metres, 0.0).astype(np.float32)
+            meters = (np.where(known, raw, 0).astype(np.float64) + self.offset) * self.scale
+        return np.where(known, meters, 0.0).astype(np.float32)
 
 
 @lru_cache(maxsize=8)
 def _table(encoding: DepthEncoding, dtype: str) -> np.ndarray:
-    """Metres [m] of every number that a small integer type can hold."""
-    return encoding._metres_of(np.arange(np.iinfo(dtype).max + 1, dtype=dtype))
+    """Meters [m] of every number that a small integer type can hold."""
+    return encoding._meters_of(np.arange(np.iinfo(dtype).max + 1, dtype=dtype))
 
 
 def _turned_bits(raw: np.ndarray) -> np.ndarray:
@@ -69,15 +69,15 @@ def _turned_bits(raw: np.ndarray) -> np.ndarray:
 ENCODINGS: dict[str, DepthEncoding] = {
     row.name: row
     for row in (
-        DepthEncoding("metres", dtype="float"),
+        DepthEncoding("meters", dtype="float"),
         DepthEncoding("mm", 1e-3, lowest_peak=255),
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
-        # SUN RGB-D turns the bits of its millimetres: (v >> 3) | (v << 13), as its toolbox reads them.
+        # SUN RGB-D turns the bits of its millimeters: (v >> 3) | (v << 13), as its toolbox reads them.
         DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
-        # DenseDepth's training pictures: eight bits over ten metres.
+        # DenseDepth's training pictures: eight bits over ten meters.
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
-        # The labelled frames in eight bits: bin centres up to the set's largest depth.
+        # The labelled frames in eight bits: bin centers up to the set's largest depth.
         DepthEncoding("nyu8_labelled", 9.99547 / 255, 0.5, dtype="uint8"),
     )
 }
@@ -98,7 +98,7 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
         if encoding not in ENCODINGS:
             raise ValueError(
                 f"encoding={encoding!r} is not known: give one of {sorted(ENCODINGS)}, or "
-                "{scale: metres per step, offset: steps, dtype: uint8 | uint16 | float}"
+                "{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}"
             )
         return ENCODINGS[encoding]
     unknown = set(encoding) - {"scale", "offset", "dtype"}
@@ -111,21 +111,21 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
         raise ValueError(f"encoding dtype={dtype!r}: give uint8, uint16, int32, float, float32 or float64")
     scale, offset = float(str(encoding["scale"])), float(str(encoding.get("offset", 0.0)))
     if not scale > 0:
-        raise ValueError(f"encoding scale={scale}: metres per step must be above 0")
+        raise ValueError(f"encoding scale={scale}: meters per step must be above 0")
     return DepthEncoding("given", scale, offset, dtype)
 
 
-def read_image(path: str | Path, *, upright: bool = False, grey: bool = True) -> np.ndarray:
+def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) -> np.ndarray:
     """Read a picture as uint8 RGB, ``(H, W, 3)``.
 
     Args:
-        path: JPEG, PNG, BMP, TIFF or binary PPM/PGM; recognised by content, not by its ending.
+        path: JPEG, PNG, BMP, TIFF or binary PPM/PGM; recognized by content, not by its ending.
         upright: turn a photo as its EXIF says. False for data sets: their depth is stored as the pixels are.
-        grey: False refuses a grey picture: where every camera sees colour, it is something else.
+        gray: False refuses a gray picture: where every camera sees color, it is something else.
 
     Raises:
         FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged, or no picture of eight bits (or of colour, where asked).
+        ValueError: where the file is cut, damaged, or no picture of eight bits (or of color, where asked).
     """
     import cv2
 
@@ -139,8 +139,8 @@ def read_image(path: str | Path, *, upright: bool = False, grey: bool = True) ->
         )
         raise ValueError(f"{path} holds {picture.dtype}, a picture has 8 bits: {why} write it with 8")
     if picture.ndim == 2:
-        if not grey:
-            raise ValueError(f"{path} is grey, this data set's pictures have colour: is it a depth map?")
+        if not gray:
+            raise ValueError(f"{path} is gray, this data set's pictures have color: is it a depth map?")
         return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
@@ -173,7 +173,7 @@ def read_raw_depth(path: str | Path) -> np.ndarray:
         raw = raw.squeeze(0 if raw.shape[0] == 1 else 2)
     if raw.ndim != 2:
         raise ValueError(
-            f"{path} has shape {raw.shape}, a depth map has one channel: is it a coloured picture of depth?"
+            f"{path} has shape {raw.shape}, a depth map has one channel: is it a colored picture of depth?"
         )
     return raw
 
@@ -194,23 +194,23 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
     if 0 < peak < row.lowest_peak:
         raise ValueError(
             f"{source}: the largest number is {peak}, {row.scale * float(peak):.3g} m as {row.name!r}: "
-            "probably it was written in metres or in eight bits; if not, give encoding as {scale, dtype}"
+            "probably it was written in meters or in eight bits; if not, give encoding as {scale, dtype}"
         )
-    metres = row.to_metres(raw)
-    if raw.any() and not metres.any():
+    meters = row.to_meters(raw)
+    if raw.any() and not meters.any():
         raise ValueError(
             f"{source} holds no depth above 0 m, but other numbers, all negative, NaN, infinite or without "
             "a meaning in this encoding. Write the file again, 0 where depth is unknown"
         )
-    if row.name == "metres":
-        known = metres[metres > 0]
+    if row.name == "meters":
+        known = meters[meters > 0]
         middle = float(np.median(known)) if known.size else 0.0
         if middle > 100.0:
             raise ValueError(
                 f"{source}: the median depth would be {middle:.0f} m, so it is probably in mm: give encoding "
-                "{scale: 0.001, dtype: float}; if it is metres, {scale: 1.0, dtype: float}"
+                "{scale: 0.001, dtype: float}; if it is meters, {scale: 1.0, dtype: float}"
             )
-    return metres
+    return meters
 
 
 def _suggest(raw: np.ndarray) -> str:

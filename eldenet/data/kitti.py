@@ -251,7 +251,7 @@ class KITTISelection(KITTIFrames):
 
 def _both(cameras: Sequence[int]) -> Sequence[int]:
     if not cameras or not set(cameras) <= {2, 3}:
-        raise ValueError(f"cameras={list(cameras)}: give [2] (left colour), [3] (right colour) or [2, 3]")
+        raise ValueError(f"cameras={list(cameras)}: give [2] (left color), [3] (right color) or [2, 3]")
     return sorted(set(cameras))
 
 

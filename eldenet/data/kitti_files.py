@@ -86,7 +86,7 @@ class KITTIFrames(DepthDataset):
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its sparse depth."""
-        image = read_image(self.pictures[index], grey=False)
+        image = read_image(self.pictures[index], gray=False)
         depth = self.read_sparse(index, (image.shape[0], image.shape[1]))
         if image.shape[:2] != depth.shape:
             raise ValueError(

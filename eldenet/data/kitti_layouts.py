@@ -112,7 +112,7 @@ def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[in
 
 
 def picture_of(place: Place, roots: Sequence[Path], names: Listing) -> Path | None:
-    """The colour picture of a frame: KITTI raw's layout, Ma and Karaman's, or drives side by side."""
+    """The color picture of a frame: KITTI raw's layout, Ma and Karaman's, or drives side by side."""
     drive, camera = place.drive, f"image_{place.camera:02d}"
     for root in roots:
         for above in (place.date, "data_rgb/train", "data_rgb/val", "train", "val", ""):

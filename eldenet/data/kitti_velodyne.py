@@ -34,7 +34,7 @@ def project_scan(
     """Sparse depth ``(H, W)`` float64 [m], 0 = unknown; in each pixel the nearest point stays.
 
     Convention: "camera" is what the geometry says: depth is the distance along the camera's axis, the pixel
-    is the nearest one (centres on whole numbers). "eigen" is how the field's 697 test frames are made (Eigen,
+    is the nearest one (centers on whole numbers). "eigen" is how the field's 697 test frames are made (Eigen,
     monodepth, monodepth2): one pixel up and to the left, as in KITTI's MATLAB code, and depth is the LiDAR's
     own x, 0.27 m more. Not repeated: monodepth's test for points that share a pixel also takes some of two
     pixels for one.

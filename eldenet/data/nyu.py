@@ -51,7 +51,7 @@ LABELLED_SPLITS = {
 
 
 def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:
-    """Intrinsics ``(3, 3)`` [px] of the colour camera for a picture of ``size`` ``(height, width)``."""
+    """Intrinsics ``(3, 3)`` [px] of the color camera for a picture of ``size`` ``(height, width)``."""
     return resize_intrinsics(pinhole(NYU_FOCAL, 519.4696, 325.5824, 253.7362), NYU_SIZE, size)
 
 
@@ -104,7 +104,7 @@ class _NYUPairs(NYUFrames):
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
         image_file, depth_file = self.pairs[index]
-        image = read_image(self.root / image_file, grey=False)
+        image = read_image(self.root / image_file, gray=False)
         depth = read_depth(self.root / depth_file, self.encoding)
         if image.shape[:2] != depth.shape:
             raise ValueError(
@@ -116,7 +116,7 @@ class _NYUPairs(NYUFrames):
 
 DENSEDEPTH_TREE = """
 data/nyu2_train.csv      no header: data/nyu2_train/<scene>_out/1.jpg,data/nyu2_train/<scene>_out/1.png
-data/nyu2_train/<scene>_out/1.jpg, 1.png                            (colour, depth)
+data/nyu2_train/<scene>_out/1.jpg, 1.png                            (color, depth)
 data/nyu2_test.csv, data/nyu2_test/00000_colors.png, 00000_depth.png
 """
 
@@ -201,7 +201,7 @@ SYNC_TREE = """
 
 
 class NYUSync(_NYUPairs):
-    """BTS's extraction of the raw set: colour with depth brought into its view, holes left as they are.
+    """BTS's extraction of the raw set: color with depth brought into its view, holes left as they are.
 
     BTS, AdaBins and GLPDepth read the test frames the same way, from ``official_splits/test`` and its list.
 

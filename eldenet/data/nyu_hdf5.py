@@ -31,7 +31,7 @@ _DAMAGED = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeErr
 class NYUHDF5(NYUFrames):
     """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
 
-    Ma and Karaman, "Sparse-to-Dense", ICRA 2018: depth is projected into the colour picture and
+    Ma and Karaman, "Sparse-to-Dense", ICRA 2018: depth is projected into the color picture and
     in-painted with the official toolbox's cross-bilateral filter.
 
     Convention: there, ``val/official`` (the 654 official test frames) chooses the best epoch as well.
@@ -137,7 +137,7 @@ class NYUMat(NYUFrames):
         mat, at = self._mat(), self.numbers[index] - 1
         source = f"{self.path}, frame {at + 1}"
         image = np.ascontiguousarray(_read(mat["images"], at, source).transpose(2, 1, 0))
-        depth = decode_depth(np.ascontiguousarray(_read(mat[self.depth_key], at, source).T), "metres", source)
+        depth = decode_depth(np.ascontiguousarray(_read(mat[self.depth_key], at, source).T), "meters", source)
         return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
 
     def _mat(self) -> Any:
@@ -164,7 +164,7 @@ def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
         )
     size = (depth.shape[0], depth.shape[1])
     image = np.ascontiguousarray(image.transpose(1, 2, 0))
-    return Frame(image, decode_depth(depth, "metres", source), nyu_intrinsics(size), name)
+    return Frame(image, decode_depth(depth, "meters", source), nyu_intrinsics(size), name)
 
 
 def open_hdf5(file: Path | BinaryIO, source: object) -> Any:

@@ -120,8 +120,8 @@ class RenderedScenes(DepthDataset):
         if shard not in self._open:
             self._open[shard] = open_shard(shard_folder(self.folder, self.split, shard))
         image, depth, intrinsics = self._open[shard]
-        metres = depth[row].astype(np.float32) * np.float32(DEPTH_STEP)
-        return Frame(np.array(image[row]), metres, np.array(intrinsics[row]), self.names[index])
+        meters = depth[row].astype(np.float32) * np.float32(DEPTH_STEP)
+        return Frame(np.array(image[row]), meters, np.array(intrinsics[row]), self.names[index])
 
 
 def _check(

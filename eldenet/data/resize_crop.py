@@ -24,7 +24,7 @@ class ResizeCrop:
         resize: factor, or ``(height, width)`` [px], or None for none. A factor rounds the size down, as
             sparse-to-dense does.
         crop: ``(height, width)`` of what stays [px], or None for all.
-        anchor: of the crop: "center", or "bottom" for the lowest rows, centred left and right.
+        anchor: of the crop: "center", or "bottom" for the lowest rows, centered left and right.
         interpolation: of the image: "nearest", "bilinear" or "area". Depth is always "nearest".
         size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
         sparse: depth is single points: a resize keeps every one, the nearest where several meet.

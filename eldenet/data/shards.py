@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: Metres per step of the stored depth; uint16 then reaches 13.1 m.
+#: Meters per step of the stored depth; uint16 then reaches 13.1 m.
 DEPTH_STEP = 0.0002
 #: Scenes per shard and frames per scene.
 SHARD_SCENES, VIEWS = 8, 8
@@ -109,7 +109,7 @@ def open_shard(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def encode_depth(depth: np.ndarray) -> np.ndarray:
-    """Metres to steps; what does not fit is unknown."""
+    """Meters to steps; what does not fit is unknown."""
     steps = np.rint(np.asarray(depth, dtype=np.float64) / DEPTH_STEP)
     return np.where((steps > 0) & (steps < 65536), steps, 0).astype(np.uint16)
 

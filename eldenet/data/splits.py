@@ -1,6 +1,6 @@
 """Validation frames held out of a training part by whole scenes, the same ones on every machine.
 
-Neighbours in a recording show nearly the same: a frame-by-frame split would validate on what was trained.
+Neighbors in a recording show nearly the same: a frame-by-frame split would validate on what was trained.
 """
 
 import hashlib

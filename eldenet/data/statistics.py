@@ -1,4 +1,4 @@
-"""What the depth and the colours of a data set look like, in a few numbers."""
+"""What the depth and the colors of a data set look like, in a few numbers."""
 
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ class ChannelSums:
 
 
 def channel_statistics(dataset: DepthDataset, *, frames: int = 512, seed: int = 0) -> ChannelSums:
-    """Colours of at most ``frames`` frames as they lie on disk, drawn by ``seed``; nothing is augmented.
+    """Colors of at most ``frames`` frames as they lie on disk, drawn by ``seed``; nothing is augmented.
 
     Raises:
         ValueError: ``frames`` below 1, or a channel never changes: dividing by its deviation makes no sense.
@@ -46,10 +46,10 @@ def channel_statistics(dataset: DepthDataset, *, frames: int = 512, seed: int = 
     found = ChannelSums()
     for index in sorted(np.random.default_rng(seed).permutation(len(dataset))[:frames].tolist()):
         found.add(dataset.load_frame(index).image)
-    if not min(found.std) > 1e-4:  # of one colour, but for rounding
+    if not min(found.std) > 1e-4:  # of one color, but for rounding
         raise ValueError(
-            f"a colour channel never changes in {min(frames, len(dataset))} frames (std {found.std}): "
-            "are the pictures all of one colour? Take normalisation=imagenet"
+            f"a color channel never changes in {min(frames, len(dataset))} frames (std {found.std}): "
+            "are the pictures all of one color? Take normalization=imagenet"
         )
     return found
 

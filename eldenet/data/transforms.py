@@ -10,15 +10,15 @@ import numpy as np
 from eldenet.data.resize_crop import check_same_size
 from eldenet.types import Frame
 
-BORDER_COLOUR = (124, 116, 104)  # ImageNet's mean: a border that says nothing once the network normalises it
+BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: a border that says nothing once the network normalizes it
 
 
 class Augmentation:
-    """Random flip, zoom, shift, rotation and colour change of a frame, the geometry kept true.
+    """Random flip, zoom, shift, rotation and color change of a frame, the geometry kept true.
 
     Every probability is 0 for "off". Nothing but the generator handed to a call decides what happens to a
     frame: not earlier calls, not the worker. Where the frame is moved away from the border, the image is
-    filled with one colour and the depth is unknown (0): a mirrored border would invent depth.
+    filled with one color and the depth is unknown (0): a mirrored border would invent depth.
 
     Zooming by s shows the scene as from s times nearer: depth is divided by s, the focal length stays, X and
     Y of every point in the camera frame stay the same (as in sparse-to-dense and FastDepth). Flip, rotation
@@ -100,30 +100,28 @@ class Augmentation:
                     translate_percent=(-shift, shift),
                     rotate=(-rotate, rotate),
                     border_mode=0,  # cv2.BORDER_CONSTANT; the reflecting modes would multiply the keypoints
-                    fill=BORDER_COLOUR,
+                    fill=BORDER_COLOR,
                     fill_mask=0,
                     p=affine,
                 )
             )
-        colour: list[Any] = []
+        color: list[Any] = []
         if brightness_contrast:
-            colour.append(
+            color.append(
                 A.RandomBrightnessContrast(
                     brightness_limit=brightness, contrast_limit=contrast, p=brightness_contrast
                 )
             )
         if color_jitter:
             spread = (1.0 - jitter, 1.0 + jitter)
-            colour.append(
-                A.ColorJitter(spread, spread, spread, hue=(-jitter_hue, jitter_hue), p=color_jitter)
-            )
+            color.append(A.ColorJitter(spread, spread, spread, hue=(-jitter_hue, jitter_hue), p=color_jitter))
         if hue_saturation:
-            colour.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
+            color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
         points = A.KeypointParams(format="xy", remove_invisible=False)
-        # Two passes: the keypoints that carry the geometry need not travel through the colour changes.
+        # Two passes: the keypoints that carry the geometry need not travel through the color changes.
         along: dict[str, Any] = {"keypoint_params": points, "additional_targets": {"labels": "mask"}}
         self.geometry = A.Compose(geometry, **along) if geometry else None
-        self.colour = A.Compose(colour) if colour else None
+        self.color = A.Compose(color) if color else None
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
         """Augment one frame; see :class:`Augmentation`.
@@ -134,7 +132,7 @@ class Augmentation:
         image, depth, intrinsics, name, labels = frame
         check_same_size(frame)
         # A shared state, not Compose.set_random_seed: that one gives every transform the same seed, so that
-        # one throw of the dice decides flip, affine and colour alike.
+        # one throw of the dice decides flip, affine and color alike.
         chance = random.Random(int(generator.integers(2**63)))
         if self.geometry is not None:
             self.geometry.set_random_state(generator, chance)
@@ -148,9 +146,9 @@ class Augmentation:
                 labels = moved["labels"] - np.uint8(1)
             matrix = _affine_through(corners, np.asarray(moved["keypoints"], dtype=np.float64))
             depth, intrinsics = _move_camera(depth, intrinsics, matrix)
-        if self.colour is not None:
-            self.colour.set_random_state(generator, chance)
-            image = self.colour(image=image)["image"]
+        if self.color is not None:
+            self.color.set_random_state(generator, chance)
+            image = self.color(image=image)["image"]
         return Frame(image, depth, intrinsics, name, labels)
 
 

@@ -20,11 +20,11 @@ class FastDepthDecoder(Decoder):
     """Five modules that halve the channels and double the map, 1024 to 32, and a 1x1 convolution.
 
     Wofk et al., "FastDepth: Fast Monocular Depth Estimation on Embedded Systems" (ICRA 2019). "NNConv5" is a
-    5x5 convolution followed by nearest-neighbour interpolation; depthwise separable in the network that is
+    5x5 convolution followed by nearest-neighbor interpolation; depthwise separable in the network that is
     called FastDepth, which adds the encoder's features of strides 8, 4 and 2. Unpruned; with MobileNetV1:
     3,960,930 parameters (the published code).
 
-    Convention: the published network ends in batch normalisation and ReLU; the ReLU is left out here, as the
+    Convention: the published network ends in batch normalization and ReLU; the ReLU is left out here, as the
     head needs both signs. Rows and columns beyond the image are dropped after every doubling.
 
     Args:

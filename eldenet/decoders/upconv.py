@@ -58,7 +58,7 @@ class UpConv2d(nn.Module):
 
 
 class UpConvBlock(nn.Sequential):
-    """One up-convolution module: unpool + convolution, batch normalisation, ReLU."""
+    """One up-convolution module: unpool + convolution, batch normalization, ReLU."""
 
     def __init__(self, in_channels: int, out_channels: int, *, fast: bool = True) -> None:
         super().__init__(

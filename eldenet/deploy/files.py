@@ -26,14 +26,14 @@ METADATA_PREFIX = "eldenet."
 
 
 class CameraNet(nn.Module):
-    """A camera's frames in, metres at the camera's size out: everything that happens to a frame in one graph.
+    """A camera's frames in, meters at the camera's size out: everything that happens to a frame in one graph.
 
     Resizing is :func:`eldenet.data.base.resize_frame`'s (area where the frame shrinks, else bilinear) without
-    its rounding to whole grey levels, and depth comes back bilinear, as in
+    its rounding to whole gray levels, and depth comes back bilinear, as in
     :class:`~eldenet.deploy.predictor.DepthPredictor`.
 
     Args:
-        model: image -> metres.
+        model: image -> meters.
         camera_size: ``(height, width)`` of the frames [px].
         input_size: ``(height, width)`` that the network sees [px].
 
@@ -93,29 +93,29 @@ def describe(
     size: tuple[int, int],
     *,
     camera_size: tuple[int, int] | None = None,
-    licence: str | None = None,
+    license: str | None = None,
 ) -> dict[str, str]:
-    """What a file says of itself: model, units, licence, input, and what its weights were trained on.
+    """What a file says of itself: model, units, license, input, and what its weights were trained on.
 
-    ``licence`` is of the weights; None: what the model's ``info`` says, for nothing is known of its data's.
+    ``license`` is of the weights; None: what the model's ``info`` says, for nothing is known of its data's.
     """
     height, width = camera_size or size
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     facts = {
         "eldenet_version": __version__,
         "model": name,
-        "output": "depth (B, 1, H, W) in metres",
-        "units": "metres",
+        "output": "depth (B, 1, H, W) in meters",
+        "units": "meters",
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
-        "licence": licence or str(model.info.get("licence", "not stated")),
-        "input": f"{takes}, H = {height}, W = {width}; normalisation is inside",
+        "license": license or str(model.info.get("license", "not stated")),
+        "input": f"{takes}, H = {height}, W = {width}; normalization is inside",
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),
         "camera_size": json.dumps(list(camera_size) if camera_size else None),
         "mean": json.dumps([round(value, 6) for value in model.mean.flatten().tolist()]),
         "std": json.dumps([round(value, 6) for value in model.std.flatten().tolist()]),
-        "data": str(model.info.get("data", "not stated" if model.info else "none: freshly initialised")),
+        "data": str(model.info.get("data", "not stated" if model.info else "none: freshly initialized")),
         "protocol": str(model.info.get("protocol", "not stated")),
         "precision": "fp32",
         "params": str(count_params(model)),
@@ -253,12 +253,12 @@ def count_operations(path: str | Path) -> Counter[str]:
 
 
 def differences(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """Largest and median difference between two depths, in metres and relative to the reference."""
-    metres = np.abs(depth.astype(np.float64) - reference)
-    relative = metres / np.abs(reference)
+    """Largest and median difference between two depths, in meters and relative to the reference."""
+    meters = np.abs(depth.astype(np.float64) - reference)
+    relative = meters / np.abs(reference)
     return {
-        "max_m": float(metres.max()),
-        "median_m": float(np.median(metres)),
+        "max_m": float(meters.max()),
+        "median_m": float(np.median(meters)),
         "max_relative": float(relative.max()),
         "median_relative": float(np.median(relative)),
     }

@@ -18,7 +18,7 @@ PLAIN = (nn.Conv2d, DepthwiseConv2d)  # and no subclass, which may do more than 
 def fold(model: DepthNet) -> DepthNet:
     """A copy of ``model`` for inference, in eval mode; its depth differs by rounding alone.
 
-    - Batch normalisations that follow their convolution in an ``nn.Sequential`` are folded into it, and
+    - Batch normalizations that follow their convolution in an ``nn.Sequential`` are folded into it, and
       those of torchvision's ResNet blocks. Subclasses of either stay: they may do more than their base.
     - Every up-convolution, whichever form it had, becomes one 3x3 convolution on the small map, its
       activation there too, and a pixel shuffle: see :func:`merge_upconv`.
@@ -43,7 +43,7 @@ class _Unblock(nn.Module):
     """Changes nothing: ``(B, 1, h, w) -> (B, 1, h, w)``.
 
     ONNX Runtime keeps channels in blocks of 16 until an operation does not know blocks. A raw map has one
-    channel: resizing it and bringing it to metres in blocks takes 16 times the work.
+    channel: resizing it and bringing it to meters in blocks takes 16 times the work.
     """
 
     def forward(self, raw: Tensor) -> Tensor:

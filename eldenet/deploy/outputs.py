@@ -12,7 +12,7 @@ import numpy as np
 from eldenet.data.folder import IMAGE_ENDINGS
 from eldenet.deploy.manifest import Written
 from eldenet.deploy.pointcloud import write_ply
-from eldenet.deploy.predictor import to_millimetres
+from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
 from eldenet.visualization import photo_beside_depth, visible_range, write_picture
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import StopWish
 
-ENDING = {"depth": "_depth.png", "colour": "_colour.png", "ply": ".ply"}
+ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply"}
 
 
 @dataclass
@@ -29,13 +29,13 @@ class Results:
 
     Attributes:
         folder: of all results.
-        formats: some of "depth", "colour", "ply".
+        formats: some of "depth", "color", "ply".
         intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds and 3D boxes.
-        depth_range: (near, far) of the colours [m]; None: each picture's own.
+        depth_range: (near, far) of the colors [m]; None: each picture's own.
         overwrite: replace files that are there.
         images: pictures or frames written so far.
         skipped: what could not be read.
-        too_far: pixels beyond what 16 bits of millimetres hold.
+        too_far: pixels beyond what 16 bits of millimeters hold.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
         video: its results' name; empty for pictures.
@@ -64,8 +64,8 @@ class Results:
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
         if is_video:
-            files = [self.folder / f"{name}_depth.mp4"] if "colour" in self.formats else []
-            return files + [self.folder / name] * bool(set(self.formats) - {"colour"})
+            files = [self.folder / f"{name}_depth.mp4"] if "color" in self.formats else []
+            return files + [self.folder / name] * bool(set(self.formats) - {"color"})
         return [self.folder / f"{name}{ENDING[kind]}" for kind in self.formats]
 
     def refuse_to_overwrite(self, sources: Sequence[Path], files: Sequence[Path]) -> None:
@@ -112,12 +112,12 @@ class Results:
         if "ply" in formats and self.intrinsics is not None:
             write_ply(place["ply"], back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
-            steps = to_millimetres(depth)
+            steps = to_millimeters(depth)
             self.too_far += int(((steps == 0) & (depth > 1)).sum())
             _write_png(place["depth"], steps)
-        if "colour" in formats:
+        if "color" in formats:
             near, far = self.depth_range or visible_range(depth)
-            write_picture(place["colour"], photo_beside_depth(photo, depth, near, far))
+            write_picture(place["color"], photo_beside_depth(photo, depth, near, far))
         for file in place.values():
             self.note(file, name)
         if self.also is not None:

@@ -1,4 +1,4 @@
-"""A trained network behind one call: camera frame in, metres out."""
+"""A trained network behind one call: camera frame in, meters out."""
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from eldenet.system.resources import full_fp32
 from eldenet.types import Frame
 
 MAX_SIDE = 640
-DEEPEST_MILLIMETRES = 65535
+DEEPEST_MILLIMETERS = 65535
 
 
 class DepthPredictor:
@@ -21,7 +21,7 @@ class DepthPredictor:
     The frame is resized to the scale that the network was trained at, and the depth is brought back to the
     frame's own size (bilinear), so that the frame's own intrinsics hold for it. A resize does not change
     depth. A network whose training cropped frames sees the whole frame here, at the scale of those crops.
-    Metres are metres for cameras with about the field of view of the training camera's whole frames.
+    Meters are meters for cameras with about the field of view of the training camera's whole frames.
 
     Args:
         model: put into eval mode, and moved to ``device``; or a network under another runtime
@@ -120,11 +120,11 @@ def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
-def to_millimetres(depth: np.ndarray) -> np.ndarray:
+def to_millimeters(depth: np.ndarray) -> np.ndarray:
     """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) for what is unknown, and beyond 65.535 m.
 
     :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
     """
-    millimetres = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
-    fits = (millimetres > 0) & (millimetres <= DEEPEST_MILLIMETRES)
-    return np.where(fits, millimetres, 0).astype(np.uint16)
+    millimeters = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
+    fits = (millimeters > 0) & (millimeters <= DEEPEST_MILLIMETERS)
+    return np.where(fits, millimeters, 0).astype(np.uint16)

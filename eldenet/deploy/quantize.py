@@ -1,4 +1,4 @@
-"""int8 by post-training quantisation: scales from calibration frames, no training."""
+"""int8 by post-training quantization: scales from calibration frames, no training."""
 
 import logging
 import os
@@ -13,10 +13,10 @@ import numpy as np
 from eldenet.deploy.files import METADATA_PREFIX, read_metadata, save_openvino
 
 
-def quantise_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:
-    """fp32 ONNX -> int8 ONNX with quantise/dequantise pairs (QDQ), scales per channel.
+def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:
+    """fp32 ONNX -> int8 ONNX with quantize/dequantize pairs (QDQ), scales per channel.
 
-    Convolutions and matrix products are quantised; what is between them stays in fp32, for ONNX Runtime has
+    Convolutions and matrix products are quantized; what is between them stays in fp32, for ONNX Runtime has
     no int8 kernels for it.
 
     Args:
@@ -62,7 +62,7 @@ def quantise_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
     return path
 
 
-def quantise_openvino(
+def quantize_openvino(
     source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
 ) -> Path:
     """fp32 ONNX or OpenVINO IR -> int8 OpenVINO IR, by nncf.
@@ -81,13 +81,13 @@ def quantise_openvino(
         raise ImportError(f"int8 for OpenVINO needs nncf (pip install 'eldenet[deploy]'): {error}") from error
     network = openvino.Core().read_model(str(source))
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()), _quiet():
-        quantised = nncf.quantize(
+        quantized = nncf.quantize(
             network,
             nncf.Dataset(list(inputs)),
             preset=nncf.QuantizationPreset.MIXED,  # hard swish is not symmetric
             subset_size=len(inputs),
         )
-    return save_openvino(quantised, path, {**metadata, "precision": "int8"})
+    return save_openvino(quantized, path, {**metadata, "precision": "int8"})
 
 
 def _need(inputs: Sequence[np.ndarray]) -> None:
@@ -96,7 +96,7 @@ def _need(inputs: Sequence[np.ndarray]) -> None:
 
 
 class _quiet:
-    """Keep quantisers from logging to the user's terminal for a while."""
+    """Keep quantizers from logging to the user's terminal for a while."""
 
     def __enter__(self) -> None:
         os.environ.setdefault("NNCF_DISABLE_TELEMETRY", "1")

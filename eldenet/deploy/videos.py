@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
-RANGE_MEMORY = 0.9  # of a video's colours: the share of the range that the frame before decides
+RANGE_MEMORY = 0.9  # of a video's colors: the share of the range that the frame before decides
 
 
 def predict_video(
@@ -29,7 +29,7 @@ def predict_video(
 ) -> str:
     """Predict the frames of a video, or those of a camera that there is time for.
 
-    Colour becomes one .mp4, which shows each frame as long as it lasted; the others one file a frame. A
+    Color becomes one .mp4, which shows each frame as long as it lasted; the others one file a frame. A
     camera runs until ``frames`` or Ctrl-C.
 
     Returns:
@@ -44,7 +44,7 @@ def predict_video(
 
     shown = without_password(str(source))
     file = results.folder / f"{name}_depth.mp4"
-    per_frame = [kind for kind in results.formats if kind != "colour"]
+    per_frame = [kind for kind in results.formats if kind != "color"]
     span = results.depth_range
     with DepthStream(source, predictor) as stream:
         stop.wake = stream.stop
@@ -56,7 +56,7 @@ def predict_video(
             add = in_time(film, rate)
             for _, photo, depth, taken in stream:
                 results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
-                if "colour" in results.formats:
+                if "color" in results.formats:
                     span = results.depth_range or _follow(span, visible_range(depth))
                     add(photo_beside_depth(photo, depth, *span), taken)
                 lost = f", {stream.dropped} dropped" if stream.drop else ""
@@ -76,7 +76,7 @@ def predict_video(
 
 
 def _follow(span: tuple[float, float] | None, now: tuple[float, float]) -> tuple[float, float]:
-    """The colours' range, moving slowly, so that a video does not flicker."""
+    """The colors' range, moving slowly, so that a video does not flicker."""
     if span is None:
         return now
     near, far = (RANGE_MEMORY * old + (1 - RANGE_MEMORY) * new for old, new in zip(span, now, strict=True))

@@ -64,7 +64,7 @@ def count_params(model: nn.Module) -> int:
 def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
     """Multiply-adds of one image of ``size`` (height, width): convolutions and matrix products.
 
-    Convention: one MAC is two FLOPs; biases, normalisation and activations are not counted.
+    Convention: one MAC is two FLOPs; biases, normalization and activations are not counted.
     """
     from torch.utils.flop_counter import FlopCounterMode
 

@@ -40,7 +40,7 @@ class EvalProtocol:
         resize: of the frame after ``frame_box``, image and ground truth alike: a factor or
             ``(height, width)`` [px]; None: none.
         frame_crop: crop of the frame after ``resize``, ``(height, width)`` [px]; None: none.
-        frame_anchor: where ``frame_crop`` lies: "center", or "bottom" (lowest rows, centred: BTS's KB crop).
+        frame_anchor: where ``frame_crop`` lies: "center", or "bottom" (lowest rows, centered: BTS's KB crop).
         frame_size: ``(height, width)`` of a last resize of the frame, after ``frame_crop`` [px]; None: none.
         paste: ``frame_crop`` is for the image alone: the ground truth stays whole, the prediction is put back
             into its place, and what the network did not see is not scored.
@@ -49,7 +49,7 @@ class EvalProtocol:
             pixels, for frames of several sizes.
         size: the ground truth's ``(height, width)`` [px] that ``crop`` speaks of; another size is an error.
         interpolation: how a prediction is brought to the ground truth's size: "bilinear" (corners not
-            aligned) or "nearest" (to the pixels' centres).
+            aligned) or "nearest" (to the pixels' centers).
         clamp: clamp the prediction into ``[min_depth, max_depth]`` before scoring.
         average: "image": a metric per image, then the mean over images; "pixel": all pixels pooled.
         scale: "metric": as predicted; "median": each prediction times median(truth) / median(prediction).
@@ -87,7 +87,7 @@ class EvalProtocol:
             raise ValueError(f"protocol {self.name}: 0 < min_depth < max_depth is needed [m]")
         if self.inverse_scale is not None and not self.inverse_scale > 0:
             raise ValueError(
-                f"protocol {self.name}: inverse_scale={self.inverse_scale}, give metres above 0, or null"
+                f"protocol {self.name}: inverse_scale={self.inverse_scale}, give meters above 0, or null"
             )
         if self.crop is not None and self.size is None:
             raise ValueError(f"protocol {self.name}: crop={self.crop} needs size, whose pixels it speaks of")

@@ -1,4 +1,4 @@
-"""What a loss is, and the weighted sum that training minimises."""
+"""What a loss is, and the weighted sum that training minimizes."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -20,7 +20,7 @@ class Loss(nn.Module):
         spaces: in which the loss makes sense, see :class:`WeightedTerm`.
     """
 
-    spaces: tuple[str, ...] = ("metres", "log", "inverse")
+    spaces: tuple[str, ...] = ("meters", "log", "inverse")
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``prediction`` and ``target (B, 1, H, W)`` [m], ``mask (B, 1, H, W)`` bool -> scalar."""
@@ -41,7 +41,7 @@ def neutralise(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor
 
 
 SPACES: dict[str, Callable[[Tensor], Tensor]] = {
-    "metres": lambda depth: depth,
+    "meters": lambda depth: depth,
     "log": torch.log,
     "inverse": torch.reciprocal,
 }
@@ -53,11 +53,11 @@ class WeightedTerm(nn.Module):
     Args:
         loss: of the two maps.
         weight: 0 or more.
-        space: in which the two maps are compared: "metres"; "log" (errors count by their ratio, as AbsRel and
+        space: in which the two maps are compared: "meters"; "log" (errors count by their ratio, as AbsRel and
             delta count it); "inverse" (1 / m: near counts most; DenseDepth's).
     """
 
-    def __init__(self, loss: Loss, weight: float = 1.0, space: str = "metres") -> None:
+    def __init__(self, loss: Loss, weight: float = 1.0, space: str = "meters") -> None:
         super().__init__()
         if weight < 0:
             raise ValueError(f"weight={weight}: a loss weight is 0 or more")
@@ -79,7 +79,7 @@ class WeightedTerm(nn.Module):
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
     ) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar, not weighted; few terms look at ``image``."""
-        if self.space != "metres":
+        if self.space != "meters":
             prediction, target = (SPACES[self.space](m) for m in neutralise(prediction, target, mask))
         return self.loss(prediction, target, mask)
 

@@ -101,7 +101,7 @@ class DistilledTerm(WeightedTerm):
         loss: Loss,
         teacher: Teacher,
         weight: float = 1.0,
-        space: str = "metres",
+        space: str = "meters",
         feature_weight: float = 0.0,
         feature_strides: Sequence[int] = (8, 16, 32),
     ) -> None:

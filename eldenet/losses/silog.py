@@ -16,7 +16,7 @@ class SILogLoss(Loss):
         scale: factor on the result.
     """
 
-    spaces = ("metres",)  # it takes the logarithm itself
+    spaces = ("meters",)  # it takes the logarithm itself
 
     def __init__(self, balance: float = 0.85, scale: float = 10.0) -> None:
         super().__init__()

@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from eldenet.navigation.localisation import Fixes, Localiser
+from eldenet.navigation.localization import Fixes, Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.sensors import Eye, Odometry, Sensor, Sight
 from eldenet.simulation.arena_world import ArenaWorld
@@ -40,7 +40,7 @@ class Crossings:
         physics: "kinematic" or "wheels"; see :class:`~eldenet.simulation.arena_world.ArenaWorld`.
         time_limit: of a crossing [s].
         goal: where the robot takes the goal's distance and bearing from. "known": always the true ones, as
-            with a beacon at the goal; "fixes": from a :class:`~eldenet.navigation.localisation.Localiser`
+            with a beacon at the goal; "fixes": from a :class:`~eldenet.navigation.localization.Localizer`
             that gets a noisy position now and then, and calibrates the odometry; "odometry": from where the
             odometry believes it is, as on a robot without either, so that they drift with it. The true pose
             ends a crossing in all.
@@ -72,7 +72,7 @@ class Crossings:
         self.sights: list[Sight | None] = [None] * count
         self._eyes: list[Eye | None] = [None] * count
         self._odometry: list[Odometry | None] = [None] * count
-        self._localisers: list[Localiser | None] = [None] * count  # of goal="fixes" alone
+        self._localizers: list[Localizer | None] = [None] * count  # of goal="fixes" alone
         self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # where they are
         self.travelled = np.zeros(count)  # [m]
@@ -93,7 +93,7 @@ class Crossings:
         self._odometry[slot] = Odometry(self.sensor.drift, rng, world.pose)
         if self.goal_from == "fixes":
             drift = self.sensor.drift
-            self._localisers[slot] = Localiser(
+            self._localizers[slot] = Localizer(
                 world.pose, deviation=self.fixes.deviation, distance=drift.distance, heading=drift.heading
             )
             self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
@@ -131,8 +131,8 @@ class Crossings:
         ranges = np.stack([sight.ranges for sight in self.sights if sight is not None])
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
         if self.goal_from == "fixes":
-            believed = [localiser for localiser in self._localisers if localiser is not None]
-            odometry = np.array([localiser.odometry for localiser in believed])
+            believed = [localizer for localizer in self._localizers if localizer is not None]
+            odometry = np.array([localizer.odometry for localizer in believed])
             goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(believed)])
         else:
             goals = self._goals_from(odometry if self.goal_from == "odometry" else self.poses)
@@ -183,21 +183,21 @@ class Crossings:
                     break
                 self._waypoint[slot] += 1  # a way-point on the way ends no period
         self.poses[slot] = world.pose
-        self._localise(slot)
+        self._localize(slot)
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event
 
-    def _localise(self, slot: int) -> None:
-        """Tell the localiser what the wheels did, and where it is when a fix is due."""
-        localiser, rng = self._localisers[slot], self._rngs[slot]
-        if localiser is None or rng is None:
+    def _localize(self, slot: int) -> None:
+        """Tell the localizer what the wheels did, and where it is when a fix is due."""
+        localizer, rng = self._localizers[slot], self._rngs[slot]
+        if localizer is None or rng is None:
             return
-        localiser.move(self._odometry[slot].pose)  # type: ignore[union-attr]
+        localizer.move(self._odometry[slot].pose)  # type: ignore[union-attr]
         due = max(1, round(self.fixes.period / ROBOT.period))
         if self._steps[slot] % due == 0:
             error = self.fixes.deviation * rng.standard_normal(2)
-            localiser.fix(*(self.poses[slot, :2] + error).tolist())
+            localizer.fix(*(self.poses[slot, :2] + error).tolist())
 
     def _world(self, slot: int) -> ArenaWorld:
         world = self.worlds[slot]

@@ -117,7 +117,7 @@ def cross(
     return [rows[number] for number in range(len(arenas))]
 
 
-def summarise(rows: Sequence[Crossing]) -> dict[str, Any]:
+def summarize(rows: Sequence[Crossing]) -> dict[str, Any]:
     """Shares [%] with their Wilson intervals, time over successes [s], SPL."""
     outcomes = np.array([row.outcome for row in rows])
     success = outcomes == "success"

@@ -10,7 +10,7 @@ from eldenet.navigation.episodes import Crossings, Event
 from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, cell_centre, clearance_map
+from eldenet.simulation.arenas import Arena, cell_center, clearance_map
 
 NEAR = (0.3, 0.9)  # clearance of a place close to something [m]; a robot fits from the first on
 
@@ -80,7 +80,7 @@ def look_near(
         world = ArenaWorld(arena)
         eye = sensor.begin(world, rng)
         for _ in range(looks):
-            x, y = cell_centre(*places[rng.integers(len(places))])
+            x, y = cell_center(*places[rng.integers(len(places))])
             world.place((x, y, rng.uniform(-math.pi, math.pi)))
             rows.append((eye.look().ranges, world.ranges(), len(rows)))
         advance(1)

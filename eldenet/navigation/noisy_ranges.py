@@ -23,12 +23,12 @@ class NoisyRanges:
     """The simulator's ranges with the errors of a depth network.
 
     Relative errors, as depth networks make them: a scale that wanders from frame to frame (correlation
-    ``memory``), a smooth error over neighbouring columns, and an error of each column. Errors that were
+    ``memory``), a smooth error over neighboring columns, and an error of each column. Errors that were
     measured (``errors``) add a bias and a spread by distance, and things that a look misses.
 
     Args:
         scale: standard deviation of the frame's scale.
-        smooth: standard deviation of the error that about four neighbouring columns share.
+        smooth: standard deviation of the error that about four neighboring columns share.
         column: standard deviation of each column's own error.
         memory: correlation of a frame's scale with the frame before.
         errors: :class:`~eldenet.navigation.range_errors.RangeErrors` or their file, which replace the four
@@ -99,7 +99,7 @@ class _NoisyEye:
 
 
 def without_missed(ranges: np.ndarray, errors: RangeErrors, rng: np.random.Generator) -> np.ndarray:
-    """True ranges ``(columns,)`` [m] where what a look misses gives way to the farther of its neighbours.
+    """True ranges ``(columns,)`` [m] where what a look misses gives way to the farther of its neighbors.
 
     Whether a thing is missed is drawn anew in every look. What fills the view is never missed: nothing
     beside it says what lies behind.

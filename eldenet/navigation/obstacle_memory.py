@@ -1,7 +1,7 @@
 """What a robot has seen and no longer sees: points on the floor, in the odometry's frame.
 
 Points are forgotten with age, and when later looks see through them. The second matters: a depth network is
-wrong by a tenth, so a thing seen from 6 m smears over half a metre, and odometry shifts what was seen long
+wrong by a tenth, so a thing seen from 6 m smears over half a meter, and odometry shifts what was seen long
 ago. Without it every such error stays an obstacle until it is old, and the arena fills with things that are
 not there (of 200 "val" arenas of 80 under measured errors, one driver crossed 66 % without and 91 % with it).
 It is the free space of an occupancy grid (Elfes, "Using occupancy grids for mobile robot perception and

@@ -20,7 +20,7 @@ SEEN_OFTEN = 4  # looks before anything counts as moving
 KEPT = 20  # looks without its thing after which a track is given up
 AHEAD = (0.0, 0.5, 1.0, 1.5, 2.0)  # where a walker will be is marked at these times [s]
 RADIUS = 0.25  # of a walker [m]
-DEPTH_STEP = 0.3  # between neighbouring columns of two things, and a tenth of the range [m]
+DEPTH_STEP = 0.3  # between neighboring columns of two things, and a tenth of the range [m]
 MOST = 8  # walkers that are marked
 _CIRCLE = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1) * RADIUS
 

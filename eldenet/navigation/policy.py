@@ -31,7 +31,7 @@ class Driver(Observer):
 
     Args:
         robots: how many at once.
-        slows_within: metres from the goal where it begins to slow down.
+        slows_within: meters from the goal where it begins to slow down.
         options: of :class:`~eldenet.navigation.observer.Observer`.
 
     Raises:
@@ -40,7 +40,7 @@ class Driver(Observer):
 
     def __init__(self, robots: int = 1, *, slows_within: float = SLOWS_WITHIN, **options: Any) -> None:
         if slows_within <= 0:
-            raise ValueError(f"slows_within={slows_within}: give metres from the goal, above 0")
+            raise ValueError(f"slows_within={slows_within}: give meters from the goal, above 0")
         super().__init__(robots, **options)
         self.trained_with = dict(self.options)
         self.slows_within = float(slows_within)
@@ -120,7 +120,7 @@ class Navigator:
             observer: what it must have been trained with; None: anything.
             walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
                 that was trained without; None: as the file says.
-            slows_within: metres from the goal where it begins to slow down; None: as the file says.
+            slows_within: meters from the goal where it begins to slow down; None: as the file says.
             robots: how many drive at once.
 
         Raises:

@@ -2,7 +2,7 @@
 
 An error is the logarithm of a column's range over the true one. Each distance has its bias and spread; what
 is left, over the spread, is the sum of three parts: one that the whole frame shares and that wanders from
-frame to frame, one that about four neighbouring columns share, and each column's own.
+frame to frame, one that about four neighboring columns share, and each column's own.
 """
 
 import json
@@ -21,7 +21,7 @@ from eldenet.simulation.robot import ROBOT
 
 EDGES = (0.3, 1.0, 2.0, 3.0, 4.5, 6.5, 10.0)  # of the distances that are told apart [m]
 MISSED = math.log(1.5)  # a thing that reads half as far again as it is was not seen; the reverse is a ghost
-EDGE_STEP = 0.2  # neighbouring columns whose true ranges differ by more show different things
+EDGE_STEP = 0.2  # neighboring columns whose true ranges differ by more show different things
 _SHARED = (0.719, 2)  # correlation of the smooth part at that many columns' distance
 _APART = range(12, 20)  # columns that share the frame's part alone
 
@@ -36,7 +36,7 @@ class RangeErrors:
         spread: standard deviation of the error, misses and ghosts left out.
         miss: share of the things there that were not seen in one look.
         scale: standard deviation of the frame's part, in spreads.
-        smooth: of the part that neighbours share, in spreads.
+        smooth: of the part that neighbors share, in spreads.
         column: of each column's own part, in spreads.
         memory: correlation of the frame's part with the look before.
         far: median and standard deviation of the error where nothing is within reach.

@@ -27,7 +27,7 @@ def depth_to_ranges(
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(3, 3)`` of the depth map [px].
-        camera_height: optical centre above the floor [m].
+        camera_height: optical center above the floor [m].
 
     Raises:
         ValueError: the camera sees less than the driver's field of view, or its pixels are too few for the

@@ -83,7 +83,7 @@ class Odometry:
 
     def __init__(self, drift: Drift, rng: np.random.Generator, pose: Pose) -> None:
         self.scale = 1.0 + drift.distance * rng.standard_normal()
-        self.turn_per_metre = drift.heading * rng.standard_normal()
+        self.turn_per_meter = drift.heading * rng.standard_normal()
         self.pose = pose
 
     def move(self, before: Pose, after: Pose) -> None:
@@ -94,7 +94,7 @@ class Odometry:
         c, s = math.cos(error), math.sin(error)
         x += self.scale * (c * dx - s * dy)
         y += self.scale * (s * dx + c * dy)
-        self.pose = (x, y, after[2] + error + self.turn_per_metre * math.hypot(dx, dy))
+        self.pose = (x, y, after[2] + error + self.turn_per_meter * math.hypot(dx, dy))
 
 
 class Ranges:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.navigation.dqn import CHECKPOINT, DQN
-from eldenet.navigation.evaluation import cross, summarise
+from eldenet.navigation.evaluation import cross, summarize
 from eldenet.navigation.policy import POLICY, Navigator
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
@@ -79,7 +79,7 @@ def train(
                     goal=learner.env.crossings.goal_from,
                 )  # fmt: skip
                 leg |= {
-                    name: summarise(rows)[name] for name in ("success", "collision", "timeout", "seconds")
+                    name: summarize(rows)[name] for name in ("success", "collision", "timeout", "seconds")
                 }
                 log.scalars(learner.done, {f"validation/{name}": value for name, value in leg.items()})
                 log.say(

@@ -14,9 +14,9 @@ from eldenet.perception.drawing import draw_boxes
 from eldenet.simulation.arena_view import robot_intrinsics
 from eldenet.simulation.arenas import Arena, Obstacle
 from eldenet.simulation.robot import ROBOT
-from eldenet.visualization import colour_depth, visible_range
+from eldenet.visualization import color_depth, visible_range
 
-_COLOURS = {
+_COLORS = {
     "cylinder": (120, 144, 156),
     "box": (161, 136, 107),
     "vehicle": (84, 110, 122),
@@ -63,20 +63,20 @@ class Scene:
 
     def _obstacle(self, picture: np.ndarray, obstacle: Obstacle, time: float) -> None:
         x, y = obstacle.position(time)
-        colour = _COLOURS[obstacle.kind]
+        color = _COLORS[obstacle.kind]
         if obstacle.round:
             cv2.circle(
-                picture, self.pixel(x, y), round(obstacle.half[0] * self.scale), colour, -1, cv2.LINE_AA
+                picture, self.pixel(x, y), round(obstacle.half[0] * self.scale), color, -1, cv2.LINE_AA
             )
         else:
-            self._box(picture, (x, y, obstacle.yaw), obstacle.half, colour)
+            self._box(picture, (x, y, obstacle.yaw), obstacle.half, color)
 
     def _box(
         self,
         picture: np.ndarray,
         pose: tuple[float, float, float],
         half: tuple[float, float],
-        colour: tuple[int, int, int],
+        color: tuple[int, int, int],
     ) -> None:
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
@@ -84,7 +84,7 @@ class Scene:
             self.pixel(x + c * a * half[0] - s * b * half[1], y + s * a * half[0] + c * b * half[1])
             for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
-        cv2.fillConvexPoly(picture, np.array(corners), colour, cv2.LINE_AA)
+        cv2.fillConvexPoly(picture, np.array(corners), color, cv2.LINE_AA)
 
     def top_view(self, crossings: Crossings, slot: int) -> np.ndarray:
         """``(size, size, 3)`` uint8 RGB: obstacles, way-points, what was seen, trail, robot."""
@@ -173,8 +173,8 @@ def camera_panels(sight: Sight, size: int) -> np.ndarray:
             )
     depth = empty
     if sight.depth is not None:
-        colours = colour_depth(sight.depth, near, far, sight.depth > 0)
-        depth = np.asarray(cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
+        colors = color_depth(sight.depth, near, far, sight.depth > 0)
+        depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
     bars = sector_bars(sight, (size - 2 * height, width))
     if sight.image is not None:
         _label(photo, "camera")

@@ -1,4 +1,4 @@
-"""Boxes for people: drawn into the picture, and from above on a grid of metres."""
+"""Boxes for people: drawn into the picture, and from above on a grid of meters."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from eldenet.perception.iou import footprints
 
 _NEAR = 0.1  # [m]: edges are cut there
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_COLOUR_OF = {
+_COLOR_OF = {
     "car": (255, 120, 60), "van": (255, 190, 60), "truck": (190, 120, 255), "person": (80, 200, 255),
     "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
     "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
@@ -17,11 +17,11 @@ _COLOUR_OF = {
 _GROUND, _GRID, _SIGHT, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
 
 
-def colour_of(name: str) -> tuple[int, int, int]:
-    """The colour of a class, RGB: the same in every picture."""
-    colours = list(_COLOUR_OF.values())
+def color_of(name: str) -> tuple[int, int, int]:
+    """The color of a class, RGB: the same in every picture."""
+    colors = list(_COLOR_OF.values())
     number = sum(ord(letter) * (place + 1) for place, letter in enumerate(name.lower()))
-    return _COLOUR_OF.get(name.lower(), colours[number % len(colours)])
+    return _COLOR_OF.get(name.lower(), colors[number % len(colors)])
 
 
 def draw_boxes(
@@ -47,25 +47,25 @@ def draw_boxes(
     front = np.broadcast_to(front, len(boxes))
     for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):
         corners = camera.to_camera(boxes.corners[index])
-        colour = colour_of(boxes.names[boxes.label[index]])
+        color = color_of(boxes.names[boxes.label[index]])
         if front[index] and (corners[list(FRONT_FACE), 2] > _NEAR).all():
             face = _pixels(corners[list(FRONT_FACE)], camera)
             shade = picture.copy()
-            cv2.fillPoly(shade, [_fixed(face)], colour, cv2.LINE_AA, 4)
+            cv2.fillPoly(shade, [_fixed(face)], color, cv2.LINE_AA, 4)
             picture = cv2.addWeighted(shade, 0.35, picture, 0.65, 0)
         edges = clipped_edges(corners, _NEAR)
         if not len(edges):
             continue
         for ends in edges:
             start, end = _fixed(_pixels(ends, camera))
-            cv2.line(picture, start.tolist(), end.tolist(), colour, thick, cv2.LINE_AA, 4)
+            cv2.line(picture, start.tolist(), end.tolist(), color, thick, cv2.LINE_AA, 4)
         if labels:
             pixels = _pixels(edges.reshape(-1, 3), camera)
             box = boxes[int(index)]
             text = f"{box.name} {box.distance:.1f} m"
             if boxes.track_id is not None:
                 text = f"#{boxes.track_id[index]} {text}"
-            _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), colour)
+            _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), color)
     return picture
 
 
@@ -73,13 +73,13 @@ def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
     """A copy of the picture with the 2D boxes, their classes and scores."""
     picture = np.ascontiguousarray(image).copy()
     for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
-        colour = colour_of(name)
+        color = color_of(name)
         # the outermost pixels that the box holds, of those that there are
         last = np.array([picture.shape[1] - 1, picture.shape[0] - 1])
         left, top = np.clip(np.ceil(box[:2]), 0, last).astype(int).tolist()
         right, bottom = np.clip(np.floor(box[2:]), 0, last).astype(int).tolist()
-        cv2.rectangle(picture, (left, top), (right, bottom), colour, 1)
-        _write(picture, f"{name} {score:.2f}", left, top, colour)
+        cv2.rectangle(picture, (left, top), (right, bottom), color, 1)
+        _write(picture, f"{name} {score:.2f}", left, top, color)
     return picture
 
 
@@ -92,7 +92,7 @@ def draw_bev(
     reach: float | None = None,
     truth: Boxes3D | None = None,
 ) -> np.ndarray:
-    """The boxes from above: ``size`` (height, width) [px], the camera at the bottom, round metres as a grid.
+    """The boxes from above: ``size`` (height, width) [px], the camera at the bottom, round meters as a grid.
 
     Args:
         boxes: in the level frame; of a tracked box its velocity is drawn: where it is in a second.
@@ -100,7 +100,7 @@ def draw_bev(
         width: of the camera's picture [px].
         size: of the panel [px].
         reach: depth at the upper edge [m]; None: so that every box is in the panel, from 10 to 120 m.
-        truth: other boxes, drawn in grey.
+        truth: other boxes, drawn in gray.
     """
     height, wide = size
     reach = bev_reach(boxes, size) if reach is None else reach
@@ -128,12 +128,12 @@ def draw_bev(
         for corners in footprints(truth.bev):
             cv2.polylines(panel, [_fixed(place(corners))], True, (150, 150, 150), 2, cv2.LINE_AA, 4)
     for index, corners in enumerate(footprints(boxes.bev)):
-        colour = tuple(int(0.75 * part) for part in colour_of(boxes.names[boxes.label[index]]))
-        cv2.polylines(panel, [_fixed(place(corners))], True, colour, 2, cv2.LINE_AA, 4)
+        color = tuple(int(0.75 * part) for part in color_of(boxes.names[boxes.label[index]]))
+        cv2.polylines(panel, [_fixed(place(corners))], True, color, 2, cv2.LINE_AA, 4)
         if boxes.velocity is not None:
             ends = boxes.center[index, [0, 2]] + np.array([[0, 0], boxes.velocity[index, [0, 2]]])
             start, end = place(ends).round().astype(int)
-            cv2.arrowedLine(panel, start.tolist(), end.tolist(), colour, 1, cv2.LINE_AA, tipLength=0.25)
+            cv2.arrowedLine(panel, start.tolist(), end.tolist(), color, 1, cv2.LINE_AA, tipLength=0.25)
     eye = place(np.array([[-0.5, 0], [0.5, 0], [0, 1.2]]) * max(1.0, reach / 40))
     cv2.fillPoly(panel, [_fixed(eye)], _INK, cv2.LINE_AA, 4)
     return panel
@@ -171,10 +171,10 @@ def _fixed(points: np.ndarray) -> np.ndarray:
     return np.asarray(np.round(np.clip(points, -20000, 20000) * 16), np.int32)
 
 
-def _write(picture: np.ndarray, text: str, left: float, top: float, colour: tuple[int, int, int]) -> None:
+def _write(picture: np.ndarray, text: str, left: float, top: float, color: tuple[int, int, int]) -> None:
     size = max(0.35, picture.shape[0] / 900)
     (wide, tall), _ = cv2.getTextSize(text, _FONT, size, 1)
     x = int(np.clip(left, 0, max(0, picture.shape[1] - wide - 2)))
     y = int(np.clip(top - 3, tall + 2, picture.shape[0] - 2))
     cv2.rectangle(picture, (x, y - tall - 2), (x + wide + 2, y + 2), (20, 20, 20), -1)
-    cv2.putText(picture, text, (x + 1, y), _FONT, size, colour, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, (x + 1, y), _FONT, size, color, 1, cv2.LINE_AA)

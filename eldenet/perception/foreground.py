@@ -151,7 +151,7 @@ def _pixels_of(
 
 
 def _pixels_within(box: np.ndarray, size: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """First column and row, and those past the last, of pixels of a picture whose centres lie in a box."""
+    """First column and row, and those past the last, of pixels of a picture whose centers lie in a box."""
     low = np.clip(np.ceil(box[:2]), 0, None).astype(int)
     high = np.clip(np.floor(box[2:]) + 1, low, np.maximum((size[1], size[0]), low)).astype(int)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
@@ -185,7 +185,7 @@ def _select(
 
 
 def _around(far: np.ndarray, centers: np.ndarray, reach: float, depth_sigma: float) -> np.ndarray:
-    """``(C, P)`` bool: depths that an object at each of the centres may show."""
+    """``(C, P)`` bool: depths that an object at each of the centers may show."""
     away = far[None] - centers[:, None]
     noise = 0.5 * depth_sigma * centers[:, None]
     return np.asarray((away > -0.75 * reach - noise) & (away < reach + noise))

@@ -5,7 +5,7 @@ points 1/40 ... 1 (official since October 2019), R11 over 0, 0.1 ... 1. The poin
 at the highest threshold.
 
 Rules: an object counts at a difficulty if its 2D box is higher than the least height, and it is neither more
-occluded nor more truncated than allowed; others are ignored, as are objects of a neighbouring class (Van for
+occluded nor more truncated than allowed; others are ignored, as are objects of a neighboring class (Van for
 Car, Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are
 ignored, whatever their class, as in the benchmark's code. In 2D, detections that lie in DontCare areas are no
 false positives.
@@ -20,7 +20,7 @@ from eldenet.perception.iou import box_ious, iou_2d
 from eldenet.perception.kitti_object import KittiLabels
 
 POINTS = 41
-NEIGHBOUR = {"car": "van", "pedestrian": "person_sitting"}
+NEIGHBOR = {"car": "van", "pedestrian": "person_sitting"}
 
 
 class Difficulty(NamedTuple):
@@ -99,7 +99,7 @@ def average_precision(
 def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficulty, metric: str) -> _Frame:
     kinds = np.array([name.lower() for name in truth.types], dtype=object)
     areas = truth.select(kinds == "dontcare")
-    related = (kinds == kind.lower()) | (kinds == NEIGHBOUR.get(kind.lower(), ""))
+    related = (kinds == kind.lower()) | (kinds == NEIGHBOR.get(kind.lower(), ""))
     truth, kinds = truth.select(related), kinds[related]
     small = np.abs(found.xyxy[:, 3] - found.xyxy[:, 1]) < rules.height
     wanted = np.array([name.lower() == kind.lower() for name in found.types], bool).reshape(-1)

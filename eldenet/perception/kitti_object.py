@@ -119,7 +119,7 @@ def read_labels(path: Path) -> KittiLabels:
 def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = None) -> KittiLabels:
     """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names.
 
-    KITTI's frame has the camera's axes. Its origin is camera 0, not the colour camera, which P2's fourth
+    KITTI's frame has the camera's axes. Its origin is camera 0, not the color camera, which P2's fourth
     column places in it: so boxes are turned, but keep the origin of the level frame.
 
     Args:
@@ -185,7 +185,7 @@ class KittiObjects:
         return read_image(self._files(name)[0])
 
     def camera(self, name: str) -> PinholeCamera:
-        """Of the left colour picture, in the frame of rectified camera 0, where the labels are.
+        """Of the left color picture, in the frame of rectified camera 0, where the labels are.
 
         Raises:
             ValueError: the calibration lacks P2.

@@ -1,4 +1,4 @@
-"""From 2D boxes and depth to boxes in metres: four methods side by side."""
+"""From 2D boxes and depth to boxes in meters: four methods side by side."""
 
 import warnings
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class BoxLifter:
 
     Methods:
         paper: equations 1 to 3 as read: pixels around the box's median depth, back-projected; the box that
-            holds them along the camera's axes; its centre the mean of the eight vertices.
+            holds them along the camera's axes; its center the mean of the eight vertices.
         lshape: ground removed, foreground around the core's median depth, heading from the two sides that are
             seen, size of the class, anchored at those sides.
         refine: from there, one least-squares fit of position, heading, size and a factor on the depth to the
@@ -70,7 +70,7 @@ class BoxLifter:
         if not (ground is None or ground == "fit" or isinstance(ground, GroundPlane)):
             raise ValueError(f"ground={ground!r}: give 'fit', a GroundPlane or None")
         if camera_height is not None and camera_height <= 0:
-            raise ValueError(f"camera_height={camera_height}: give metres above 0, or None")
+            raise ValueError(f"camera_height={camera_height}: give meters above 0, or None")
         for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
@@ -90,7 +90,7 @@ class BoxLifter:
             ValueError: the depth is no map, or the detections or their masks are of another picture.
         """
         if depth.ndim != 2 or 0 in depth.shape:
-            raise ValueError(f"depth of shape {depth.shape}: give (H, W) in metres")
+            raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")
         height, width = depth.shape
         count = len(detections)
         if not count:
@@ -164,7 +164,7 @@ def _warn_of_odd_depth(depth: np.ndarray) -> None:
         warnings.warn("no pixel of the depth is known: boxes follow from their classes' sizes", stacklevel=3)
     if len(known) and np.median(known) > _FARTHEST:
         warnings.warn(
-            f"half of the depth is beyond {_FARTHEST:.0f} m: is it in millimetres? metres are needed",
+            f"half of the depth is beyond {_FARTHEST:.0f} m: is it in millimeters? meters are needed",
             stacklevel=3,
         )
 

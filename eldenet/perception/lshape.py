@@ -88,7 +88,7 @@ def length_axis(found: Extents, yaw: np.ndarray, size: np.ndarray) -> np.ndarray
 
 
 def anchored(found: Extents, yaw: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre ``(N,)`` x and z of boxes of ``size (N, 3)`` that touch the points with their seen sides."""
+    """Center ``(N,)`` x and z of boxes of ``size (N, 3)`` that touch the points with their seen sides."""
     centers = []
     for low, high, extent in (
         (found.low_u, found.high_u, size[:, 0]),

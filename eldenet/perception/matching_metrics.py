@@ -1,9 +1,9 @@
-"""What boxes are worth: centre accuracy and match rates, with intervals.
+"""What boxes are worth: center accuracy and match rates, with intervals.
 
 Definitions. A truth and a prediction are a pair if the detector found it: 2D IoU of 0.5 or more, one to one,
-the largest overlaps first. **Centre accuracy**: mean over pairs of ``max(0, 1 - |c - c*| / |c*|)``, c* the
-true centre in the level frame. **Match rate**: share of pairs whose boxes overlap by at least a quarter (or a
-half) from above or in space, or whose centres are at most 0.5, 1, 2 or 4 m apart. **Recall**: the same, over
+the largest overlaps first. **Center accuracy**: mean over pairs of ``max(0, 1 - |c - c*| / |c*|)``, c* the
+true center in the level frame. **Match rate**: share of pairs whose boxes overlap by at least a quarter (or a
+half) from above or in space, or whose centers are at most 0.5, 1, 2 or 4 m apart. **Recall**: the same, over
 all truths. Yaw is compared modulo pi.
 """
 
@@ -28,8 +28,8 @@ class Pairs:
     Attributes:
         frame: ``(P,)`` number of the frame of each pair.
         truth: ``(P,)`` number of the truth in its frame.
-        distance: ``(P,)`` of the true centre [m].
-        error: ``(P,)`` between the centres [m].
+        distance: ``(P,)`` of the true center [m].
+        error: ``(P,)`` between the centers [m].
         depth_error: ``(P,)`` along z [m], signed.
         bev: ``(P,)`` IoU from above.
         iou: ``(P,)`` IoU in space.
@@ -52,7 +52,7 @@ class Pairs:
 
     @property
     def accuracy(self) -> np.ndarray:
-        """``(P,)`` centre accuracy of each pair."""
+        """``(P,)`` center accuracy of each pair."""
         return np.asarray(np.maximum(0.0, 1.0 - self.error / self.distance))
 
     def select(self, chosen: np.ndarray) -> "Pairs":
@@ -108,7 +108,7 @@ def compare(truth: Boxes3D, predicted: Boxes3D, rows: np.ndarray, columns: np.nd
 
 
 def summary(pairs: Pairs) -> dict[str, float]:
-    """Figures over pairs; shares and accuracy in [0, 1], lengths in metres, yaw in degrees."""
+    """Figures over pairs; shares and accuracy in [0, 1], lengths in meters, yaw in degrees."""
     if not len(pairs):
         return {"pairs": 0.0, "truths": float(pairs.truths)}
     figures = {

@@ -27,7 +27,7 @@ class Layout(NamedTuple):
 
     Attributes:
         letterbox: "topleft" or "center" (aspect kept, padded), or "stretch".
-        bgr: colour order of the input.
+        bgr: color order of the input.
         scale: factor on 0-255.
         decode: output ``(...)`` and input ``(height, width)`` -> xyxy ``(N, 4)`` [input px], scores
             ``(N, classes)``.
@@ -101,7 +101,7 @@ LAYOUTS = {
 class OnnxDetector:
     """A detector from an ONNX file.
 
-    Layouts: "yolov8" (also the original YOLOv9's export: centre boxes, padded on all sides), "yolov9"
+    Layouts: "yolov8" (also the original YOLOv9's export: center boxes, padded on all sides), "yolov9"
     (libreyolo's: corner boxes, padded right and below), "yolox", "fastestdet", "nms" (NMS in the graph).
     "auto" tells them by the output's shape and the file's metadata.
 
@@ -152,7 +152,7 @@ class OnnxDetector:
         path = Path(path).expanduser()
         self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
-        _warn_of_licence(path, metadata)
+        _warn_of_license(path, metadata)
         given = self.session.get_inputs()[0]
         if given.type not in _INPUTS:
             raise ValueError(f"{path}: input of {given.type}, a detector takes {' or '.join(_INPUTS)}")
@@ -284,7 +284,7 @@ def _names_in(metadata: dict[str, str]) -> tuple[str, ...] | None:
     return tuple(str(name) for name in stored)
 
 
-def _warn_of_licence(path: Path, metadata: dict[str, str]) -> None:
+def _warn_of_license(path: Path, metadata: dict[str, str]) -> None:
     text = " ".join(metadata.values())
     if "AGPL" in text or "GPL" in metadata.get("license", ""):
         warnings.warn(

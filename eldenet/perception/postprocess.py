@@ -7,7 +7,7 @@ import numpy as np
 from eldenet.geometry import from_corner
 from eldenet.perception.iou import iou_2d
 
-_PAD = 114  # grey, as in training
+_PAD = 114  # gray, as in training
 
 
 def fit_picture(

@@ -1,6 +1,6 @@
 """What the fit of a box measures, as residuals with derivatives: points, 2D box, ground, class, depth factor.
 
-Unknowns: x, z of the centre, y of the lower face, yaw, logarithms of length, width, height, and of the factor
+Unknowns: x, z of the center, y of the lower face, yaw, logarithms of length, width, height, and of the factor
 on the object's depth. Every array has the problems as its first axis ``B``.
 """
 
@@ -111,7 +111,7 @@ def points(
         ],
         axis=-1,
     )
-    # in the depth map's own metres: measured after the factor, misfits would shrink with it
+    # in the depth map's own meters: measured after the factor, misfits would shrink with it
     residual = near.residual / factor
     jacobian /= factor[..., None]
     jacobian[..., SCALE] -= residual

@@ -249,7 +249,7 @@ def _ground_belief(known: Known) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance_by_height(known: Known) -> np.ndarray:
-    """Depth ``(N,)`` [m] by the class's height; an unknown class counts as a metre high."""
+    """Depth ``(N,)`` [m] by the class's height; an unknown class counts as a meter high."""
     priors: list[ClassPrior | None] = [prior or _ANYTHING for prior in known.priors]
     found = expected_depth(known.detections, known.camera, priors, known.trusted)
     return np.array([depth for depth, _ in found])

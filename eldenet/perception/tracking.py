@@ -55,7 +55,7 @@ class BoxTracker:
         births: frames in which a new object must be seen before it is reported (all may be in the first
             frames).
         deaths: frames in a row after which an unseen object is given up.
-        position_sigma: of a measured centre at 10 m [m]; it grows with distance.
+        position_sigma: of a measured center at 10 m [m]; it grows with distance.
         acceleration: of the objects, standard deviation [m/s2].
         report_unseen: also report objects that this frame's detector missed.
         still_camera: the boxes' frame stands still. False: yaw stays known modulo pi.
@@ -121,7 +121,7 @@ class BoxTracker:
         track.covariance = move @ track.covariance @ move.T + noise
 
     def _assign(self, boxes: Boxes3D) -> tuple[list[int], list[int]]:
-        """Pairs of tracks and boxes of one class whose centres are nearest, in total."""
+        """Pairs of tracks and boxes of one class whose centers are nearest, in total."""
         from scipy.optimize import linear_sum_assignment
 
         if not self.tracks or not len(boxes):

@@ -24,7 +24,7 @@ SAME_IN_A_ROW = (
     "scheduler",
     "augmentation",
     "trainer",
-    "normalisation",
+    "normalization",
 )
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
 

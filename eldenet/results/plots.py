@@ -28,7 +28,7 @@ def pareto_plot(
     cost: str,
     lower_is_better: bool,
 ) -> None:
-    """One colour per block, its front as a line; rows are ``(name, cost, metric)``."""
+    """One color per block, its front as a line; rows are ``(name, cost, metric)``."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -155,7 +155,7 @@ def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[t
 def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     """Loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
 
-    A colour for each row: a thin line for every run, a thick one for their mean where there are several. The
+    A color for each row: a thin line for every run, a thick one for their mean where there are several. The
     axes hold all epochs but the first.
     """
     import matplotlib

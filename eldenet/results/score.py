@@ -119,7 +119,7 @@ def score_and_record(
         "metrics": result.metrics,
         "errors_by_class": result.classes or None,
         "constant_predictor": baseline,
-        "normalisation": _normalisation(model),
+        "normalization": _normalization(model),
         "cost": _cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
         "seed": config.get("seed", model.info.get("seed")),
         "resources": asdict(resources),
@@ -179,7 +179,7 @@ def _constant_score(
     return _CONSTANT_SCORES[key]
 
 
-def _normalisation(model: "DepthNet | RuntimeNetwork") -> dict[str, list[float]] | None:
+def _normalization(model: "DepthNet | RuntimeNetwork") -> dict[str, list[float]] | None:
     """Mean and standard deviation of the images; None for a file, which has them inside."""
     if not isinstance(model, DepthNet):
         return None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from eldenet.simulation.arena_view import ArenaView, camera_pose
-from eldenet.simulation.arenas import SPLITS, Arena, cell_centre, clearance_map, generate_arena
+from eldenet.simulation.arenas import SPLITS, Arena, cell_center, clearance_map, generate_arena
 from eldenet.simulation.furnished_rooms.render import Views
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.robot import ROBOT
@@ -66,7 +66,7 @@ def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> 
     far = _CLOSE if draw.chance(0.5) else np.inf
     places = np.argwhere((clearance >= _ROOM) & (clearance < far))
     while True:
-        x, y = cell_centre(*places[int(draw.unit() * len(places))])
+        x, y = cell_center(*places[int(draw.unit() * len(places))])
         if all(math.hypot(x - a, y - b) > ROBOT.radius + 0.3 for a, b in people):
             return x, y, draw.uniform(-math.pi, math.pi)
 

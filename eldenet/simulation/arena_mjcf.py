@@ -68,9 +68,9 @@ def _walls(arena: Arena, materials: "Materials | None") -> list[str]:
     lines = [f'<geom name="floor" type="plane" size="0 0 1" contype="2" conaffinity="0" condim="1"{floor}/>']
     half, thick = arena.side / 2, 0.05
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        centre = (x * (half + thick), y * (half + thick), WALL_HEIGHT / 2)
+        center = (x * (half + thick), y * (half + thick), WALL_HEIGHT / 2)
         size = (thick if x else half + 2 * thick, thick if y else half + 2 * thick, WALL_HEIGHT / 2)
-        lines.append(_geom("box", centre, size, 0.0, wall, collide=True))
+        lines.append(_geom("box", center, size, 0.0, wall, collide=True))
     if materials is not None:
         sky = Body()
         sky.plane((0, 0, CEILING), (0, 0, -1), materials.ceiling)
@@ -90,9 +90,9 @@ def _geoms(
     main = cap = ""
     if materials is not None:
         cloth = materials.clothes[order % len(materials.clothes)]
-        colour = materials.colors[order % len(materials.colors)]
+        color = materials.colors[order % len(materials.colors)]
         front = materials.fronts[order % len(materials.fronts)]
-        main = f' material="m{ {"person": cloth, "box": front}.get(obstacle.kind, colour) }"'
+        main = f' material="m{ {"person": cloth, "box": front}.get(obstacle.kind, color) }"'
         cap = f' material="m{materials.skin if obstacle.kind == "person" else materials.dark}"'
     tall = obstacle.height
     if obstacle.kind == "person":
@@ -108,7 +108,7 @@ def _geoms(
 
 def _geom(
     kind: str,
-    centre: tuple[float, float, float],
+    center: tuple[float, float, float],
     size: tuple[float, ...],
     yaw: float,
     material: str,
@@ -117,7 +117,7 @@ def _geom(
 ) -> str:
     turn = f' euler="0 0 {number(yaw)}"' if yaw else ""
     bits = 'contype="1" conaffinity="0"' if collide else 'contype="0" conaffinity="0"'
-    return f'<geom type="{kind}" pos="{numbers(centre)}" size="{numbers(size)}"{turn} {bits}{material}/>'
+    return f'<geom type="{kind}" pos="{numbers(center)}" size="{numbers(size)}"{turn} {bits}{material}/>'
 
 
 def _chassis(low: float) -> str:

@@ -103,11 +103,11 @@ def robot_intrinsics(size: tuple[int, int]) -> np.ndarray:
 
 
 def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Optical centre ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` of a robot's level camera."""
+    """Optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` of a robot's level camera."""
     x, y, yaw = pose
     ahead = ROBOT.camera_ahead
-    centre = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
-    return centre, camera_rotation(yaw)
+    center = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
+    return center, camera_rotation(yaw)
 
 
 def _obstacle_numbers(model: Any, arena: Arena) -> np.ndarray:

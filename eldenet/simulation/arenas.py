@@ -230,13 +230,13 @@ def draw_crossing(
         same = regions[goals[:, 0], goals[:, 1]] == regions[row, column]
         options = goals[(away >= min_distance) & same]
         if len(options):
-            goal = cell_centre(*options[int(draw.unit() * len(options))])
+            goal = cell_center(*options[int(draw.unit() * len(options))])
             yaw = round(draw.uniform(-math.pi, math.pi), 4)
-            return (*cell_centre(row, column), yaw), goal
+            return (*cell_center(row, column), yaw), goal
     return None
 
 
-def cell_centre(row: int, column: int, side: float = SIDE, resolution: float = RESOLUTION) -> Point:
+def cell_center(row: int, column: int, side: float = SIDE, resolution: float = RESOLUTION) -> Point:
     """Middle of a grid cell in the world [m]: rows run along y, columns along x."""
     x = (int(column) + 0.5) * resolution - side / 2
     y = (int(row) + 0.5) * resolution - side / 2

@@ -13,8 +13,8 @@ class Robot(NamedTuple):
         length: of the footprint along x [m].
         width: of the footprint along y [m].
         height: of its top [m].
-        camera_ahead: optical centre in front of the axle [m].
-        camera_height: optical centre above the floor [m].
+        camera_ahead: optical center in front of the axle [m].
+        camera_height: optical center above the floor [m].
         field_of_view: of the camera, horizontal [rad].
         columns: into which the field of view is divided, equal in angle, right to left.
         near: least range that the camera measures [m]; what is nearer reads as this.

@@ -99,8 +99,8 @@ class _Builder:
     def _street(self) -> None:
         """A road ahead, cars parked and driving, people on the pavement, houses behind."""
         d = self.d
-        grey = jitter(d, (0.22, 0.22, 0.23), 0.06)
-        asphalt = self.m.palette.add([grey, (0.3, 0.3, 0.3), (0.15, 0.15, 0.15)], variants("speckle")[0], 1.5)
+        gray = jitter(d, (0.22, 0.22, 0.23), 0.06)
+        asphalt = self.m.palette.add([gray, (0.3, 0.3, 0.3), (0.15, 0.15, 0.15)], variants("speckle")[0], 1.5)
         mark = self.m.palette.add([(0.7, 0.7, 0.68)], variants("plain")[0], 1.0)
         self.shell.plane((0, 0, 0), (0, 0, 1), asphalt)
         half = d.uniform(4.0, 6.5)

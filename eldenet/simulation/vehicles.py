@@ -25,7 +25,7 @@ class Paint(NamedTuple):
 
 
 def paints(draw: Draw, palette: Palette) -> Paint:
-    """Add the colours of vehicles and cartons to a palette."""
+    """Add the colors of vehicles and cartons to a palette."""
     plain = variants("plain")[0]
     usual = ((0.8, 0.8, 0.8), (0.05, 0.05, 0.06), (0.35, 0.36, 0.38), (0.4, 0.05, 0.05), (0.08, 0.12, 0.3))
     bodies = [palette.add([draw.pick(usual)], plain, 1.0, gloss=0.6) for _ in range(5)]

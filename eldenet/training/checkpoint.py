@@ -24,7 +24,7 @@ class Progress:
 
     epoch: int = 0  # the epoch that is running, or comes next
     batch: int = 0  # batches of that epoch that are done
-    step: int = 0  # optimiser updates so far
+    step: int = 0  # optimizer updates so far
     best_epoch: int = -1
     best_value: float = math.nan
     sums: dict[str, float] = field(default_factory=dict)  # of the losses of this epoch's batches
@@ -45,7 +45,7 @@ class TrainingState:
         loss: its own parameters, if it has any (a distillation's projections; never a teacher).
         scaler: of fp16 gradients, or None.
         progress: how far it is.
-        identity: what must agree for a checkpoint to fit (model config, data, seed, optimiser, monitor ...).
+        identity: what must agree for a checkpoint to fit (model config, data, seed, optimizer, monitor ...).
     """
 
     model: nn.Module

@@ -1,4 +1,4 @@
-"""Which mean and standard deviation the images are normalised by: ``normalisation`` of ``train.yaml``."""
+"""Which mean and standard deviation the images are normalized by: ``normalization`` of ``train.yaml``."""
 
 import json
 import math
@@ -12,11 +12,12 @@ if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
     from eldenet.model import DepthNet
 
-FILE = "normalisation.json"
+FILE = "normalization.json"
+_EARLIER_FILE = "normalisation.json"
 FRAMES = 512
 
 
-def normalisation(
+def normalization(
     choice: str | Mapping[str, Any], train_set: "DepthDataset", *, resumed: Path | None = None
 ) -> dict[str, list[float]]:
     """The arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; none for its own, ImageNet's.
@@ -32,15 +33,16 @@ def normalisation(
     """
     if isinstance(choice, Mapping):
         if set(choice) != {"mean", "std"}:
-            raise ValueError(f"normalisation={dict(choice)}: give mean and std, three numbers each")
+            raise ValueError(f"normalization={dict(choice)}: give mean and std, three numbers each")
         return {name: _three(name, choice[name]) for name in ("mean", "std")}
     if choice not in ("imagenet", "dataset"):
-        raise ValueError(f"normalisation={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
+        raise ValueError(f"normalization={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
     if choice == "imagenet":
         return {}
-    if resumed is not None and (resumed / FILE).is_file():
-        known = json.loads((resumed / FILE).read_text())
-        return {name: _three(name, known[name]) for name in ("mean", "std")}
+    for name in (FILE, _EARLIER_FILE) if resumed is not None else ():
+        if (resumed / name).is_file():
+            known = json.loads((resumed / name).read_text())
+            return {name: _three(name, known[name]) for name in ("mean", "std")}
     from eldenet.data.statistics import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)
@@ -50,8 +52,8 @@ def normalisation(
     }
 
 
-def keep_normalisation(model: "DepthNet", start: "DepthNet", *, chosen: bool) -> str:
-    """Weights mean something only behind the normalisation that they were trained with: give it to ``model``.
+def keep_normalization(model: "DepthNet", start: "DepthNet", *, chosen: bool) -> str:
+    """Weights mean something only behind the normalization that they were trained with: give it to ``model``.
 
     Args:
         model: that starts from the weights of ``start``; changed in place, its ``config`` too.
@@ -67,16 +69,16 @@ def keep_normalisation(model: "DepthNet", start: "DepthNet", *, chosen: bool) ->
         f"mean {network.config['mean']}, std {network.config['std']}" for network in (start, model)
     )
     if chosen:
-        return f"weights: trained with images normalised by {theirs}; the chosen {ours} stays"
+        return f"weights: trained with images normalized by {theirs}; the chosen {ours} stays"
     for name in ("mean", "std"):
         getattr(model, name).copy_(getattr(start, name))
         model.config[name] = list(start.config[name])
     return (
-        f"weights: their normalisation is taken over, {theirs} (normalisation={{mean, std}} chooses another)"
+        f"weights: their normalization is taken over, {theirs} (normalization={{mean, std}} chooses another)"
     )
 
 
-def write_normalisation(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
+def write_normalization(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
     """Keep what "dataset" came to in the run's folder."""
     if choice == "dataset":
         write_json(folder / FILE, {**chosen, "frames": f"at most {FRAMES} of the training split"})
@@ -86,5 +88,5 @@ def _three(name: str, values: Sequence[float]) -> list[float]:
     numbers = [float(v) for v in values] if isinstance(values, Sequence) and None not in values else []
     low = 0.0 if name == "mean" else 1e-6
     if len(numbers) != 3 or not all(math.isfinite(v) and low <= v <= 1 for v in numbers):
-        raise ValueError(f"normalisation {name}={values}: give three numbers, RGB in [0, 1], std above 0")
+        raise ValueError(f"normalization {name}={values}: give three numbers, RGB in [0, 1], std above 0")
     return numbers

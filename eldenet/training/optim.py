@@ -1,4 +1,4 @@
-"""Learning rates: of the backbone beside the rest, and schedules, as factors of the optimiser's own rate."""
+"""Learning rates: of the backbone beside the rest, and schedules, as factors of the optimizer's own rate."""
 
 import math
 from collections.abc import Callable
@@ -38,9 +38,9 @@ def cosine(
 def one_cycle(
     optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, peak: float = 10.0, warmup: float = 0.1
 ) -> LambdaLR:
-    """Up from the optimiser's rate to ``peak`` times it over the share ``warmup``, then a cosine to zero.
+    """Up from the optimizer's rate to ``peak`` times it over the share ``warmup``, then a cosine to zero.
 
-    Smith & Topin 2018 ("super-convergence"): small networks with batch normalisation bear large rates, and
+    Smith & Topin 2018 ("super-convergence"): small networks with batch normalization bear large rates, and
     learn the faster for it.
     """
     warmup_steps = max(1, round(warmup * total_steps))
@@ -64,7 +64,7 @@ def epoch_decay(
 def build_optimizer(
     make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr: float = 1.0
 ) -> Optimizer:
-    """An optimiser of all parameters; the backbone's learn at ``backbone_lr`` times its rate.
+    """An optimizer of all parameters; the backbone's learn at ``backbone_lr`` times its rate.
 
     A trained backbone forgets at the rate that a new decoder needs (Howard & Ruder 2018, "discriminative
     fine-tuning").

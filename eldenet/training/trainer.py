@@ -30,13 +30,13 @@ class Trainer:
     """Trains a :class:`DepthNet`; on one device or several (``accelerate launch``, ``torchrun``).
 
     Args:
-        optimizer: parameters -> optimiser.
-        scheduler: (optimiser, total_steps, steps_per_epoch) -> schedule, stepped once per update.
+        optimizer: parameters -> optimizer.
+        scheduler: (optimizer, total_steps, steps_per_epoch) -> schedule, stepped once per update.
         epochs: passes over the training set.
         batch_size: images per process and batch.
         accumulate: batches per update.
         gradient_clip: largest norm of the gradient; None: not clipped.
-        backbone_lr: learning rate of the network's backbone, as a factor of the optimiser's.
+        backbone_lr: learning rate of the network's backbone, as a factor of the optimizer's.
         ema_decay: decay per update of an exponential moving average of the weights, which is then what is
             evaluated and saved; None: none.
         channels_last: memory layout of images and weights.
@@ -100,7 +100,7 @@ class Trainer:
             model: trained in place.
             train_set: augmented.
             val_set: scored after every epoch.
-            loss: what is minimised.
+            loss: what is minimized.
             protocol: of the validation.
             folder: of the run.
             resources: device, precision, threads and workers.
@@ -141,7 +141,7 @@ class Trainer:
         return progress
 
     def train_step(self, batch: dict[str, Any], *, update: bool) -> dict[str, Tensor]:
-        """Forward, loss, backward and, if ``update``, one step of the optimiser.
+        """Forward, loss, backward and, if ``update``, one step of the optimizer.
 
         Returns:
             The detached loss terms by name, ``total`` first.

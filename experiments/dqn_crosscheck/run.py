@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from eldenet.navigation.dqn import DQN
 from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
-from eldenet.navigation.evaluation import cross, summarise
+from eldenet.navigation.evaluation import cross, summarize
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.qnetwork import QNetwork
@@ -80,7 +80,7 @@ def main() -> None:
         for density in (20, 80):
             arenas = frozen_arenas(density, args.worlds, split="val")
             rows = cross(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
-            s = summarise(rows)
+            s = summarize(rows)
             shown.append(f"{s['success']:.1f} [{s['success_low']:.1f}, {s['success_high']:.1f}]")
         lines.append(f"| {name} | {shown[0]} | {shown[1]} |")
         print(lines[-1], flush=True)

@@ -10,7 +10,7 @@ import numpy as np
 from eldenet.data.nyu import NYULabelled
 from eldenet.data.rooms import Rooms
 from eldenet.data.statistics import depth_statistics
-from eldenet.visualization import colour_depth, stack_rows, write_picture
+from eldenet.visualization import color_depth, stack_rows, write_picture
 
 HERE = Path(__file__).parent
 COLUMNS = ("p5", "median", "p95", "frame_median", "frame_median_std", "frame_range", "gradient")
@@ -24,7 +24,7 @@ def contact_sheet(rooms: Rooms, across: int = 6, down: int = 3) -> np.ndarray:
     for _ in range(down):
         frames = [rooms.load_frame(int(next(indices))) for _ in range(across)]
         rows.append(np.concatenate([frame.image for frame in frames], axis=1))
-        rows.append(np.concatenate([colour_depth(frame.depth, 0.5, 7.0) for frame in frames], axis=1))
+        rows.append(np.concatenate([color_depth(frame.depth, 0.5, 7.0) for frame in frames], axis=1))
     return stack_rows(rows)
 
 

@@ -21,7 +21,7 @@ from methods import LEARNED
 from panels import draw_panels
 from rows import measure
 
-from eldenet.navigation.evaluation import Crossing, summarise
+from eldenet.navigation.evaluation import Crossing, summarize
 from eldenet.results.run_record import environment, write_rows
 from eldenet.simulation.robot import ROBOT
 
@@ -67,7 +67,7 @@ def write_results(tables: Tables, args: Namespace) -> None:
                 seeds = tables.get((physics, sensor, method, course), [])
                 shown.append(cell(seeds))
                 for number, crossings in enumerate(seeds):
-                    values = [physics, sensor, method, number, course, *summarise(crossings).values()]
+                    values = [physics, sensor, method, number, course, *summarize(crossings).values()]
                     cells.append(without_nan(values))
             trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNED else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
@@ -79,7 +79,7 @@ def write_results(tables: Tables, args: Namespace) -> None:
         f"Made by `python experiments/table5_success/{where['command']}`.",
     ]
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
-    names = ["physics", "sensor", "method", "training", "course", *summarise(next(iter(tables.values()))[0])]
+    names = ["physics", "sensor", "method", "training", "course", *summarize(next(iter(tables.values()))[0])]
     write_rows(HERE / f"{name}.csv", names, cells)
     plot(cells, HERE / f"{name}.png")
 
@@ -87,7 +87,7 @@ def write_results(tables: Tables, args: Namespace) -> None:
 def cell(seeds: list[list[Crossing]]) -> str:
     if not seeds:
         return "-"
-    parts = [summarise(crossings) for crossings in seeds]
+    parts = [summarize(crossings) for crossings in seeds]
     mean = {name: float(np.mean([part[name] for part in parts])) for name in parts[0]}
     spread = f" +- {np.std([part['success'] for part in parts], ddof=1):.1f}" if len(parts) > 1 else ""
     return (

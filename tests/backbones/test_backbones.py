@@ -121,10 +121,10 @@ def test_parameters_with_sparse_to_dense_decoder(baseline: str, parameters: int)
     backbone = built(baseline)
     encoder = sum(parameter.numel() for parameter in backbone.parameters())
     channels = backbone.feature_info[-1].channels
-    decoder = channels * (channels // 2) + 2 * (channels // 2)  # 1 x 1 convolution, normalisation
+    decoder = channels * (channels // 2) + 2 * (channels // 2)  # 1 x 1 convolution, normalization
     channels //= 2
     for _ in range(4):
-        decoder += 25 * channels * (channels // 2) + 2 * (channels // 2)  # 5 x 5 convolution, normalisation
+        decoder += 25 * channels * (channels // 2) + 2 * (channels // 2)  # 5 x 5 convolution, normalization
         channels //= 2
     decoder += 9 * channels  # 3 x 3 convolution to one map
     assert encoder + decoder == parameters

@@ -42,8 +42,8 @@ def macs(module: nn.Module) -> int:
     return counter.get_total_flops() // 2
 
 
-def randomise(module: nn.Module) -> None:
-    """Give the normalisations statistics of their own, so that a swapped one shows."""
+def randomize(module: nn.Module) -> None:
+    """Give the normalizations statistics of their own, so that a swapped one shows."""
     for layer in module.modules():
         if isinstance(layer, nn.BatchNorm2d):
             nn.init.uniform_(layer.weight, 0.5, 1.5)
@@ -119,7 +119,7 @@ def timm_network() -> Callable[..., Any]:
     def create(scale: float, **options: Any) -> nn.Module:
         torch.manual_seed(0)
         network = timm.create_model(TIMM[scale], pretrained=False, **options).eval()
-        randomise(network)
+        randomize(network)
         return network
 
     return create
@@ -167,7 +167,7 @@ def test_file_of_timm_goes_into_both_backbones(timm_network: Callable[..., Any],
 
 
 def test_shortcuts_add_the_input_where_the_shape_stays() -> None:
-    """A block whose last normalisation is 0 gives nothing of its own: what comes out is the shortcut."""
+    """A block whose last normalization is 0 gives nothing of its own: what comes out is the shortcut."""
     plain, network = PPLCNet(0.5).eval(), PPLCNet(0.5, shortcuts=True).eval()
     network.load_state_dict(plain.state_dict())
     blocks = [part for part in network.modules() if isinstance(part, DepthwiseSeparable)]
@@ -275,11 +275,11 @@ def test_onnx_of_another_scale_is_refused(paddle_file: Path) -> None:
         PPLCNet(0.5, pretrained=str(paddle_file))
 
 
-def test_folded_normalisations_give_the_same_features(tmp_path: Path) -> None:
+def test_folded_normalizations_give_the_same_features(tmp_path: Path) -> None:
     onnx = pytest.importorskip("onnx")
     torch.manual_seed(0)
     source = PPLCNet(0.25).eval()
-    randomise(source)
+    randomize(source)
     nodes, tensors = [], []
     for name, layer in source.named_modules():
         if isinstance(layer, nn.Conv2d):

@@ -38,10 +38,10 @@ def rounded(number: float, digits: int) -> float:
 PUBLISHED = {
     # dwofk/fast-depth: MobileNetSkipAdd, unpruned
     "fastdepth": (3.960930, 0, 0.737, (224, 224)),
-    # mic-rud/GuidedDecoding: biases of convolutions that a normalisation follows
+    # mic-rud/GuidedDecoding: biases of convolutions that a normalization follows
     "guidedepth": (5.825, 624, 2.61, (240, 320)),
     "guidedepth_s": (5.723, 284, 1.51, (240, 320)),
-    # noahzn/Lite-Mono: layer normalisations that are never used, and the two coarser outputs
+    # noahzn/Lite-Mono: layer normalizations that are never used, and the two coarser outputs
     "lite_mono_tiny": (2.148, 2112 + 866, 2.82, (192, 640)),
     "lite_mono_small": (2.477, 2304 + 938, 4.72, (192, 640)),
     "lite_mono": (3.075, 3072 + 938, 5.01, (192, 640)),
@@ -173,7 +173,7 @@ def test_mobilenet_v1_is_timms(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", WHOLE)
-def test_metres_at_any_size(name: str) -> None:
+def test_meters_at_any_size(name: str) -> None:
     model = eldenet.load(name)
     for size in ((64, 96), (97, 131), (33, 47)):
         with torch.inference_mode():

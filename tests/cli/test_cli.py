@@ -197,7 +197,7 @@ def test_evaluate_says_that_a_network_is_not_trained(run_command):
     )
     finished = run_command("evaluate", *words)
     assert finished.returncode == 0, finished.stderr
-    assert "eldenet_s is a freshly initialised network" in finished.stdout
+    assert "eldenet_s is a freshly initialized network" in finished.stdout
 
 
 @pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])

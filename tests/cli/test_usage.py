@@ -40,7 +40,7 @@ def test_help_may_be_left_before_its_end():
     ("command", "words", "meant"),
     [
         ("train", ["epochs=5"], "there is no setting epochs: is trainer.epochs meant?"),
-        ("train", ["seed=1", "optimiser.lr=1"], "there is no setting optimiser.lr: is optimizer.lr meant?"),
+        ("train", ["seed=1", "optimizer.lr=1"], "there is no setting optimizer.lr: is optimizer.lr meant?"),
         ("train", ["-m", "data=kitti", "data.rot=/x"], "there is no setting data.rot: is data.root meant?"),
         ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: is source meant?"),
         ("predict", ["source=my photo (1).jpg"], QUOTES),

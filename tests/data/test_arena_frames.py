@@ -136,7 +136,7 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
     view = ArenaView(arena, SIZE)
     photo = view.photo(arena.start, time=3.0)
     assert set(np.unique(photo.obstacle)) == {-1, 0, 1, 2, 3}
-    centre, rotation = camera_pose(arena.start)
+    center, rotation = camera_pose(arena.start)
     for number, obstacle in enumerate(obstacles):
         x, y = obstacle.position(3.0)
         alone = replace(obstacle, x=x, y=y, path=())
@@ -144,7 +144,7 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
         geom = np.zeros(1, np.int32)
         depth = np.array(
             [
-                mujoco.mj_ray(other.model, other.data, centre, ray, None, 1, -1, geom) * ray[0]
+                mujoco.mj_ray(other.model, other.data, center, ray, None, 1, -1, geom) * ray[0]
                 for ray in view.camera.rays(rotation)
             ]
         ).reshape(SIZE)

@@ -91,7 +91,7 @@ def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, 
     layouts.folder(tmp_path, count=3)
     large = layouts.content((60, 80))
     layouts.picture(tmp_path / "images/f002.png", large.rgb)
-    layouts.picture(tmp_path / "depths/f002.png", large.millimetres)
+    layouts.picture(tmp_path / "depths/f002.png", large.millimeters)
     plain, cached = (FolderDataset(tmp_path, max_depth=10, cache=cache) for cache in ("none", kind))
     for _ in range(2):
         assert all(same(cached[index], plain[index]) for index in range(3))

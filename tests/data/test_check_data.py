@@ -30,11 +30,11 @@ def test_a_whole_data_set(tmp_path: Path, capsys: pytest.CaptureFixture) -> None
     assert (train["frames"], val["frames"], train["looked_at"]) == (9, 1, 9)
     assert train["sizes"] == {"48 x 64": 9}
     assert train["intrinsics"] == [60, 61, 32, 24]
-    metres = layouts.SMALL.millimetres[layouts.SMALL.millimetres > 0] / 1000
-    assert train["valid"] == pytest.approx(metres.size / layouts.SMALL.metres.size)
-    assert train["percentiles"]["p50"] == pytest.approx(np.median(metres), rel=0.01)
-    assert train["percentiles"]["p95"] == pytest.approx(np.percentile(metres, 95), rel=0.01)
-    assert sum(train["histogram"]) == 9 * metres.size
+    meters = layouts.SMALL.millimeters[layouts.SMALL.millimeters > 0] / 1000
+    assert train["valid"] == pytest.approx(meters.size / layouts.SMALL.meters.size)
+    assert train["percentiles"]["p50"] == pytest.approx(np.median(meters), rel=0.01)
+    assert train["percentiles"]["p95"] == pytest.approx(np.percentile(meters, 95), rel=0.01)
+    assert sum(train["histogram"]) == 9 * meters.size
     np.testing.assert_allclose(train["mean"], layouts.SMALL.rgb.mean((0, 1)) / 255, atol=1e-3)
     np.testing.assert_allclose(train["std"], layouts.SMALL.rgb.std((0, 1)) / 255, atol=1e-3)
     sheet = cv2.imread(str(tmp_path / "out/contact_sheet.png"))
@@ -51,7 +51,7 @@ def test_everything_wrong_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     cut = root / "images/f020.png"
     cut.write_bytes(cut.read_bytes()[:-30])
     layouts.picture(root / "depths/f021.png", layouts.SMALL.eight)
-    layouts.picture(root / "depths/f022.png", layouts.SMALL.millimetres * 0)
+    layouts.picture(root / "depths/f022.png", layouts.SMALL.millimeters * 0)
     good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.val_names=[f039]")
     assert not good
     train = report["splits"][0]

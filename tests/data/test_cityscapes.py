@@ -1,4 +1,4 @@
-"""Cityscapes: files of the exact official format round-trip to metres; MTAN's errors are in its own unit."""
+"""Cityscapes: files of the exact official format round-trip to meters; MTAN's errors are in its own unit."""
 
 import copy
 import json
@@ -22,7 +22,7 @@ FULL = layouts.content((1024, 2048))
 SMALL = layouts.SMALL
 
 
-def test_a_frame_of_the_official_format_round_trips_to_metres(tmp_path: Path) -> None:
+def test_a_frame_of_the_official_format_round_trips_to_meters(tmp_path: Path) -> None:
     data = Cityscapes(layouts.cityscapes(tmp_path, FULL), split="official_val")
     assert data.names == ["val/munster/munster_000000_000019"]
     assert data.ground_truth == "raw"
@@ -33,11 +33,11 @@ def test_a_frame_of_the_official_format_round_trips_to_metres(tmp_path: Path) ->
     hole = np.zeros(frame.depth.shape, bool)
     hole[5:9, 7:20] = True
     np.testing.assert_array_equal(frame.depth == 0, hole)
-    metres = FULL.metres * 5
-    step = metres**2 / (256 * 0.209313 * 2262.52)  # of one disparity number, at this distance
-    assert (np.abs(frame.depth - metres) <= 0.51 * step)[~hole].all()
+    meters = FULL.meters * 5
+    step = meters**2 / (256 * 0.209313 * 2262.52)  # of one disparity number, at this distance
+    assert (np.abs(frame.depth - meters) <= 0.51 * step)[~hole].all()
     # the same as a straight reading
-    number = layouts.disparity_of(metres).astype(np.float64)
+    number = layouts.disparity_of(meters).astype(np.float64)
     np.testing.assert_allclose(
         frame.depth[~hole], (0.209313 * 2262.52 / ((number - 1) / 256))[~hole], rtol=1e-6
     )
@@ -45,7 +45,7 @@ def test_a_frame_of_the_official_format_round_trips_to_metres(tmp_path: Path) ->
 
 def test_unknown_and_infinite_disparity_stay_unknown(tmp_path: Path) -> None:
     root = layouts.cityscapes(tmp_path)
-    disparity = np.full(SMALL.metres.shape, 257, np.uint16)  # 1 px
+    disparity = np.full(SMALL.meters.shape, 257, np.uint16)  # 1 px
     disparity[0, :3] = (0, 1, 2)
     file = root / "disparity/val/munster/munster_000000_000019_disparity.png"
     layouts.picture(file, disparity)
@@ -77,7 +77,7 @@ def test_smaller_files_keep_depth_and_scale_the_camera(tmp_path: Path) -> None:
     assert frame.intrinsics is not None
     assert frame.intrinsics[0, 0] == pytest.approx(2262.52 * 64 / 2048)
     assert frame.intrinsics[0, 2] == pytest.approx((1096.98 + 0.5) * 64 / 2048 - 0.5)
-    np.testing.assert_allclose(frame.depth[20:], SMALL.metres[20:] * 5, rtol=0.01)
+    np.testing.assert_allclose(frame.depth[20:], SMALL.meters[20:] * 5, rtol=0.01)
 
 
 @pytest.mark.parametrize("place", ["{kind}", "{kind}_trainvaltest/{kind}", "{kind}_trainvaltest"])
@@ -146,7 +146,7 @@ def test_disparity_to_depth_by_hand() -> None:
 # --- MTAN's arrays -------------------------------------------------------------------------------------
 
 
-def test_mtan_in_metres(tmp_path: Path) -> None:
+def test_mtan_in_meters(tmp_path: Path) -> None:
     data = CityscapesMTAN(layouts.cityscapes_mtan(tmp_path), split="official_val")
     assert data.names == ["val/0", "val/1", "val/2", "val/3"]
     frame = data.load_frame(0)
@@ -168,13 +168,13 @@ def test_mtan_refuses_what_it_is_not(tmp_path: Path) -> None:
     root = layouts.cityscapes_mtan(tmp_path)
     data = CityscapesMTAN(root, split="official_val")
     np.save(root / "val/image/0.npy", np.full((128, 256, 3), 2.0))
-    with pytest.raises(ValueError, match=r"image/0\.npy reaches from 2.0 to 2.0.*normalised"):
+    with pytest.raises(ValueError, match=r"image/0\.npy reaches from 2.0 to 2.0.*normalized"):
         data[0]
     np.save(root / "val/image/1.npy", np.zeros((3, 128, 256)))
     with pytest.raises(ValueError, match=r"image/1\.npy is \(3, 128, 256\)"):
         data[1]
     np.save(root / "val/depth/2.npy", np.full((128, 256), 12.0))
-    with pytest.raises(ValueError, match=r"depth/2\.npy reaches 12.0.*metres"):
+    with pytest.raises(ValueError, match=r"depth/2\.npy reaches 12.0.*meters"):
         data[2]
     np.save(root / "val/depth/3.npy", np.full((64, 256), 0.1))
     with pytest.raises(ValueError, match=r"depth/3\.npy is \(64, 256\).*no pair"):
@@ -192,9 +192,9 @@ def test_mtan_errors_are_those_of_its_values(tmp_path: Path, scale: float) -> No
     sample = build_split(config, "test", protocol)[0]
     truth = torch.from_numpy(np.load(root / "val/depth/0.npy"))[..., 0].double()
     guess = torch.full_like(truth, 0.05)
-    metres = (scale * 65535 / (65535 * guess - 1)).float()
+    meters = (scale * 65535 / (65535 * guess - 1)).float()
     metrics = DepthMetrics(protocol)
-    metrics.update(metres[None, None], sample["depth"][None], sample["mask"][None])
+    metrics.update(meters[None, None], sample["depth"][None], sample["mask"][None])
     result = metrics.compute()
     known = truth > 0
     assert result["pixels"] == int(known.sum())
@@ -217,7 +217,7 @@ def test_inverse_depth_by_hand() -> None:
         EvalProtocol("mine", inverse_scale=0.0)
 
 
-def test_a_table_says_that_it_is_no_metres() -> None:
+def test_a_table_says_that_it_is_no_meters() -> None:
     rules = EvalProtocol("mine", inverse_scale=2.0).as_dict()
     run = {"protocol": rules, "data": "d", "split": "s", "split_hash": "h", "metrics": {"images": 1}}
     assert heading("mae", run) == "MAE ↓"
@@ -242,7 +242,7 @@ def test_frames_are_left_out_together_with_their_files(
     assert data[0]["name"] == whole.names[1]
 
 
-def test_normalisation_by_the_data_set(tmp_path: Path) -> None:
+def test_normalization_by_the_data_set(tmp_path: Path) -> None:
     config = compose(
         "train", ["data=cityscapes", "+model.mean=[0.28,0.32,0.28]", "+model.std=[0.18,0.18,0.18]"]
     )

@@ -153,18 +153,18 @@ def check(
 
 def test_numbers_that_are_no_depth_are_unknown(tmp_path: Path) -> None:
     """Among good ones NaN, infinity and negative numbers are holes, in every format that can hold them."""
-    values = NYU_FRAME.metres.copy()
+    values = NYU_FRAME.meters.copy()
     bad = RNG(0).random(values.shape) < 0.2
     values[bad] = RNG(1).choice([np.nan, np.inf, -np.inf, -1.0, 0.0], bad.sum())
-    layouts.hdf5(tmp_path / "h5", NYU_FRAME._replace(metres=values))
+    layouts.hdf5(tmp_path / "h5", NYU_FRAME._replace(meters=values))
     for ending, writer in ((".npy", np.save), (".pfm", pfm), (".exr", exr), (".tiff", layouts.picture)):
         root = tmp_path / ending
-        given = folder_of(ending, "metres")(root)
+        given = folder_of(ending, "meters")(root)
         writer(root / f"depths/f1{ending}", values)
         config = compose("train", ["data=folder", "data.input_size=null", "data.load_size=null", *given])
         _, (_, sample, _) = samples(config)
         np.testing.assert_array_equal(sample["mask"][0], ~bad)
-        np.testing.assert_array_equal(sample["depth"][0], np.where(bad, 0, NYU_FRAME.metres))
+        np.testing.assert_array_equal(sample["depth"][0], np.where(bad, 0, NYU_FRAME.meters))
     given = [f"data.root={tmp_path / 'h5'}", "data.train.split=trainval", "data.input_size=null"]
     config = compose("train", ["data=nyu_hdf5", "protocol=folder", "data.train.load_size=null", *given])
     np.testing.assert_array_equal(samples(config)[1][0]["mask"][0], ~bad)

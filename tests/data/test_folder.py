@@ -11,8 +11,8 @@ from eldenet.data.folder import FolderDataset
 
 RNG = np.random.default_rng(0)
 RGB = np.repeat(RNG.integers(0, 255, (20, 30, 1), dtype=np.uint8), 3, axis=-1)
-MILLIMETRES = RNG.integers(500, 9000, (20, 30)).astype(np.uint16)
-MILLIMETRES[3, 4] = 0
+MILLIMETERS = RNG.integers(500, 9000, (20, 30)).astype(np.uint16)
+MILLIMETERS[3, 4] = 0
 
 
 def tree(root: Path, count: int = 2, images: str = "images", depths: str = "depths") -> Path:
@@ -20,7 +20,7 @@ def tree(root: Path, count: int = 2, images: str = "images", depths: str = "dept
         (root / folder).mkdir(parents=True, exist_ok=True)
     for i in range(count):
         cv2.imwrite(str(root / images / f"f{i:03d}.png"), RGB)
-        cv2.imwrite(str(root / depths / f"f{i:03d}.png"), MILLIMETRES)
+        cv2.imwrite(str(root / depths / f"f{i:03d}.png"), MILLIMETERS)
     return root
 
 
@@ -29,12 +29,12 @@ def test_two_folders(tmp_path: Path) -> None:
     assert data.names == ["f000", "f001"]
     assert data.ground_truth == "raw"
     frame = data.load_frame(1)
-    np.testing.assert_array_equal(frame.depth, (MILLIMETRES / 1e3).astype(np.float32))
+    np.testing.assert_array_equal(frame.depth, (MILLIMETERS / 1e3).astype(np.float32))
     sample = data[0]
     assert sample["image"].shape == (3, 10, 15)
     np.testing.assert_allclose(sample["intrinsics"], [[50, 0, 7.25], [0, 45, 4.75], [0, 0, 1]], rtol=1e-6)
     full = FolderDataset(tmp_path, max_depth=8.0)[0]
-    expected = (MILLIMETRES > 0) & (MILLIMETRES <= 8000)
+    expected = (MILLIMETERS > 0) & (MILLIMETERS <= 8000)
     np.testing.assert_array_equal(full["mask"][0], expected)
     assert not full["intrinsics"].any()
     np.testing.assert_allclose(full["image"][0] * 255, RGB[..., 0], atol=1e-3)
@@ -45,11 +45,11 @@ def test_subfolders_and_npy(tmp_path: Path) -> None:
     for path in (tmp_path / "images/unused").iterdir():
         path.unlink()
     (tmp_path / "gt/a").mkdir(parents=True)
-    np.save(tmp_path / "gt/a/f000.npy", (MILLIMETRES / 1e3).astype(np.float32))
-    data = FolderDataset(tmp_path, depths="gt", encoding="metres", max_depth=10.0, ground_truth="inpainted")
+    np.save(tmp_path / "gt/a/f000.npy", (MILLIMETERS / 1e3).astype(np.float32))
+    data = FolderDataset(tmp_path, depths="gt", encoding="meters", max_depth=10.0, ground_truth="inpainted")
     assert data.names == ["a/f000"]
     assert data.ground_truth == "inpainted"
-    np.testing.assert_array_equal(data.load_frame(0).depth, (MILLIMETRES / 1e3).astype(np.float32))
+    np.testing.assert_array_equal(data.load_frame(0).depth, (MILLIMETERS / 1e3).astype(np.float32))
 
 
 def test_csv(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
     tree(tmp_path)
     (tmp_path / "images/._f000.png").write_bytes(b"a Mac's note on the file")
     (tmp_path / "depths/.thumbnails").mkdir()
-    cv2.imwrite(str(tmp_path / "depths/.thumbnails/f000.png"), MILLIMETRES)
+    cv2.imwrite(str(tmp_path / "depths/.thumbnails/f000.png"), MILLIMETERS)
     assert FolderDataset(tmp_path, max_depth=10.0).names == ["f000", "f001"]
 
 
@@ -121,7 +121,7 @@ def test_cut_file_and_wrong_unit_are_named(tmp_path: Path) -> None:
         data[1]
     with pytest.raises(ValueError, match=r"depths/f000\.png holds uint16"):
         FolderDataset(tmp_path, encoding="nyu8", max_depth=10.0)[0]
-    cv2.imwrite(str(tmp_path / "depths/f000.png"), MILLIMETRES[:10])
+    cv2.imwrite(str(tmp_path / "depths/f000.png"), MILLIMETERS[:10])
     with pytest.raises(ValueError, match=r"f000\.png is \(20, 30\).*\(10, 30\)"):
         data[0]
 

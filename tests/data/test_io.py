@@ -1,4 +1,4 @@
-"""Whole files or a clear error; metres or a clear error."""
+"""Whole files or a clear error; meters or a clear error."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encodi
 
 RNG = np.random.default_rng(0)
 RGB = RNG.integers(0, 255, (37, 53, 3), dtype=np.uint8)
-MILLIMETRES = RNG.integers(0, 9000, (37, 53)).astype(np.uint16)
+MILLIMETERS = RNG.integers(0, 9000, (37, 53)).astype(np.uint16)
 
 
 def write(path: Path, picture: np.ndarray, *params: int) -> Path:
@@ -53,11 +53,11 @@ def test_cut_image_is_named(tmp_path: Path, ending: str, fraction: float) -> Non
 def test_cut_depth_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
     path = tmp_path / f"depth{ending}"
     if ending == ".npy":
-        np.save(path, MILLIMETRES)
+        np.save(path, MILLIMETERS)
     else:
-        write(path, MILLIMETRES)
+        write(path, MILLIMETERS)
     np.testing.assert_array_equal(
-        read_depth(path, "mm"), (MILLIMETRES.astype(np.float64) / 1e3).astype(np.float32)
+        read_depth(path, "mm"), (MILLIMETERS.astype(np.float64) / 1e3).astype(np.float32)
     )
     with pytest.raises(ValueError, match=f"cut_depth{ending}.*cut"):
         read_depth(cut(path, fraction), "mm")
@@ -118,7 +118,7 @@ def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "raw", "metres"),
+    ("name", "raw", "meters"),
     [
         ("mm", np.uint16([0, 1, 1000, 65535]), [0.0, 0.001, 1.0, 65.535]),
         ("kitti", np.uint16([0, 256, 640, 20480]), [0.0, 1.0, 2.5, 80.0]),
@@ -130,14 +130,14 @@ def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
             np.uint8([0, 1, 254, 100]),
             [0.0, 1.5 * 9.99547 / 255, 254.5 * 9.99547 / 255, 3.9394],
         ),
-        ("metres", np.float32([0, np.nan, -1, 2.5]), [0.0, 0.0, 0.0, 2.5]),
-        ("metres", np.float64([0, np.inf, 1, 2.5]), [0.0, 0.0, 1.0, 2.5]),
+        ("meters", np.float32([0, np.nan, -1, 2.5]), [0.0, 0.0, 0.0, 2.5]),
+        ("meters", np.float64([0, np.inf, 1, 2.5]), [0.0, 0.0, 1.0, 2.5]),
     ],
 )
-def test_encodings_by_hand(name: str, raw: np.ndarray, metres: list[float]) -> None:
+def test_encodings_by_hand(name: str, raw: np.ndarray, meters: list[float]) -> None:
     depth = decode_depth(raw[None], name, "test")
     assert depth.dtype == np.float32
-    np.testing.assert_allclose(depth[0], metres, rtol=1e-5)
+    np.testing.assert_allclose(depth[0], meters, rtol=1e-5)
 
 
 def test_every_named_encoding_is_tested_or_refuses_another_type() -> None:
@@ -161,61 +161,61 @@ def test_an_encoding_may_bring_its_own_function() -> None:
     np.testing.assert_allclose(decode_depth(np.array([[8000, 0]], np.uint16), turned, "x"), [[1.0, 0.0]])
 
 
-@pytest.mark.parametrize("bad", ["millimetres", {"dtype": "uint8"}, {"scale": 0}, {"scale": 1, "unit": "m"}])
+@pytest.mark.parametrize("bad", ["millimeters", {"dtype": "uint8"}, {"scale": 0}, {"scale": 1, "unit": "m"}])
 def test_unknown_encoding_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match=r"give|must be"):
         depth_encoding(bad)  # type: ignore[arg-type]
 
 
 def test_wrong_unit_is_refused(tmp_path: Path) -> None:
-    eight = write(tmp_path / "eight.png", (MILLIMETRES // 40).astype(np.uint8))
+    eight = write(tmp_path / "eight.png", (MILLIMETERS // 40).astype(np.uint8))
     with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'mm' wants uint16"):
         read_depth(eight, "mm")
     with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'kitti' wants uint16"):
         read_depth(eight, "kitti")
-    sixteen = write(tmp_path / "sixteen.png", MILLIMETRES)
+    sixteen = write(tmp_path / "sixteen.png", MILLIMETERS)
     with pytest.raises(ValueError, match=r"sixteen\.png.*uint16.*'nyu8' wants uint8"):
         read_depth(sixteen, "nyu8")
-    whole_metres = write(tmp_path / "whole.png", MILLIMETRES // 1000)
-    with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*metres"):
-        read_depth(whole_metres, "mm")
-    np.save(tmp_path / "float.npy", MILLIMETRES.astype(np.float32))
+    whole_meters = write(tmp_path / "whole.png", MILLIMETERS // 1000)
+    with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*meters"):
+        read_depth(whole_meters, "mm")
+    np.save(tmp_path / "float.npy", MILLIMETERS.astype(np.float32))
     with pytest.raises(ValueError, match=r"float\.npy.*median.*mm"):
-        read_depth(tmp_path / "float.npy", "metres")
-    assert not read_depth(write(tmp_path / "empty.png", MILLIMETRES * 0), "mm").any()
+        read_depth(tmp_path / "float.npy", "meters")
+    assert not read_depth(write(tmp_path / "empty.png", MILLIMETERS * 0), "mm").any()
 
 
-def test_coloured_depth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"colour\.png.*one channel"):
-        read_depth(write(tmp_path / "colour.png", RGB), "nyu8")
+def test_colored_depth_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"color\.png.*one channel"):
+        read_depth(write(tmp_path / "color.png", RGB), "nyu8")
 
 
 def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"grey\.png holds uint16, a picture has 8 bits: is it a depth map\?"
+        ValueError, match=r"gray\.png holds uint16, a picture has 8 bits: is it a depth map\?"
     ):
-        read_image(write(tmp_path / "grey.png", MILLIMETRES))
-    with pytest.raises(ValueError, match=r"colour\.png holds uint16.*does not say.*so write it with 8$"):
-        read_image(write(tmp_path / "colour.png", RGB.astype(np.uint16) * 257))
+        read_image(write(tmp_path / "gray.png", MILLIMETERS))
+    with pytest.raises(ValueError, match=r"color\.png holds uint16.*does not say.*so write it with 8$"):
+        read_image(write(tmp_path / "color.png", RGB.astype(np.uint16) * 257))
 
 
 def test_pickles_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match=r"a\.npy"):
-        read_depth(tmp_path / "a.npy", "metres")
+        read_depth(tmp_path / "a.npy", "meters")
 
 
 def test_sunrgbd_turns_back_what_its_toolbox_turned() -> None:
-    millimetres = MILLIMETRES.astype(np.uint32)
-    stored = ((millimetres << 3) | (millimetres >> 13)).astype(np.uint16)
-    expected = (MILLIMETRES / 1000.0).astype(np.float32)
+    millimeters = MILLIMETERS.astype(np.uint32)
+    stored = ((millimeters << 3) | (millimeters >> 13)).astype(np.uint16)
+    expected = (MILLIMETERS / 1000.0).astype(np.float32)
     np.testing.assert_array_equal(decode_depth(stored, "sunrgbd", "x"), expected)
 
 
-METRES = np.where(MILLIMETRES > 100, MILLIMETRES / np.float32(1000), np.inf).astype(np.float32)
+METERS = np.where(MILLIMETERS > 100, MILLIMETERS / np.float32(1000), np.inf).astype(np.float32)
 
 
-def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = METRES) -> Path:
+def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = METERS) -> Path:
     scale = "-1.0" if order == "<f4" else "0.0039"
     header = f"{kind}\n{values.shape[1]} {values.shape[0]}\n{scale}\n".encode()
     path.write_bytes(header + values[::-1].astype(order).tobytes())
@@ -225,41 +225,41 @@ def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = M
 @pytest.mark.parametrize("order", ["<f4", ">f4"])
 def test_pfm(tmp_path: Path, order: str) -> None:
     path = pfm(tmp_path / "a.pfm", order)
-    np.testing.assert_array_equal(read_depth(path, "metres"), np.where(np.isfinite(METRES), METRES, 0))
+    np.testing.assert_array_equal(read_depth(path, "meters"), np.where(np.isfinite(METERS), METERS, 0))
     for fraction in (0.001, 0.3, 0.99):
         with pytest.raises(ValueError, match=r"cut_a\.pfm is (no PFM file, or )?(is )?cut"):
-            read_depth(cut(path, fraction), "metres")
+            read_depth(cut(path, fraction), "meters")
     with pytest.raises(ValueError, match=r"c\.pfm has shape.*one channel"):
-        read_depth(pfm(tmp_path / "c.pfm", kind="PF", values=np.dstack([METRES] * 3)), "metres")
+        read_depth(pfm(tmp_path / "c.pfm", kind="PF", values=np.dstack([METERS] * 3)), "meters")
     if order == "<f4":  # OpenCV writes the same
-        assert cv2.imwrite(str(tmp_path / "b.pfm"), METRES)
-        np.testing.assert_array_equal(read_depth(tmp_path / "b.pfm", "metres"), read_depth(path, "metres"))
+        assert cv2.imwrite(str(tmp_path / "b.pfm"), METERS)
+        np.testing.assert_array_equal(read_depth(tmp_path / "b.pfm", "meters"), read_depth(path, "meters"))
 
 
 @pytest.mark.parametrize("half", [False, True])
 def test_exr(tmp_path: Path, half: bool) -> None:
     exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed: pip install 'eldenet[exr]'")
-    metres = (MILLIMETRES / 1000.0).astype(np.float16 if half else np.float32)
+    meters = (MILLIMETERS / 1000.0).astype(np.float16 if half else np.float32)
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
 
     def written(name: str, channels: dict[str, np.ndarray]) -> Path:
         exr.File(header, channels).write(str(tmp_path / name))
         return tmp_path / name
 
-    path = written("a.exr", {"Z": metres})
-    np.testing.assert_array_equal(read_depth(path, "metres"), metres.astype(np.float32))
-    grey = written("grey.exr", {"R": metres, "G": metres, "B": metres})
-    np.testing.assert_array_equal(read_depth(grey, "metres"), metres.astype(np.float32))
-    with pytest.raises(ValueError, match=r"colour\.exr has the channels"):
-        read_depth(written("colour.exr", {"R": metres, "G": metres, "B": metres * 2}), "metres")
+    path = written("a.exr", {"Z": meters})
+    np.testing.assert_array_equal(read_depth(path, "meters"), meters.astype(np.float32))
+    gray = written("gray.exr", {"R": meters, "G": meters, "B": meters})
+    np.testing.assert_array_equal(read_depth(gray, "meters"), meters.astype(np.float32))
+    with pytest.raises(ValueError, match=r"color\.exr has the channels"):
+        read_depth(written("color.exr", {"R": meters, "G": meters, "B": meters * 2}), "meters")
     for fraction in (0.0, 0.01, 0.3, 0.9, 0.99):
         with pytest.raises(ValueError, match=r"cut_a\.exr is cut"):
-            read_depth(cut(path, fraction), "metres")
+            read_depth(cut(path, fraction), "meters")
 
 
 def test_float_tiff(tmp_path: Path) -> None:
-    metres = MILLIMETRES.astype(np.float32) / 1000
-    np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", metres), "metres"), metres)
+    meters = MILLIMETERS.astype(np.float32) / 1000
+    np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", meters), "meters"), meters)
 
 
 @pytest.fixture
@@ -290,4 +290,4 @@ def test_real_npy_and_png_equal_a_straight_reading(real: Path) -> None:
     path = real / "nyu_depth_v2/fastdepth_npy/depth.npy"
     if not path.exists():
         pytest.skip(f"{path} is not there")
-    np.testing.assert_array_equal(read_depth(path, "metres"), np.load(path).squeeze())
+    np.testing.assert_array_equal(read_depth(path, "meters"), np.load(path).squeeze())

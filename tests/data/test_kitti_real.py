@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.layouts import devkit_metres, real_folder
+from support.layouts import devkit_meters, real_folder
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_lidar import entry, rectified_intrinsics, velodyne_to_image
@@ -24,7 +24,7 @@ def test_real_devkit_frames(real: Path) -> None:
     assert len(data) == len(files) > 0
     for i, file in enumerate(files):
         frame = data.load_frame(i)
-        np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_metres(file))
+        np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_meters(file))
         assert 0.1 < (frame.depth > 0).mean() < 0.4
         picture_file = data.pictures[i]
         np.testing.assert_array_equal(frame.image, cv2.imread(str(picture_file))[..., ::-1])
@@ -37,7 +37,7 @@ def test_real_derived_maps_with_raw_pictures(real: Path) -> None:
     data = KITTIDepth(real / "depth_derived", depth="velodyne_raw", split="all")
     assert len(data) == 20
     for i, file in enumerate(data.sources):
-        np.testing.assert_array_equal(data.load_frame(i).depth.astype(np.float64), devkit_metres(file))
+        np.testing.assert_array_equal(data.load_frame(i).depth.astype(np.float64), devkit_meters(file))
 
 
 def test_real_scans_give_back_the_derived_maps(real: Path) -> None:
@@ -81,7 +81,7 @@ def test_real_selection(real: Path) -> None:
         for i, file in enumerate(data.sources):
             frame = data.load_frame(i)
             assert frame.image.shape == (352, 1216, 3)
-            np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_metres(file))
+            np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_meters(file))
     with pytest.raises(FileNotFoundError, match=r"0000000003 \(no depth\)"):
         KITTISelection(**options)
 

@@ -41,9 +41,9 @@ def by_hand(points: np.ndarray, matrix: np.ndarray, size: tuple[int, int], *, ei
         if x < 0 or w <= 0:
             continue
         col, row = round(u / w) - eigen, round(v / w) - eigen
-        metres = x if eigen else w
-        if 0 <= row < size[0] and 0 <= col < size[1] and not 0 < depth[row, col] <= metres:
-            depth[row, col] = metres
+        meters = x if eigen else w
+        if 0 <= row < size[0] and 0 <= col < size[1] and not 0 < depth[row, col] <= meters:
+            depth[row, col] = meters
     return depth
 
 

@@ -1,4 +1,4 @@
-"""NYU Depth V2 in every layout: metres, intrinsics, names, the split, and errors that name the file."""
+"""NYU Depth V2 in every layout: meters, intrinsics, names, the split, and errors that name the file."""
 
 import pickle
 from collections.abc import Callable
@@ -23,8 +23,8 @@ from eldenet.data.nyu import (
 )
 from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
 
-RGB, METRES, MILLIMETRES, EIGHT = SMALL
-SIZE = METRES.shape
+RGB, METERS, MILLIMETERS, EIGHT = SMALL
+SIZE = METERS.shape
 
 
 def check_picture(image: np.ndarray) -> None:
@@ -46,7 +46,7 @@ def test_densedepth(tmp_path: Path) -> None:
     assert test.names == ["00000_colors"]
     assert NYUDenseDepth(tmp_path).names == ["office_0002_out/1"]
     assert NYUDenseDepth(tmp_path, split="val").names == ["kitchen_0001_out/1"]
-    np.testing.assert_array_equal(test.load_frame(0).depth, (MILLIMETRES / 1000).astype(np.float32))
+    np.testing.assert_array_equal(test.load_frame(0).depth, (MILLIMETERS / 1000).astype(np.float32))
     other = NYUDenseDepth(tmp_path, split="val", encoding="nyu8_labelled").load_frame(0)
     np.testing.assert_allclose(other.depth, (EIGHT + 0.5) * 9.99547 / 255, rtol=1e-6)
 
@@ -56,7 +56,7 @@ def test_sample_after_resize(tmp_path: Path) -> None:
     sample = data[0]
     assert sample["image"].shape == (3, 24, 32)
     assert sample["depth"].shape == sample["mask"].shape == (1, *SIZE)
-    np.testing.assert_array_equal(sample["mask"][0], MILLIMETRES > 0)
+    np.testing.assert_array_equal(sample["mask"][0], MILLIMETERS > 0)
     scale = 24 / 480
     expected = [[518.8579 * scale, 0, 326.0824 * scale - 0.5], [0, 519.4696 * scale, 254.2362 * scale - 0.5]]
     np.testing.assert_allclose(sample["intrinsics"][:2], expected, rtol=1e-6)
@@ -92,7 +92,7 @@ def test_sync(tmp_path: Path) -> None:
     assert data.ground_truth == "raw"
     frame = data.load_frame(1)
     check_picture(frame.image)
-    np.testing.assert_array_equal(frame.depth, (MILLIMETRES / 1000).astype(np.float32))
+    np.testing.assert_array_equal(frame.depth, (MILLIMETERS / 1000).astype(np.float32))
     for split, scene in (("train", "office_0002/rgb_00041"), ("val", "kitchen_0001/rgb_00000")):
         assert NYUSync(tmp_path, split=split).names == [scene]
     assert NYUSync(tmp_path, split="test").names == data.names
@@ -115,7 +115,7 @@ def test_hdf5(tmp_path: Path) -> None:
     assert data.ground_truth == "inpainted"
     frame = data.load_frame(1)
     np.testing.assert_array_equal(frame.image, RGB)
-    np.testing.assert_array_equal(frame.depth, METRES)
+    np.testing.assert_array_equal(frame.depth, METERS)
     assert NYUHDF5(tmp_path, split="test").names == ["val/official/00002"]
     assert NYUHDF5(tmp_path, split="train").names == ["train/office_0002/00001"]
     assert NYUHDF5(tmp_path, split="val").names == ["train/kitchen_0001/00001"]
@@ -131,10 +131,10 @@ def test_mat(tmp_path: Path) -> None:
     assert NYUMat(tmp_path, split="trainval").names == ["0002", "0003"]
     frame = NYUMat(tmp_path, split="all").load_frame(1)
     np.testing.assert_array_equal(frame.image, RGB + 1)
-    np.testing.assert_array_equal(frame.depth, METRES + 1)
+    np.testing.assert_array_equal(frame.depth, METERS + 1)
     raw = NYUMat(tmp_path, split="all", ground_truth="raw")
     assert raw.ground_truth == "raw"
-    np.testing.assert_array_equal(raw[0]["mask"][0], MILLIMETRES > 0)
+    np.testing.assert_array_equal(raw[0]["mask"][0], MILLIMETERS > 0)
     assert NYUMat(tmp_path, split="train").names == ["0002", "0003"]
 
 

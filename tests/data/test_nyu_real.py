@@ -75,8 +75,8 @@ def test_real_split_takes_whole_runs(real: Path) -> None:
 
 
 def sift(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    grey = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)[8:232, 8:312]
-    points, found = cv2.SIFT_create(200, contrastThreshold=0.02).detectAndCompute(grey, None)
+    gray = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)[8:232, 8:312]
+    points, found = cv2.SIFT_create(200, contrastThreshold=0.02).detectAndCompute(gray, None)
     return np.array([p.pt for p in points], np.float32).reshape(-1, 2), found
 
 
@@ -94,7 +94,7 @@ def inliers(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndar
 
 
 def test_real_split_shares_no_view(real: Path) -> None:
-    """No two frames on the two sides of a border show the same things; neighbours within a block do."""
+    """No two frames on the two sides of a border show the same things; neighbors within a block do."""
     data = NYULabelled(split="all")
     paths = {int(name[-4:]): real / "labeled/data/nyu2_train" / f"{name}.jpg" for name in data.names}
     numbers = sorted(paths)

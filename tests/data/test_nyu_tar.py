@@ -79,7 +79,7 @@ def test_places_are_kept_until_the_shard_changes(root: Path, monkeypatch: pytest
     more = NYUTar(root, split="trainval")
     assert walked[2:] == ["train-000001.tar"]
     assert more.names == [*names, "train/study_0003/00007"]
-    np.testing.assert_array_equal(more.load_frame(2).depth, layouts.SMALL.metres)
+    np.testing.assert_array_equal(more.load_frame(2).depth, layouts.SMALL.meters)
     shard = root / "data/train-000000.tar"  # the same bytes, another time: walked again
     os.utime(shard, ns=(1, 1))
     NYUTar(root, split="trainval")

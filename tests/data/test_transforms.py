@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.resize_crop import ResizeCrop
-from eldenet.data.transforms import BORDER_COLOUR, Augmentation
+from eldenet.data.transforms import BORDER_COLOR, Augmentation
 from eldenet.geometry import back_project, pinhole
 from eldenet.types import Frame
 
@@ -24,7 +24,7 @@ def depth_at(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def ramp_frame() -> Frame:
-    """A slanted wall whose colour says which pixel it was: red = 4 x, green = 5 y."""
+    """A slanted wall whose color says which pixel it was: red = 4 x, green = 5 y."""
     y, x = np.indices((HEIGHT, WIDTH))
     image = np.stack([4 * x, 5 * y, np.full_like(x, 77)], axis=-1).astype(np.uint8)
     return Frame(image, depth_at(x, y).astype(np.float32), pinhole(FOCAL, FOCAL, CX, CY), "wall")
@@ -59,12 +59,12 @@ def test_points_agree(case: str, seed: int) -> None:
     assert inside.mean() > 0.3
 
     # The map back to source pixels, read off the picture itself: it must take the new principal point to the
-    # old one to a few hundredths of a pixel, which a wrong pixel centre would miss by half a pixel.
+    # old one to a few hundredths of a pixel, which a wrong pixel center would miss by half a pixel.
     rows, cols = np.nonzero(inside)
     grid = np.column_stack([cols, rows, np.ones(len(rows))])
     back, *_ = np.linalg.lstsq(grid, np.column_stack([x[inside], y[inside]]), rcond=None)
-    centre = np.append(moved.intrinsics[:2, 2], 1.0)
-    np.testing.assert_allclose(centre @ back, [CX, CY], atol=0.03)
+    center = np.append(moved.intrinsics[:2, 2], 1.0)
+    np.testing.assert_allclose(center @ back, [CX, CY], atol=0.03)
     zoom = 1 / np.sqrt(abs(np.linalg.det(back[:2])))
     low, high = settings.get("scale", (1, 1)) if settings["affine"] else (1, 1)
     assert low - 5e-3 <= zoom <= high + 5e-3
@@ -112,7 +112,7 @@ def test_what_comes_from_outside_is_unknown() -> None:
     assert not known[:11].any()
     assert not known[:, :14].any()
     assert not known[-11:].any()
-    np.testing.assert_array_equal(moved.image[0, 0], BORDER_COLOUR)
+    np.testing.assert_array_equal(moved.image[0, 0], BORDER_COLOR)
 
 
 def test_unknown_stays_unknown() -> None:
@@ -126,13 +126,13 @@ def test_unknown_stays_unknown() -> None:
     assert moved.depth[inside].min() > 1.0  # nothing between known and unknown is invented
 
 
-def test_colour_leaves_depth_alone() -> None:
+def test_color_leaves_depth_alone() -> None:
     frame = ramp_frame()
-    colours = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1, "jitter_hue": 0.05}
+    colors = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1, "jitter_hue": 0.05}
     for one in ("brightness_contrast", "color_jitter", "hue_saturation"):
         moved = Augmentation(**{**OFF, one: 1})(frame, np.random.default_rng(1))
         assert not np.array_equal(moved.image, frame.image), one
-    moved = Augmentation(**{**OFF, **colours})(frame, np.random.default_rng(1))
+    moved = Augmentation(**{**OFF, **colors})(frame, np.random.default_rng(1))
     assert moved.image.dtype == np.uint8
     np.testing.assert_array_equal(moved.depth, frame.depth)
     np.testing.assert_array_equal(moved.intrinsics, frame.intrinsics)
@@ -177,8 +177,8 @@ def test_choices_are_independent() -> None:
         moved = augment(frame, np.random.default_rng((7, 0, seed)))
         flipped = int(moved.image[24, -5, 0] < moved.image[24, 5, 0])
         affine = int(not np.isclose(moved.depth[24], frame.depth[24, :: -1 if flipped else 1]).all())
-        recoloured = int(moved.image[24, 31, 2] != 77)
-        seen[flipped, affine, recoloured] += 1
+        recolored = int(moved.image[24, 31, 2] != 77)
+        seen[flipped, affine, recolored] += 1
     assert seen.min() > 10  # 30 expected in each of the eight cells
 
 
@@ -261,8 +261,8 @@ def test_fastdepth_protocol() -> None:
     frame = numbered(480, 640)
     scored = ResizeCrop(resize=250 / 480, crop=(228, 304), size=(224, 224), interpolation="nearest")(frame)
     assert scored.depth.shape == scored.image.shape[:2] == (224, 224)
-    centre = (319.5 + 0.5) * 333 / 640 - 0.5 - 14
-    expected_cx = (centre + 0.5) * 224 / 304 - 0.5
+    center = (319.5 + 0.5) * 333 / 640 - 0.5 - 14
+    expected_cx = (center + 0.5) * 224 / 304 - 0.5
     expected_cy = ((239.5 + 0.5) * 250 / 480 - 0.5 - 11 + 0.5) * 224 / 228 - 0.5
     np.testing.assert_allclose(scored.intrinsics[:2, 2], [expected_cx, expected_cy])
     np.testing.assert_allclose(scored.intrinsics[0, 0], 500 * 333 / 640 * 224 / 304)

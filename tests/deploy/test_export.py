@@ -68,7 +68,7 @@ def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -
 
 def test_what_a_file_says_of_its_training() -> None:
     model = eldenet.load("eldenet_s")
-    assert describe(model, "mine", SIZE)["data"] == "none: freshly initialised"
+    assert describe(model, "mine", SIZE)["data"] == "none: freshly initialized"
     model.info = {"trained_on": "streets"}
     assert describe(model, "mine", SIZE)["data"] == "not stated"
 
@@ -77,7 +77,7 @@ def test_command_from_another_folder(run_command, model_folder: Path, photos: Pa
     done = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}", "checks=2", "opset=13")
     assert done.returncode == 0, done.stderr
     path = tmp_path / "exports" / "mine-32x64-fp32.onnx"
-    for text in ("depth beside torch's on 2 pictures", "0 batch normalisations", "exports/mine-32x64-fp32"):
+    for text in ("depth beside torch's on 2 pictures", "0 batch normalizations", "exports/mine-32x64-fp32"):
         assert text in done.stdout
     facts = read_metadata(path)
     assert (facts["model"], facts["data"], facts["protocol"]) == ("mine", "rooms", "rooms")

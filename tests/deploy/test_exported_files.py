@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import ROUNDING, SIZE, metres, smooth_pictures, trained
+from support.rooms_network import ROUNDING, SIZE, meters, smooth_pictures, trained
 
 import eldenet
 from eldenet.deploy import runtimes
@@ -32,13 +32,13 @@ def images() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return metres(model, images)
+    return meters(model, images)
 
 
-def test_a_licence_is_what_somebody_stated(model: DepthNet) -> None:
-    assert describe(model, "m", SIZE, licence="CC-BY-4.0")["licence"] == "CC-BY-4.0"
+def test_a_license_is_what_somebody_stated(model: DepthNet) -> None:
+    assert describe(model, "m", SIZE, license="CC-BY-4.0")["license"] == "CC-BY-4.0"
     packaged = eldenet.load("eldenet_rooms")
-    assert describe(packaged, "m", SIZE)["licence"] == packaged.info["licence"] != "not stated"
+    assert describe(packaged, "m", SIZE)["license"] == packaged.info["license"] != "not stated"
 
 
 @pytest.mark.parametrize("camera", [(64, 128), (20, 40), (70, 100), SIZE])
@@ -50,13 +50,13 @@ def test_frames_of_other_sizes(model, camera: tuple[int, int], tmp_path: Path) -
     found = differences(depth, DepthPredictor(model, SIZE)(frame))
     assert (
         found["max_relative"] < 0.02
-    )  # OpenCV rounds to grey levels, and where a frame grows its weights too
+    )  # OpenCV rounds to gray levels, and where a frame grows its weights too
     assert found["median_relative"] < 2e-3
 
 
 @pytest.mark.parametrize("camera", [(64, 128), (70, 100), (32, 100), (50, 64)])
 def test_a_graph_shrinks_a_frame_as_the_data_sets_do(model, camera: tuple[int, int]) -> None:
-    """But for their rounding to whole grey levels, and where one side stays as it is, too."""
+    """But for their rounding to whole gray levels, and where one side stays as it is, too."""
     frame = np.random.default_rng(4).integers(0, 256, (*camera, 3), np.uint8)
     image = torch.from_numpy(frame).permute(2, 0, 1)[None].float()
     ours = CameraNet(model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()

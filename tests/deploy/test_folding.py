@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import ROUNDING, SIZE, metres, smooth_pictures, trained
+from support.rooms_network import ROUNDING, SIZE, meters, smooth_pictures, trained
 from torch import nn
 
 import eldenet
@@ -26,7 +26,7 @@ def images() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return metres(model, images)
+    return meters(model, images)
 
 
 @pytest.mark.parametrize("fast", [True, False])
@@ -64,7 +64,7 @@ def test_resnet_blocks_are_folded(name: str) -> None:
 
 
 class ActiveNorm(nn.BatchNorm2d):
-    """Normalisation and activation in one, as timm's ``BatchNormAct2d``."""
+    """Normalization and activation in one, as timm's ``BatchNormAct2d``."""
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         return super().forward(input).relu()

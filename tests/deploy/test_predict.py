@@ -25,17 +25,17 @@ def test_one_picture(model_folder: Path, model: DepthNet, tmp_path: Path) -> Non
     source = save(tmp_path / "in/kitchen.png", photo())
     camera = "intrinsics=[" + ",".join(map(str, CAMERA)) + "]"
     results = run(model_folder, source, tmp_path / "out", camera)
-    assert listed(tmp_path / "out") == ["kitchen.ply", "kitchen_colour.png", "kitchen_depth.png"]
+    assert listed(tmp_path / "out") == ["kitchen.ply", "kitchen_color.png", "kitchen_depth.png"]
     assert (results.images, results.skipped, results.too_far) == (1, [], 0)
     depth = DepthPredictor(model)(photo())
     written = cv2.imread(str(tmp_path / "out/kitchen_depth.png"), cv2.IMREAD_UNCHANGED)
     assert written.dtype == np.uint16
     np.testing.assert_array_equal(written, np.rint(depth.astype(np.float64) * 1000))
     np.testing.assert_allclose(read_depth(tmp_path / "out/kitchen_depth.png", "mm"), depth, atol=5.1e-4)
-    colour = cv2.imread(str(tmp_path / "out/kitchen_colour.png"))
-    assert colour.shape[0] == 240
-    assert colour.shape[1] > 2 * 64 * 5
-    # every pixel is a point, of its own colour, that projects back to it: the network saw 32 x 64, though
+    color = cv2.imread(str(tmp_path / "out/kitchen_color.png"))
+    assert color.shape[0] == 240
+    assert color.shape[1] > 2 * 64 * 5
+    # every pixel is a point, of its own color, that projects back to it: the network saw 32 x 64, though
     vertices = read_ply(tmp_path / "out/kitchen.ply")
     assert len(vertices) == 48 * 64
     fx, fy, cx, cy = CAMERA
@@ -55,7 +55,7 @@ def test_what_makes_depth_doubtful_is_said(tmp_path: Path, capsys: pytest.Captur
     run(tmp_path / "model", source, tmp_path / "given", "formats=depth", "input_size=[32,64]")
     assert "note:" not in capsys.readouterr().out
     predict(compose("predict", ["checkpoint=eldenet_s", f"source={source}", f"output={tmp_path / 'new'}"]))
-    assert "freshly initialised" in capsys.readouterr().out
+    assert "freshly initialized" in capsys.readouterr().out
 
 
 def test_a_photo_is_turned_as_its_exif_says(model_folder: Path, tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_a_bad_picture_stops_or_is_listed(
     assert results.images == 1
     assert len(results.skipped) == 1
     said = capsys.readouterr().out
-    assert "1 picture: depth + colour in" in said
+    assert "1 picture: depth + color in" in said
     assert "images/s" in said
     assert "skipped 1:\n" in said
     assert "b.png is cut" in said
@@ -156,7 +156,7 @@ def test_a_cut_picture_is_named(model_folder: Path, tmp_path: Path, ending: str,
         (["intrinsics=5"], "4 numbers"),
         (["formats=[ply]"], "needs intrinsics"),
         (["formats=[depth]", "intrinsics=[500,500,320,240]"], "add ply"),
-        (["formats=[jpeg]"], "depth, colour, ply"),
+        (["formats=[jpeg]"], "depth, color, ply"),
         (["formats=[]"], "formats is empty"),
         (["on_error=ignore"], "stop, skip"),
         (["frames=0"], "frames=0: give a whole number above 0"),
@@ -225,8 +225,8 @@ def test_command(model_folder: Path, tmp_path: Path, run_command) -> None:
     done = run_command("predict", f"checkpoint={model_folder.parent}", "source=in", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (output,) = (tmp_path / "runs").glob("predict-*")
-    assert listed(output) == ["a_colour.png", "a_depth.png"]
-    assert f"1 picture: depth + colour in runs/{output.name}" in done.stdout
+    assert listed(output) == ["a_color.png", "a_depth.png"]
+    assert f"1 picture: depth + color in runs/{output.name}" in done.stdout
     failed = run_command("predict", f"checkpoint={model_folder}", "source=nothing.jpg", cwd=tmp_path)
     assert failed.returncode == 1
     assert failed.stderr == (

@@ -11,7 +11,7 @@ from support.predicting import listed, photo, run, save
 
 from eldenet.config import compose
 from eldenet.deploy.outputs import in_time, open_video
-from eldenet.deploy.predictor import DepthPredictor, to_millimetres
+from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.stream import DepthStream, StreamFrame, without_password
 from eldenet.model import DepthNet
 from eldenet.predict import predict
@@ -43,7 +43,7 @@ def test_depth_files_of_a_video_when_asked_for(model_folder: Path, model: DepthN
     ]
     frame = cv2.cvtColor(read_video(source)[0][1], cv2.COLOR_BGR2RGB)
     written = cv2.imread(str(tmp_path / "out/walk/000001_depth.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(written, to_millimetres(DepthPredictor(model)(frame)))
+    np.testing.assert_array_equal(written, to_millimeters(DepthPredictor(model)(frame)))
 
 
 def exported(model: DepthNet, path: Path) -> Path:
@@ -62,7 +62,7 @@ def test_an_exported_file_predicts_a_video(model: DepthNet, tmp_path: Path, caps
     assert "3 frames of walk.mp4: depth" in said
     frame = cv2.cvtColor(read_video(source)[0][2], cv2.COLOR_BGR2RGB)
     written = cv2.imread(str(tmp_path / "out/walk/000002_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert np.abs(written.astype(int) - to_millimetres(DepthPredictor(model)(frame))).max() <= 1
+    assert np.abs(written.astype(int) - to_millimeters(DepthPredictor(model)(frame))).max() <= 1
     with pytest.raises(ValueError, match="engine='tvm': give one of auto, torch"):
         run(file, source, tmp_path / "none", "engine=tvm")
     with pytest.raises(ValueError, match=r"sees \[32, 64\] only"):
@@ -73,7 +73,7 @@ def test_a_model_under_another_runtime(model_folder: Path, model: DepthNet, tmp_
     source = save(tmp_path / "a.png", photo())
     run(model_folder, source, tmp_path / "out", "formats=[depth]", "engine=torch_channels_last")
     written = cv2.imread(str(tmp_path / "out/a_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert np.abs(written.astype(int) - to_millimetres(DepthPredictor(model)(photo()))).max() <= 1
+    assert np.abs(written.astype(int) - to_millimeters(DepthPredictor(model)(photo()))).max() <= 1
 
 
 def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, capsys) -> None:
@@ -86,7 +86,7 @@ def test_an_address_is_read_as_it_comes(model_folder: Path, tmp_path: Path, caps
     )
     assert 1 <= results.images <= 5
     said = capsys.readouterr().out
-    assert f"of walk.mp4 ({5 - results.images} dropped): colour" in said
+    assert f"of walk.mp4 ({5 - results.images} dropped): color" in said
     assert "broke off" not in said  # it announces its five frames
     (name,) = listed(tmp_path / "out")
     assert name.endswith("walk_mp4_depth.mp4")
@@ -156,13 +156,13 @@ def film_of(path: Path, pictures: list[np.ndarray], error: BaseException | None 
 
 
 def test_an_error_leaves_the_film_up_to_it(tmp_path: Path) -> None:
-    grey = [np.full((48, 64, 3), 40 * number, np.uint8) for number in range(4)]
+    gray = [np.full((48, 64, 3), 40 * number, np.uint8) for number in range(4)]
     with pytest.raises(OSError, match="unplugged"):
-        film_of(tmp_path / "a.mp4", grey, OSError("unplugged"))
+        film_of(tmp_path / "a.mp4", gray, OSError("unplugged"))
     with pytest.raises(ValueError, match=r"shows \(64, 48\) pixels"):
-        film_of(tmp_path / "b.mp4", [*grey, np.zeros((50, 64, 3), np.uint8)])
+        film_of(tmp_path / "b.mp4", [*gray, np.zeros((50, 64, 3), np.uint8)])
     with pytest.raises(KeyboardInterrupt):
-        film_of(tmp_path / "c.mp4", grey, KeyboardInterrupt())
+        film_of(tmp_path / "c.mp4", gray, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         film_of(tmp_path / "d.mp4", [], KeyboardInterrupt())
     names = ["a.mp4", "b.mp4", "c.mp4"]

@@ -1,4 +1,4 @@
-"""Frame in, metres out; and how metres become numbers, points and pictures."""
+"""Frame in, meters out; and how meters become numbers, points and pictures."""
 
 import math
 from pathlib import Path
@@ -11,7 +11,7 @@ from support.predicting import photo, read_ply
 
 import eldenet
 from eldenet.deploy.pointcloud import write_ply
-from eldenet.deploy.predictor import DepthPredictor, to_millimetres
+from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.model import DepthNet
 from eldenet.visualization import photo_beside_depth, round_numbers, visible_range
@@ -79,23 +79,23 @@ def test_fp32_on_cuda_is_that_of_the_other_runtimes(model: DepthNet, monkeypatch
     assert not torch.backends.cudnn.allow_tf32
 
 
-def test_millimetres() -> None:
+def test_millimeters() -> None:
     depth = np.array([[0.0, 1.2344, 1.2346, 65.5351, 65.536, 200.0, np.nan, np.inf, -1.0]], np.float32)
-    np.testing.assert_array_equal(to_millimetres(depth), [[0, 1234, 1235, 65535, 0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(to_millimeters(depth), [[0, 1234, 1235, 65535, 0, 0, 0, 0, 0]])
 
 
 def test_point_cloud_leaves_out_what_is_unknown(tmp_path: Path) -> None:
     points = np.array([[0, 0, 1], [0, 0, 0], [1, np.nan, 2], [3, 4, 5]], np.float64)
-    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
-    assert write_ply(tmp_path / "a/b.ply", points, colours) == 2
+    colors = np.arange(12, dtype=np.uint8).reshape(4, 3)
+    assert write_ply(tmp_path / "a/b.ply", points, colors) == 2
     vertices = read_ply(tmp_path / "a/b.ply")
     assert vertices["z"].tolist() == [1, 5]
     assert vertices["blue"].tolist() == [2, 11]
     with pytest.raises(ValueError, match="one shape"):
-        write_ply(tmp_path / "c.ply", points, colours[:2])
+        write_ply(tmp_path / "c.ply", points, colors[:2])
 
 
-def test_scale_in_metres() -> None:
+def test_scale_in_meters() -> None:
     for near, far in ((0, 1), (0.7, 9.9), (1.2, 1.25), (3, 80), (0.5, 120)):
         numbers = round_numbers(near, far)
         assert 3 <= len(numbers) <= 8

@@ -1,4 +1,4 @@
-"""One network under every runtime gives the same metres; a file says what it is."""
+"""One network under every runtime gives the same meters; a file says what it is."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE, metres, smooth_pictures, trained
+from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE, meters, smooth_pictures, trained
 
 import eldenet
 from eldenet.config import compose
@@ -20,7 +20,7 @@ from eldenet.deploy.files import (
     write_openvino,
 )
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.deploy.quantize import quantise_onnx, quantise_openvino
+from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
 from eldenet.deploy.runtimes.onnx import OPTIONS, providers_behind
 from eldenet.evaluate import _open
 from eldenet.model import DepthNet
@@ -42,7 +42,7 @@ def images() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return metres(model, images)
+    return meters(model, images)
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +53,8 @@ def files(model: DepthNet, images: np.ndarray, tmp_path_factory: pytest.TempPath
     return {
         "onnx": onnx,
         "xml": write_openvino(onnx, folder / "fp32.xml", facts),
-        "int8 onnx": quantise_onnx(onnx, folder / "int8.onnx", [image[None] for image in images]),
-        "int8 xml": quantise_openvino(onnx, folder / "int8.xml", [image[None] for image in images], facts),
+        "int8 onnx": quantize_onnx(onnx, folder / "int8.onnx", [image[None] for image in images]),
+        "int8 xml": quantize_openvino(onnx, folder / "int8.xml", [image[None] for image in images], facts),
         "frames": write_onnx(
             model, folder / "frames.onnx", SIZE, batch=1, camera_size=CAMERA,
             metadata=describe(model, "eldenet_s", SIZE, camera_size=CAMERA),
@@ -197,8 +197,8 @@ def test_files_say_what_they_are(files) -> None:
     for name in ("onnx", "xml"):
         facts = read_metadata(files[name])
         assert facts["model"] == "eldenet_s"
-        assert facts["units"] == "metres"
-        assert facts["licence"] == "not stated"
+        assert facts["units"] == "meters"
+        assert facts["license"] == "not stated"
         assert facts["eldenet_version"] == eldenet.__version__
         assert facts["input_size"] == "[32, 64]"
         assert facts["mean"] == "[0.485, 0.456, 0.406]"
@@ -217,7 +217,7 @@ def test_nothing_runs_twice_in_the_graph(files) -> None:
 
 
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
-def test_frames_in_metres_out(model, files, runtime: str) -> None:
+def test_frames_in_meters_out(model, files, runtime: str) -> None:
     generator = np.random.default_rng(1)
     frame = cv2.resize(generator.integers(0, 255, (6, 8, 3), dtype=np.uint8), CAMERA[::-1])
     network = runtimes.load(files["frames"], runtime, threads=1)
@@ -227,7 +227,7 @@ def test_frames_in_metres_out(model, files, runtime: str) -> None:
     assert expected.shape == CAMERA
     depth = network(frame[None])
     assert depth.shape == (1, 1, *CAMERA)
-    # the graph does not round the resized picture to whole grey levels
+    # the graph does not round the resized picture to whole gray levels
     assert differences(depth[0, 0], expected)["max_relative"] < 5e-3
     # and a predictor takes any runtime, of frames or of images
     np.testing.assert_array_equal(DepthPredictor(network)(frame), depth[0, 0])

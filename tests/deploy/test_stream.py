@@ -97,7 +97,7 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
     if not writer.isOpened():
         pytest.skip("this OpenCV writes no mp4v")
     for number in range(5):
-        writer.write(np.full((48, 64, 3), (40 * number, 0, 0), np.uint8))  # blue, as OpenCV orders colours
+        writer.write(np.full((48, 64, 3), (40 * number, 0, 0), np.uint8))  # blue, as OpenCV orders colors
     writer.release()
     with runtimes.DepthStream(path, depth_of) as stream:
         seen = list(stream)

@@ -108,7 +108,7 @@ def test_a_film_that_breaks_off_is_kept_and_the_command_fails(
     done = run_command("predict", f"checkpoint={model_folder}", "source=walk.mkv", "output=out", cwd=tmp_path)
     frames = len(read_video(tmp_path / "out/walk_depth.mp4")[0])
     assert 20 < frames < 40
-    assert f"{frames} frames of walk.mkv: colour in out" in done.stdout
+    assert f"{frames} frames of walk.mkv: color in out" in done.stdout
     assert f"error: walk.mkv is cut: it announces 60 frames, {frames} could be read; what" in done.stderr
     assert done.returncode == 1
     first = run_command(

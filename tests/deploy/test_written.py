@@ -10,7 +10,7 @@ from support.predicting import listed, photo, run, save
 
 def test_a_shorter_video_leaves_no_frame_of_a_longer_one(model_folder: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
-    run(model_folder, write_video(tmp_path / "old/walk.mp4", frames=6), out, "formats=[colour,depth]")
+    run(model_folder, write_video(tmp_path / "old/walk.mp4", frames=6), out, "formats=[color,depth]")
     (out / "walk/notes.txt").write_text("mine")
     (out / "walk/000009_depth.png").write_bytes(b"mine too, though it looks like one of theirs")
     (out / "walk/000005_depth.png").write_bytes(b"painted over")
@@ -48,19 +48,19 @@ def test_one_picture_again_replaces_its_own_results_alone(model_folder: Path, tm
         save(tmp_path / "in" / name, photo())
     run(model_folder, tmp_path / "in", out)
     run(model_folder, tmp_path / "in/a.png", out, "formats=[depth]", "overwrite=true")
-    assert listed(out) == ["a_depth.png", "b_colour.png", "b_depth.png"]
+    assert listed(out) == ["a_depth.png", "b_color.png", "b_depth.png"]
     run(model_folder, write_video(tmp_path / "b.mp4", frames=1), out, "overwrite=true")
-    assert listed(out) == ["a_depth.png", "b_colour.png", "b_depth.mp4", "b_depth.png"]
+    assert listed(out) == ["a_depth.png", "b_color.png", "b_depth.mp4", "b_depth.png"]
     (tmp_path / "in/b.png").unlink()
     run(model_folder, tmp_path / "in", out, "formats=[depth]", "overwrite=true")
-    assert listed(out) == ["a_depth.png", "b_colour.png", "b_depth.mp4", "b_depth.png"]
+    assert listed(out) == ["a_depth.png", "b_color.png", "b_depth.mp4", "b_depth.png"]
 
 
 def test_without_overwrite_nothing_goes(model_folder: Path, tmp_path: Path) -> None:
     out, source = tmp_path / "out", save(tmp_path / "a.png", photo())
-    run(model_folder, source, out, "formats=[colour]")
+    run(model_folder, source, out, "formats=[color]")
     run(model_folder, source, out, "formats=[depth]")
-    assert listed(out) == ["a_colour.png", "a_depth.png"]
+    assert listed(out) == ["a_color.png", "a_depth.png"]
 
 
 def test_a_call_that_fails_takes_nothing_away(model_folder: Path, tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_call_that_fails_takes_nothing_away(model_folder: Path, tmp_path: Path
     source.write_bytes(source.read_bytes()[:200])
     with pytest.raises(ValueError, match="cut or damaged"):
         run(model_folder, source, out, "overwrite=true")
-    assert listed(out) == ["a_colour.png", "a_depth.png"]
+    assert listed(out) == ["a_color.png", "a_depth.png"]
 
 
 def test_a_list_leads_nowhere_else(model_folder: Path, tmp_path: Path) -> None:

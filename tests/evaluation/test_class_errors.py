@@ -26,7 +26,7 @@ from eldenet.types import Frame
 # The official table: id -> train id, as the data set's page lists it; the others are not scored.
 TRAIN_IDS = {7: 0, 8: 1, 11: 2, 12: 3, 13: 4, 17: 5, 19: 6, 20: 7, 21: 8, 22: 9}
 TRAIN_IDS |= {23: 10, 24: 11, 25: 12, 26: 13, 27: 14, 28: 15, 31: 16, 32: 17, 33: 18}
-IDS = np.random.default_rng(3).integers(0, 34, layouts.SMALL.metres.shape).astype(np.uint8)
+IDS = np.random.default_rng(3).integers(0, 34, layouts.SMALL.meters.shape).astype(np.uint8)
 CLASSES = np.vectorize(lambda number: TRAIN_IDS.get(number, 255))(IDS)
 PROTOCOL = EvalProtocol("mine", 1.0, 40.0, clamp=False)
 

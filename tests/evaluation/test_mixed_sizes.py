@@ -33,7 +33,7 @@ def mixed_folder(root: Path, count: int = 10) -> Path:
     large = layouts.content((60, 80))
     for i in range(1, count, 3):
         layouts.picture(root / f"images/f{i:03d}.png", large.rgb)
-        layouts.picture(root / f"depths/f{i:03d}.png", large.millimetres)
+        layouts.picture(root / f"depths/f{i:03d}.png", large.millimeters)
     return root
 
 

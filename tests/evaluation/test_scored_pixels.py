@@ -83,8 +83,8 @@ def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
     small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
     assert small.shape == depth.shape
     assert (small[~counts] == 0).all()
-    centred = EvalProtocol("p", frame_crop=(4, 6), paste=True)
-    assert centred.pasted_box(9, 11) == (2, 6, 2, 8)
+    centered = EvalProtocol("p", frame_crop=(4, 6), paste=True)
+    assert centered.pasted_box(9, 11) == (2, 6, 2, 8)
     with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
         protocol.scored(depth[..., :3, :], mask[..., :3, :])
 
@@ -177,7 +177,7 @@ def test_median_of_an_even_number_is_numpys() -> None:
 
 
 @pytest.mark.parametrize("size", [(16, 24), (19, 31), (5, 7)])
-def test_nearest_is_that_of_the_pixels_centres(size: tuple[int, int]) -> None:
+def test_nearest_is_that_of_the_pixels_centers(size: tuple[int, int]) -> None:
     depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96
     protocol = EvalProtocol("p", interpolation="nearest")
     ready = protocol.prepare(small, depth, torch.ones_like(depth, dtype=torch.bool))

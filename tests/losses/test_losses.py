@@ -188,7 +188,7 @@ def test_total_is_the_weighted_sum() -> None:
 def test_a_term_may_compare_logarithms_or_inverses() -> None:
     prediction, target = maps(14)
     mask = patchy(15, target.shape, 0.2)
-    for space, change in (("metres", lambda depth: depth), ("log", torch.log), ("inverse", lambda d: 1 / d)):
+    for space, change in (("meters", lambda depth: depth), ("log", torch.log), ("inverse", lambda d: 1 / d)):
         for name in ("l1", "berhu", "gradient"):
             loss = WeightedSum({name: WeightedTerm(LOSSES[name](), 0.5, space=space)})
             total, terms = loss(prediction, target, mask)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from eldenet.navigate import refuse_to_replace
-from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarise
+from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarize
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
@@ -28,7 +28,7 @@ from eldenet.simulation.robot import ROBOT
 def test_the_packaged_policy_is_small_and_drives():
     assert DEFAULT_WEIGHTS.stat().st_size < 200_000
     rows = cross(frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges())
-    assert summarise(rows)["success"] >= 90
+    assert summarize(rows)["success"] >= 90
 
 
 def test_a_world_ends_alike_alone_and_among_others():
@@ -99,7 +99,7 @@ def test_it_slows_down_before_the_goal(within, distance, expected):
         Senses(np.full((1, ROBOT.columns), ROBOT.far), np.zeros((1, 3)), np.array([[distance, 0.0]]))
     )
     assert driver.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
-    with pytest.raises(ValueError, match=r"slows_within=0\.0: give metres"):
+    with pytest.raises(ValueError, match=r"slows_within=0\.0: give meters"):
         Navigator(QNetwork(39, 5, (16,)), {"slows_within": 0.0})
 
 
@@ -197,7 +197,7 @@ def test_times_are_compared_on_worlds_that_all_solved():
 
     both = solved_by_all([table("success", "success", "timeout"), table("success", "collision", "success")])
     assert both.tolist() == [True, False, False]
-    summary = summarise(table("success", "collision", "timeout", "success"))
+    summary = summarize(table("success", "collision", "timeout", "success"))
     assert summary["success"] + summary["collision"] + summary["timeout"] == 100
     with pytest.raises(ValueError, match="different worlds"):
         solved_by_all([table("success"), table("success", "success")])

@@ -40,7 +40,7 @@ def test_panels_of_ways_fit_a_page(study):
 
 
 def test_no_method_hides_another_in_the_figures(study, tmp_path, monkeypatch):
-    """Equal values stand side by side, in one colour per method in all panels, whichever a panel has."""
+    """Equal values stand side by side, in one color per method in all panels, whichever a panel has."""
     panels, drawn = study("panels"), []
     errorbar = Axes.errorbar
 

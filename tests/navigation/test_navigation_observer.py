@@ -221,7 +221,7 @@ def test_a_share_of_the_crossings_has_true_ranges():
 
 
 def test_odometry_drifts_by_what_it_says():
-    poses = [(0.1 * k, 0.0, 0.0) for k in range(101)]  # ten metres straight ahead
+    poses = [(0.1 * k, 0.0, 0.0) for k in range(101)]  # ten meters straight ahead
     ends = []
     for seed in range(400):
         odometry = Odometry(Drift(0.02, math.radians(1)), np.random.default_rng(seed), poses[0])

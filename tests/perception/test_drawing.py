@@ -5,7 +5,7 @@ import pytest
 from support.standing_boxes import BLANK, CAMERA, boxes
 
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.perception.drawing import colour_of, draw_bev, draw_boxes, draw_detections
+from eldenet.perception.drawing import color_of, draw_bev, draw_boxes, draw_detections
 
 
 def test_edges_are_drawn_where_the_corners_project():
@@ -41,8 +41,8 @@ def test_the_front_face_is_shaded_where_it_is_known():
 def test_the_view_from_above_shows_a_box_at_its_place():
     one = boxes([3.0, 0.8, 20.0])
     panel = draw_bev(one, CAMERA, 320, size=(412, 300), reach=40.0)
-    colour = np.array([int(0.75 * part) for part in colour_of("car")])
-    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    color = np.array([int(0.75 * part) for part in color_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - color).max(-1) < 8)
     assert (columns.mean() - 150) / 10 == pytest.approx(3.0, abs=0.15)
     assert (412 - 6 - rows.mean()) / 10 == pytest.approx(20.0, abs=0.15)
     assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
@@ -51,25 +51,25 @@ def test_the_view_from_above_shows_a_box_at_its_place():
 @pytest.mark.parametrize("center", [[30.0, 0.8, 20.0], [-30.0, 0.8, 20.0], [0.0, 0.8, 70.0]])
 def test_every_box_is_in_the_view_from_above(center):
     panel = draw_bev(boxes(center), CAMERA, 320, size=(400, 300))
-    colour = np.array([int(0.75 * part) for part in colour_of("car")])
-    rows, columns = np.nonzero(np.abs(panel.astype(int) - colour).max(-1) < 8)
+    color = np.array([int(0.75 * part) for part in color_of("car")])
+    rows, columns = np.nonzero(np.abs(panel.astype(int) - color).max(-1) < 8)
     assert 0 < rows.min() <= rows.max() < 399
     assert 0 < columns.min() <= columns.max() < 299
 
 
 def test_detections_are_drawn():
     found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
-    assert (draw_detections(BLANK, found)[30:80, 20] == colour_of("car")).all()
+    assert (draw_detections(BLANK, found)[30:80, 20] == color_of("car")).all()
 
 
 def test_a_drawn_box_ends_with_the_last_pixels_that_it_holds():
     height, width = BLANK.shape[:2]
     whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
     drawn = draw_detections(BLANK, Detections2D(whole, np.ones(1), np.zeros(1, int), ("car",)))
-    assert (drawn[-1] == colour_of("car")).all()
-    assert (drawn[:, -1] == colour_of("car")).all()
+    assert (drawn[-1] == color_of("car")).all()
+    assert (drawn[:, -1] == color_of("car")).all()
     few = Detections2D(np.array([[49.5, 51.5, 53.5, 55.5]]), np.ones(1), np.zeros(1, int), ("car",))
     drawn = draw_detections(BLANK, few)
-    assert (drawn[52:56, 53] == colour_of("car")).all()
-    assert not (drawn[52:56, 54] == colour_of("car")).all(-1).any()
-    assert not (drawn[56, 50:54] == colour_of("car")).all(-1).any()
+    assert (drawn[52:56, 53] == color_of("car")).all()
+    assert not (drawn[52:56, 54] == color_of("car")).all(-1).any()
+    assert not (drawn[56, 50:54] == color_of("car")).all(-1).any()

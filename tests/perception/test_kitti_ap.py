@@ -80,7 +80,7 @@ def test_a_small_detection_takes_an_object_for_nothing():
 
 
 @pytest.mark.parametrize(("kind", "expected"), [("Van", 1.0), ("Truck", 0.5)])
-def test_a_neighbours_detection_is_no_mistake(kind, expected):
+def test_a_neighbors_detection_is_no_mistake(kind, expected):
     truth = frame(row("Car", 1, 0), row(kind, 1, 1))
     found = frame(row("Car", 0.5, 0), row("Car", 0.9, 1))
     assert average_precision([truth], [found], metric="3d")["R11"] == pytest.approx(100 * expected / 11)
@@ -126,7 +126,7 @@ def overlap(truth: KittiLabels, i: int, found: KittiLabels, j: int, metric: str)
 
 def slow_statistics(truth, found, kind, rules, metric, least, threshold):
     """Scores of the finds at a threshold (None: all, the best score first), and the number of mistakes."""
-    neighbour = {"Car": "Van", "Pedestrian": "Person_sitting"}.get(kind)
+    neighbor = {"Car": "Van", "Pedestrian": "Person_sitting"}.get(kind)
     state = {}  # of detections: "counts" or "ignored"
     for j in range(len(found)):
         if found.xyxy[j, 3] - found.xyxy[j, 1] < rules.height:
@@ -137,7 +137,7 @@ def slow_statistics(truth, found, kind, rules, metric, least, threshold):
         state = {j: what for j, what in state.items() if found.score[j] >= threshold}
     taken, scores = set(), []
     for i in range(len(truth)):
-        if truth.types[i] not in (kind, neighbour):
+        if truth.types[i] not in (kind, neighbor):
             continue
         tall = truth.xyxy[i, 3] - truth.xyxy[i, 1]
         counts = truth.types[i] == kind and not (

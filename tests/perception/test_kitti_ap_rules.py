@@ -67,7 +67,7 @@ def test_wrong_detections_cost_precision():
         assert ap(truth, both, metric=metric) == pytest.approx(50, abs=0.01)
 
 
-def test_boxes_off_by_a_metre_fit_the_loose_overlap_alone():
+def test_boxes_off_by_a_meter_fit_the_loose_overlap_alone():
     truth, found = labels(60), labels(60, score=np.linspace(0.1, 0.9, 60), shift=1.0)  # BEV IoU 3 / 5
     assert ap(truth, found, metric="bev") == 0
     assert ap(truth, found, metric="bev", min_overlap=0.5) == 100

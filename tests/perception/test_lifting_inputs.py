@@ -204,10 +204,10 @@ def test_boxes_of_a_larger_picture_are_refused():
         BoxLifter()(np.ones((1, 60, 160)), detection(xyxy), CAMERA)
 
 
-def test_masks_of_another_size_are_refused_and_millimetres_noticed():
+def test_masks_of_another_size_are_refused_and_millimeters_noticed():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
     with pytest.raises(ValueError, match="masks"):
         BoxLifter()(depth, masked, CAMERA)
-    with pytest.warns(UserWarning, match="millimetres"):
+    with pytest.warns(UserWarning, match="millimeters"):
         BoxLifter()(depth * 1000, detection(xyxy), CAMERA)

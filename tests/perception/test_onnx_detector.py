@@ -15,13 +15,13 @@ from eldenet.perception.onnx_detector import OnnxDetector
 
 
 @pytest.mark.parametrize("layout", sorted(FILES))
-def test_every_layout_is_recognised_and_decoded(layout, tmp_path):
+def test_every_layout_is_recognized_and_decoded(layout, tmp_path):
     detector = OnnxDetector(save(tmp_path / "d.onnx", *FILES[layout]))
     assert detector.layout_name == layout
     assert isinstance(detector, Detector)
     found = detector(FRAME)
     assert found.classes == ["dog", "cow"]
-    # a frame of twice the input; detectors count from the corner, so pixel centres are at halves
+    # a frame of twice the input; detectors count from the corner, so pixel centers are at halves
     np.testing.assert_allclose(found.xyxy, WANTED - 0.5, atol=2e-3 if layout != "fastestdet" else 0.2)
     np.testing.assert_allclose(found.score, [0.9, 0.7], atol=1e-3)
 
@@ -40,7 +40,7 @@ def test_classes_and_scores_can_be_chosen(tmp_path):
 
 
 @pytest.mark.parametrize("layout", sorted(FILES))
-def test_every_layout_gets_its_order_of_colours(layout, tmp_path):
+def test_every_layout_gets_its_order_of_colors(layout, tmp_path):
     """The file finds objects only where the first channel it is given is bright."""
     path = save(tmp_path / "d.onnx", *FILES[layout], by_first_channel=True)
     red, blue = FRAME.copy(), FRAME.copy()

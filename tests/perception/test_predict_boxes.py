@@ -37,12 +37,12 @@ def test_predict_draws_boxes_and_writes_kittis_format(model_folder, detector, tm
     option = f"perception.detector.path='{detector}'"
     run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option)
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_colour.png"}
+    assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_color.png"}
     assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
     said = capsys.readouterr().out
     assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
     with pytest.raises(ValueError, match="there already"):
-        run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[colour]")
+        run(model_folder, source, tmp_path / "out", CAMERA_OPTION, option, "formats=[color]")
 
 
 def test_predict_takes_a_folder_with_pictures_of_nothing(model_folder, detector, tmp_path):
@@ -81,7 +81,7 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
 
 
 def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, monkeypatch):
-    """One metre per second, of 30 frames a second every sixth: the rest were dropped."""
+    """One meter per second, of 30 frames a second every sixth: the rest were dropped."""
     from types import SimpleNamespace
 
     from eldenet.deploy.outputs import Results

@@ -36,7 +36,7 @@ def test_known_boxes_hold_their_pixels(views):
             np.testing.assert_allclose(xyxy, wanted)
 
 
-def neighbours(view, number: int) -> set[int]:
+def neighbors(view, number: int) -> set[int]:
     """Objects that stand nearer right beside the pixels of one."""
     mine = view.instance == number
     beside = cv2.dilate(mine.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & (view.instance >= 0)
@@ -55,7 +55,7 @@ def test_visibility_is_one_for_what_stands_free():
             at_border = bool(
                 rows.min() == 0 or columns.min() == 0 or rows.max() == 119 or columns.max() == 159
             )
-            alone = not neighbours(view, number)
+            alone = not neighbors(view, number)
             if alone:
                 (touching if at_border else inside).append(view.truncated[number])
             if not view.truncated[number]:

@@ -109,7 +109,7 @@ def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
 
 
 def test_a_study_from_inside_its_folder(tiny, tmp_path, monkeypatch):
-    """``study=.`` is that folder by its name: the same runs, the same rows of its neighbours."""
+    """``study=.`` is that folder by its name: the same runs, the same rows of its neighbors."""
     other = tmp_path / "other"
     other.mkdir()
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
@@ -164,7 +164,7 @@ def test_latencies_of_a_study(tiny, tmp_path):
     write_study_report(tiny)
     assert cells(tiny)["scratch/same"]["latency [ms] (torch) ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
     again = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
-    assert [line["date"] for line in again] == [line["date"] for line in rows]  # recognised, not measured
+    assert [line["date"] for line in again] == [line["date"] for line in rows]  # recognized, not measured
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == len(rows)
     assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
     with pytest.raises(ValueError, match="give one value of runtimes"):

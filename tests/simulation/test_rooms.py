@@ -187,7 +187,7 @@ def test_sample_types(dataset):
     assert known.max() <= 10
 
 
-def test_stored_depth_keeps_a_tenth_of_a_millimetre(dataset):
+def test_stored_depth_keeps_a_tenth_of_a_millimeter(dataset):
     views = render_room("train", 0, SIZE)
     near = views.depth[2] < 13.1
     np.testing.assert_allclose(dataset.load_frame(2).depth[near], views.depth[2][near], atol=DEPTH_STEP)

@@ -12,8 +12,8 @@ from support.damages import (
     ANY,
     CAM_TO_CAM,
     CAMERA,
-    COLOUR_JPG,
-    COLOUR_PNG,
+    COLOR_JPG,
+    COLOR_PNG,
     DEPTH_NPY,
     DEPTH_PNG,
     INTRINSICS,
@@ -28,7 +28,7 @@ from support.damages import (
     cut,
     empty,
     exr,
-    grey,
+    gray,
     halved,
     pfm,
     text,
@@ -73,7 +73,7 @@ def folder_of(ending: str, encoding: str) -> Callable[[Path], list[str]]:
         for i in range(3):
             layouts.picture(root / f"images/f{i}.png", NYU_FRAME.rgb)
             (root / "depths").mkdir(exist_ok=True)
-            writers[ending](root / f"depths/f{i}{ending}", NYU_FRAME.metres)
+            writers[ending](root / f"depths/f{i}{ending}", NYU_FRAME.meters)
         return [f"data.root={root}", f"data.encoding={encoding}", "data.train.split=all"]
 
     return make
@@ -156,7 +156,7 @@ LAYOUTS = {
         "nyu_densedepth",
         densedepth,
         (
-            Target("data/nyu2_train/office_0002_out/1.jpg", COLOUR_JPG, ("office_0002_out/1",)),
+            Target("data/nyu2_train/office_0002_out/1.jpg", COLOR_JPG, ("office_0002_out/1",)),
             Target("data/nyu2_train/office_0002_out/1.png", DEPTH_PNG, ("office_0002_out/1",)),
             Target("data/nyu2_train.csv", LIST, None, "nyu2_train|office_0002|data set/dat"),
         ),
@@ -165,7 +165,7 @@ LAYOUTS = {
         "nyu_labelled",
         labelled,
         (
-            Target("data/nyu2_train/labeled_out/0022.jpg", COLOUR_JPG, ("labeled_out/0022",)),
+            Target("data/nyu2_train/labeled_out/0022.jpg", COLOR_JPG, ("labeled_out/0022",)),
             Target("data/nyu2_train/labeled_out/0022.png", DEPTH_PNG, ("labeled_out/0022",)),
         ),
     ),
@@ -173,7 +173,7 @@ LAYOUTS = {
         "nyu_sync",
         sync,
         (
-            Target("office_0002/rgb_00041.jpg", COLOUR_JPG, ("office_0002/rgb_00041",)),
+            Target("office_0002/rgb_00041.jpg", COLOR_JPG, ("office_0002/rgb_00041",)),
             Target("office_0002/sync_depth_00041.png", DEPTH_PNG, ("office_0002/rgb_00041",)),
         ),
     ),
@@ -220,19 +220,19 @@ LAYOUTS = {
         "folder",
         folder,
         (
-            Target("images/f001.png", [d for d in COLOUR_PNG if d is not grey], ("f001",)),
+            Target("images/f001.png", [d for d in COLOR_PNG if d is not gray], ("f001",)),
             Target("depths/f001.png", DEPTH_PNG, ("f001",)),
         ),
     ),
     "folder_csv": Layout("folder", csv_folder, (Target("pairs.csv", LIST, None, "pairs.csv|f002|depths"),)),
     "folder_npy": Layout(
-        "folder", folder_of(".npy", "metres"), (Target("depths/f1.npy", DEPTH_NPY, ("f1",)),)
+        "folder", folder_of(".npy", "meters"), (Target("depths/f1.npy", DEPTH_NPY, ("f1",)),)
     ),
-    "folder_pfm": Layout("folder", folder_of(".pfm", "metres"), (Target("depths/f1.pfm", PFM, ("f1",)),)),
-    "folder_exr": Layout("folder", folder_of(".exr", "metres"), (Target("depths/f1.exr", ANY, ("f1",)),)),
+    "folder_pfm": Layout("folder", folder_of(".pfm", "meters"), (Target("depths/f1.pfm", PFM, ("f1",)),)),
+    "folder_exr": Layout("folder", folder_of(".exr", "meters"), (Target("depths/f1.exr", ANY, ("f1",)),)),
     "folder_tiff": Layout(
         "folder",
-        folder_of(".tiff", "metres"),
+        folder_of(".tiff", "meters"),
         (Target("depths/f1.tiff", (*ANY, *EXTRA_FLOAT), ("f1",)),),
     ),
     "kitti": Layout(
@@ -242,7 +242,7 @@ LAYOUTS = {
             Target(DEVKIT, without_gone(DEPTH_PNG), (KITTI_NAME.format(5),)),
             Target(
                 RAW_PICTURE.format(DRIVE, 5),
-                without_gone(COLOUR_PNG),
+                without_gone(COLOR_PNG),
                 (KITTI_NAME.format(5),),
             ),
             Target("raw/2011_09_26/calib_cam_to_cam.txt", CAM_TO_CAM, None),
@@ -268,7 +268,7 @@ LAYOUTS = {
             ),
             Target(
                 RAW_PICTURE.format(DRIVE, 69),
-                [d for d in COLOUR_PNG if d not in (turned, halved)],
+                [d for d in COLOR_PNG if d not in (turned, halved)],
                 (KITTI_NAME.format(69),),
             ),
             Target("raw/2011_09_26/calib_velo_to_cam.txt", VELO_TO_CAM, None),
@@ -298,7 +298,7 @@ LAYOUTS = {
         "cityscapes",
         cityscapes,
         (
-            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOUR_PNG, (CITY,)),
+            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOR_PNG, (CITY,)),
             Target(f"disparity/{CITY}_disparity.png", DEPTH_PNG, (CITY,)),
             Target(f"camera/{CITY}_camera.json", CAMERA, (CITY,)),
         ),

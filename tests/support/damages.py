@@ -90,7 +90,7 @@ def more_channels(path: Path, _: np.random.Generator) -> None:
     write(path, cv2.applyColorMap(eight, cv2.COLORMAP_JET))
 
 
-def grey(path: Path, _: np.random.Generator) -> None:
+def gray(path: Path, _: np.random.Generator) -> None:
     write(path, cv2.cvtColor(picture(path), cv2.COLOR_BGR2GRAY))
 
 
@@ -104,7 +104,7 @@ def halved(path: Path, _: np.random.Generator) -> None:
 
 PNG = (*ANY, cut, zeros, flipped_bit)
 DEPTH_PNG = (*PNG, other_depth, more_channels, turned, halved)
-COLOUR_PNG = (*PNG, other_depth, grey, turned, halved)
+COLOR_PNG = (*PNG, other_depth, gray, turned, halved)
 
 
 def zeros_in_pixels(path: Path, generator: np.random.Generator) -> None:
@@ -113,7 +113,7 @@ def zeros_in_pixels(path: Path, generator: np.random.Generator) -> None:
     zeros_at(path, generator, content.index(b"\xff\xda") + 14, len(content) - 80)
 
 
-COLOUR_JPG = (*ANY, cut, zeros_in_pixels, other_depth, grey, turned, halved)
+COLOR_JPG = (*ANY, cut, zeros_in_pixels, other_depth, gray, turned, halved)
 
 
 # --- to arrays ----------------------------------------------------------------------------------------------
@@ -157,9 +157,9 @@ MTAN_IMAGE = (*NPY, NAN, array(lambda a: a * 255), array(lambda a: a[..., 0]), a
 MTAN_DEPTH = (*NPY, NAN, NEGATIVE, INFINITE, array(lambda a: a * 80))
 
 
-def pfm(path: Path, metres: np.ndarray) -> None:
-    height, width = metres.shape
-    path.write_bytes(b"Pf\n%d %d\n-1.0\n" % (width, height) + metres[::-1].astype("<f4").tobytes())
+def pfm(path: Path, meters: np.ndarray) -> None:
+    height, width = meters.shape
+    path.write_bytes(b"Pf\n%d %d\n-1.0\n" % (width, height) + meters[::-1].astype("<f4").tobytes())
 
 
 def pfm_header(text: bytes) -> Damage:
@@ -177,10 +177,10 @@ PFM = (
 )
 
 
-def exr(path: Path, metres: np.ndarray) -> None:
+def exr(path: Path, meters: np.ndarray) -> None:
     OpenEXR = pytest.importorskip("OpenEXR")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"Z": metres.astype(np.float32)}).write(str(path))
+    OpenEXR.File(header, {"Z": meters.astype(np.float32)}).write(str(path))
 
 
 # --- to text ------------------------------------------------------------------------------------------------
@@ -272,7 +272,7 @@ def scan_cut(path: Path, generator: np.random.Generator) -> None:
 
 
 def spaces(path: Path, _: np.random.Generator) -> None:
-    path.write_bytes(b" " * 1600)  # as floats: points within a nanometre
+    path.write_bytes(b" " * 1600)  # as floats: points within a nanometer
 
 
 SCAN = (

@@ -15,22 +15,22 @@ from scipy.io import savemat
 
 
 class Content(NamedTuple):
-    """One frame as the layouts store it: colour, depth [m], [mm] with holes, and in eight bits over 10 m."""
+    """One frame as the layouts store it: color, depth [m], [mm] with holes, and in eight bits over 10 m."""
 
     rgb: np.ndarray
-    metres: np.ndarray
-    millimetres: np.ndarray
+    meters: np.ndarray
+    millimeters: np.ndarray
     eight: np.ndarray
 
 
 def content(size: tuple[int, int] = (48, 64)) -> Content:
-    metres = np.random.default_rng(0).uniform(0.7, 9.9, size).astype(np.float32)
+    meters = np.random.default_rng(0).uniform(0.7, 9.9, size).astype(np.float32)
     rgb = np.zeros((*size, 3), np.uint8)
     half = size[1] // 2
     rgb[:, :half], rgb[:, half:] = (200, 30, 30), (30, 200, 90)
-    millimetres = np.round(metres * 1000).astype(np.uint16)
-    millimetres[5:9, 7:20] = 0
-    return Content(rgb, metres, millimetres, np.round(metres / 10 * 255).astype(np.uint8))
+    millimeters = np.round(meters * 1000).astype(np.uint16)
+    millimeters[5:9, 7:20] = 0
+    return Content(rgb, meters, millimeters, np.round(meters / 10 * 255).astype(np.uint8))
 
 
 SMALL = content()
@@ -49,7 +49,7 @@ def densedepth(root: Path, frame: Content = SMALL) -> Path:
         rows.append(f"data/nyu2_train/{scene}/1.jpg,data/nyu2_train/{scene}/1.png\n")
     (root / "data/nyu2_train.csv").write_text("".join(rows))
     picture(root / "data/nyu2_test/00000_colors.png", frame.rgb)
-    picture(root / "data/nyu2_test/00000_depth.png", frame.millimetres)
+    picture(root / "data/nyu2_test/00000_depth.png", frame.millimeters)
     (root / "data/nyu2_test.csv").write_text(
         "data/nyu2_test/00000_colors.png,data/nyu2_test/00000_depth.png\n"
     )
@@ -73,7 +73,7 @@ SYNC_FRAMES = (("kitchen_0001", "00000"), ("office_0002", "00041"))
 def sync(root: Path, frame: Content = SMALL, frames: tuple[tuple[str, str], ...] = SYNC_FRAMES) -> Path:
     for scene, number in frames:
         picture(root / scene / f"rgb_{number}.jpg", frame.rgb)
-        picture(root / scene / f"sync_depth_{number}.png", frame.millimetres)
+        picture(root / scene / f"sync_depth_{number}.png", frame.millimeters)
     return root
 
 
@@ -81,7 +81,7 @@ def hdf5(root: Path, frame: Content = SMALL) -> Path:
     for name in ("train/kitchen_0001/00001", "train/office_0002/00001", "val/official/00002"):
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(root / f"{name}.h5", "w") as file:
-            file["rgb"], file["depth"] = frame.rgb.transpose(2, 0, 1), frame.metres
+            file["rgb"], file["depth"] = frame.rgb.transpose(2, 0, 1), frame.meters
     return root
 
 
@@ -100,11 +100,11 @@ def tar(root: Path, frame: Content = SMALL) -> Path:
 
 def mat(root: Path, frame: Content = SMALL, count: int = 4) -> Path:
     root.mkdir(parents=True, exist_ok=True)
-    raw = frame.metres.copy()
+    raw = frame.meters.copy()
     raw[5:9, 7:20] = 0
     with h5py.File(root / "nyu_depth_v2_labeled.mat", "w") as file:
         file["images"] = np.stack([(frame.rgb + i).transpose(2, 1, 0) for i in range(count)]).astype(np.uint8)
-        file["depths"] = np.stack([(frame.metres + i).T for i in range(count)])
+        file["depths"] = np.stack([(frame.meters + i).T for i in range(count)])
         file["rawDepths"] = np.stack([raw.T for _ in range(count)])
     mat_split(root, train=(2, 3), test=(1, 4))
     return root
@@ -118,7 +118,7 @@ def mat_split(root: Path, *, train: tuple[int, ...], test: tuple[int, ...]) -> N
 def folder(root: Path, frame: Content = SMALL, count: int = 10) -> Path:
     for i in range(count):
         picture(root / f"images/f{i:03d}.png", frame.rgb)
-        picture(root / f"depths/f{i:03d}.png", frame.millimetres)
+        picture(root / f"depths/f{i:03d}.png", frame.millimeters)
     return root
 
 
@@ -137,16 +137,16 @@ CAMERA = {  # the keys and the size of numbers of an official file
 CITIES = {"train": ("aachen", "darmstadt", "ulm"), "val": ("munster",), "test": ("berlin",)}
 
 
-def disparity_of(metres: np.ndarray, camera: dict = CAMERA) -> np.ndarray:
+def disparity_of(meters: np.ndarray, camera: dict = CAMERA) -> np.ndarray:
     """An official disparity picture: round(256 d) + 1, holes 0."""
     focal = camera["extrinsic"]["baseline"] * camera["intrinsic"]["fx"]
-    steps = np.round(256 * focal / np.where(metres > 0, metres, 1)) + 1
-    return np.where(metres > 0, steps, 0).astype(np.uint16)
+    steps = np.round(256 * focal / np.where(meters > 0, meters, 1)) + 1
+    return np.where(meters > 0, steps, 0).astype(np.uint16)
 
 
 def cityscapes(root: Path, frame: Content = SMALL, place: str = "{kind}", camera: dict = CAMERA) -> Path:
     """Official files; ``place`` says where a zip was unpacked."""
-    disparity = disparity_of(frame.metres * 5, camera)
+    disparity = disparity_of(frame.meters * 5, camera)
     disparity[5:9, 7:20] = 0
     for part, cities in CITIES.items():
         for city in cities:
@@ -168,9 +168,9 @@ def gt_fine(root: Path, ids: np.ndarray) -> None:
 
 def cityscapes_mtan(root: Path, size: tuple[int, int] = (128, 256), count: int = 4) -> Path:
     """MTAN's arrays: v = p / 65535."""
-    metres = np.random.default_rng(0).uniform(4, 70, (*size, 1))
-    metres[5:9, 7:20] = 0
-    steps = 0.22 * 2262.52 * 256 / np.where(metres > 0, metres, 1) + 1
+    meters = np.random.default_rng(0).uniform(4, 70, (*size, 1))
+    meters[5:9, 7:20] = 0
+    steps = 0.22 * 2262.52 * 256 / np.where(meters > 0, meters, 1) + 1
     for part in ("train", "val"):
         for kind in ("image", "depth"):
             (root / part / kind).mkdir(parents=True, exist_ok=True)
@@ -178,7 +178,7 @@ def cityscapes_mtan(root: Path, size: tuple[int, int] = (128, 256), count: int =
             image = np.full((*size, 3), (0.2, 0.4, 0.6))
             np.save(root / f"{part}/image/{number}.npy", image)
             np.save(
-                root / f"{part}/depth/{number}.npy", np.where(metres > 0, steps / 65535, 0).astype(np.float32)
+                root / f"{part}/depth/{number}.npy", np.where(meters > 0, steps / 65535, 0).astype(np.float32)
             )
     return root
 
@@ -192,7 +192,7 @@ FOCAL = {"2011_09_26": 721.5377, "2011_09_28": 707.0493}
 
 
 class KITTIContent(NamedTuple):
-    """One frame of a drive: colour, and depth as the file holds it (1/256 m, 0 = unknown)."""
+    """One frame of a drive: color, and depth as the file holds it (1/256 m, 0 = unknown)."""
 
     rgb: np.ndarray
     steps: np.ndarray
@@ -285,8 +285,8 @@ def eigen_list(path: Path, drives: tuple[str, ...], number: int = 5, none: tuple
     return path
 
 
-def devkit_metres(path: Path) -> np.ndarray:
-    """Metres as the devkit's readme says."""
+def devkit_meters(path: Path) -> np.ndarray:
+    """Meters as the devkit's readme says."""
     return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float64) / 256
 
 

@@ -1,4 +1,4 @@
-"""A trained network, pictures for it and its metres by torch: what the tests of runtimes share."""
+"""A trained network, pictures for it and its meters by torch: what the tests of runtimes share."""
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ def smooth_pictures() -> np.ndarray:
     return np.stack([cv2.resize(each, SIZE[::-1]).transpose(2, 0, 1) for each in coarse])
 
 
-def metres(model: DepthNet, images: np.ndarray) -> np.ndarray:
+def meters(model: DepthNet, images: np.ndarray) -> np.ndarray:
     """By torch, in full precision."""
     with torch.inference_mode():
         return model(torch.from_numpy(images)).numpy()

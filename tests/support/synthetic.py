@@ -21,7 +21,7 @@ class SyntheticDepth(DepthDataset):
         rows, cols = np.linspace(0, 1, height)[:, None], np.linspace(0, 1, width)[None]
         depth = corners[0] + (corners[1] - corners[0]) * rows + 0.5 * (corners[2] - corners[0]) * cols
         depth = depth.clip(0.5, 9.5).astype(np.float32)
-        grey = (255 * (1 - depth / 10)).astype(np.uint8)
-        image = np.stack([grey, grey, grey], axis=-1)
+        gray = (255 * (1 - depth / 10)).astype(np.uint8)
+        image = np.stack([gray, gray, gray], axis=-1)
         intrinsics = np.array([[40.0, 0, width / 2], [0, 40.0, height / 2], [0, 0, 1]])
         return Frame(image, depth, intrinsics, self.names[index])

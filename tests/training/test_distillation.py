@@ -9,6 +9,7 @@ import torch
 from support.synthetic import SyntheticDepth
 
 import eldenet
+from eldenet import zoo
 from eldenet.config import compose, instantiate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -129,7 +130,7 @@ def test_what_cannot_be_distilled_is_refused(networks):
     with pytest.raises(ValueError, match="give teacher="):
         instantiate(compose("train", ["loss=ssim_l1_distill"]).loss)
     with pytest.raises(ValueError, match="without trained weights"):
-        build_teacher("eldenet")
+        zoo.build_teacher("eldenet")
 
 
 def test_a_teacher_that_nobody_asks_is_refused(tmp_path):

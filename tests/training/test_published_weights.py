@@ -103,7 +103,7 @@ def test_meter_knows_nyu(weights_dir: Path) -> None:
 
 
 def test_meter_knows_kitti(weights_dir: Path) -> None:
-    """AbsRel 0.07 on two frames: images without normalisation in, decimetres out."""
+    """AbsRel 0.07 on two frames: images without normalization in, decimeters out."""
     root = real_folder("kitti", "depth")
     model, errors = published(weights_dir, "kitti"), []
     truths = sorted((root / "depth/train").glob("*/proj_depth/groundtruth/image_02/*.png"))

@@ -39,14 +39,14 @@ def test_a_video_that_is_stopped_keeps_its_film(
     third_picture(number)
     handler = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt if called == "Ctrl-C" else SystemExit) as end:
-        run(model_folder, write_video(tmp_path / "walk.mp4", 9), tmp_path / "out", "formats=[colour,depth]")
+        run(model_folder, write_video(tmp_path / "walk.mp4", 9), tmp_path / "out", "formats=[color,depth]")
     if called != "Ctrl-C":
         assert end.value.code == 128 + number
     assert signal.getsignal(number) == handler
     assert listed(tmp_path / "out") == ["walk", "walk_depth.mp4"]
     assert len(read_video(tmp_path / "out/walk_depth.mp4")[0]) == 3
     assert listed(tmp_path / "out/walk") == [f"00000{number}_depth.png" for number in range(3)]
-    assert f"stopped by {called}: 3 frames of walk.mp4: colour + depth in" in capsys.readouterr().out
+    assert f"stopped by {called}: 3 frames of walk.mp4: color + depth in" in capsys.readouterr().out
     (path,) = (tmp_path / "out/.predict").iterdir()
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert {"name": "walk", "file": "walk_depth.mp4"}.items() <= lines[-2].items()
@@ -61,10 +61,8 @@ def test_a_folder_that_is_stopped_says_how_far_it_came(
         save(tmp_path / f"in/{name}.png", photo())
     with pytest.raises(KeyboardInterrupt):
         run(model_folder, tmp_path / "in", tmp_path / "out")
-    assert listed(tmp_path / "out") == [
-        f"{name}_{kind}.png" for name in "abc" for kind in ("colour", "depth")
-    ]
-    assert "stopped by Ctrl-C: 3 of 5 pictures: depth + colour in" in capsys.readouterr().out
+    assert listed(tmp_path / "out") == [f"{name}_{kind}.png" for name in "abc" for kind in ("color", "depth")]
+    assert "stopped by Ctrl-C: 3 of 5 pictures: depth + color in" in capsys.readouterr().out
 
 
 def test_a_camera_ends_so(model_folder: Path, tmp_path: Path, third_picture) -> None:

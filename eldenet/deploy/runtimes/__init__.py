@@ -35,7 +35,7 @@ def load(
     size: tuple[int, int] | None = None,
     trusted_modules: Sequence[str] = (),
 ) -> Runtime:
-    """A network ready to run: ``load(...)(images) -> metres``.
+    """A network ready to run: ``load(...)(images) -> meters``.
 
     Args:
         source: an ``.onnx`` or ``.xml`` file, a folder that ``save_pretrained`` or a training wrote, the name

@@ -1,4 +1,4 @@
-"""What every runtime is: images in, metres out, and a record of how."""
+"""What every runtime is: images in, meters out, and a record of how."""
 
 import json
 from collections.abc import Mapping
@@ -82,7 +82,7 @@ class Runtime:
     @overload
     def __call__(self, images: Tensor) -> Tensor: ...
     def __call__(self, images: np.ndarray | Tensor) -> np.ndarray | Tensor:
-        """Images -> metres, of the kind (array or tensor, on its device) that was given.
+        """Images -> meters, of the kind (array or tensor, on its device) that was given.
 
         Raises:
             ValueError: images of another shape or type than this network takes.

@@ -25,7 +25,7 @@ class RuntimeNetwork(nn.Module):
         self.info = network.info
 
     def forward(self, image: Tensor) -> Tensor:
-        """Metres, on the image's device."""
+        """Meters, on the image's device."""
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
                 f"this file sees {self.network.fixed_size} pixels (height, width), the images have "

@@ -18,7 +18,7 @@ DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
 class TorchRuntime(Runtime):
     """A folded copy of a :class:`~eldenet.model.DepthNet`.
 
-    Lower precisions hold for the network; normalisation and the head stay in fp32, which is not TF32.
+    Lower precisions hold for the network; normalization and the head stay in fp32, which is not TF32.
 
     Args:
         model: stays as it is.

@@ -30,7 +30,7 @@ def shortest_path(
     *,
     corner: tuple[int, int] = (0, 0),
 ) -> np.ndarray | None:
-    """Way points ``(n, 2)`` [m] of the cheapest path over a grid, eight neighbours; None where there is none.
+    """Way points ``(n, 2)`` [m] of the cheapest path over a grid, eight neighbors; None where there is none.
 
     Args:
         cost: of every cell ``(n, m)``, 0.1 m wide, rows along y; infinite where a robot must not be.

@@ -40,13 +40,13 @@ def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float |
     """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
 
     ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss of other terms, by their
-    classes, or of other maps than metres.
+    classes, or of other maps than meters.
     """
     ssim, mae = (np.nan if row.get(name) is None else row[name] for name in ("val_ssim", "val_mae"))
     values, loss = {"SSIMLoss": (1 - ssim) / 2, "L1Loss": mae}, 0.0
     for term in run["config"]["loss"]["terms"].values():
         kind = term["loss"]["_target_"].rpartition(".")[2]
-        if kind not in values or "teacher" in term or term.get("space", "metres") != "metres":
+        if kind not in values or "teacher" in term or term.get("space", "meters") != "meters":
             return None
         loss += term["weight"] * values[kind]
     return float(loss) if np.isfinite(loss) else None

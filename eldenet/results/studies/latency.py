@@ -24,7 +24,7 @@ class RowNetworks:
     """The different networks of a study, each at the input that its rows train and score it with.
 
     Attributes:
-        networks: initialised from seed 0, by the name of the first row with it.
+        networks: initialized from seed 0, by the name of the first row with it.
         sizes: (height, width) [px] of each one's input.
         settings: of each, the ``model`` of a training's config.
         network_of: row -> which of them it has.

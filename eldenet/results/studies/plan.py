@@ -32,7 +32,7 @@ class StudyRow:
         seen: what its weights have seen before and during training.
         given: name -> setting that must be given on the command line (``given.kitti=/data/kitti``) for the
             row to run, such as ``{kitti: data.root}``.
-        learning_rate: of the optimiser; None: by the study's rule, if it has one.
+        learning_rate: of the optimizer; None: by the study's rule, if it has one.
         rate_overrides: what its trials change beside the study's ``rate_overrides``.
         owner: the study that the row is taken from: it is run by that study's settings, and stored there.
     """
@@ -62,7 +62,7 @@ class Study:
         folder: where ``sweep.yaml`` lies and the results go.
         rows: in the order of the tables.
         overrides: of ``eldenet.train``, shared by all rows.
-        learning_rates: values of ``optimizer.lr`` that every row tries; none: the optimiser's own is taken.
+        learning_rates: values of ``optimizer.lr`` that every row tries; none: the optimizer's own is taken.
         rate_overrides: what a trial of a learning rate changes: fewer epochs, and a part of the training
             split that is held out of it as its ``data.test``.
         reference: rows that the others of their block are compared with, image by image.

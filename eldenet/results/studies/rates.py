@@ -18,7 +18,7 @@ Say = Callable[[str], None]
 def learning_rate(
     study: Study, row: StudyRow, shared: list[str], runs: Path, say: Say, *, rerun: bool = False
 ) -> float | None:
-    """The row's learning rate: fixed, or the best of a few short trials; None: the optimiser's own.
+    """The row's learning rate: fixed, or the best of a few short trials; None: the optimizer's own.
 
     A trial is scored on a held-out part of the training split, so the split that is reported chooses nothing.
     While the best candidate is the lowest or highest, the next one beyond it is tried too. The choice is kept

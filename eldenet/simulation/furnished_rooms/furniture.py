@@ -1,7 +1,7 @@
 """Tables, beds and storage of boxes, cylinders, capsules and ellipsoids.
 
 Every maker fills a :class:`~.rendering.mjcf.Body` within its footprint ``width`` x ``depth`` [m],
-centred on the body's origin, back at ``y = -depth / 2``, front towards +y, and returns the surfaces on
+centered on the body's origin, back at ``y = -depth / 2``, front towards +y, and returns the surfaces on
 which things may stand.
 """
 
@@ -13,7 +13,7 @@ from eldenet.simulation.rendering.mjcf import Body, Draw
 
 
 class Surface(NamedTuple):
-    """A level place for clutter: centre, height and extents in the body's frame [m]."""
+    """A level place for clutter: center, height and extents in the body's frame [m]."""
 
     x: float
     y: float

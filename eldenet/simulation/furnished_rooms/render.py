@@ -20,7 +20,7 @@ class Views(NamedTuple):
         image: ``(V, H, W, 3)`` uint8 RGB.
         depth: ``(V, H, W)`` float32 [m], 0 = nothing within reach.
         intrinsics: ``(V, 3, 3)`` float64 [px].
-        position: ``(V, 3)`` float64 camera centres in the room [m].
+        position: ``(V, 3)`` float64 camera centers in the room [m].
         rotation: ``(V, 3, 3)`` float64 world from camera.
     """
 

@@ -1,8 +1,8 @@
 """An RGB-D camera that looks into any MuJoCo model with rays: no GPU, no display.
 
-Convention: the camera frame is OpenCV's (x right, y down, z forward), pixel centres lie on whole numbers
+Convention: the camera frame is OpenCV's (x right, y down, z forward), pixel centers lie on whole numbers
 (see :mod:`eldenet.geometry`); ``rotation`` is world-from-camera, so its columns are the camera's right,
-down and forward in world coordinates, and ``position`` is the optical centre in the world [m].
+down and forward in world coordinates, and ``position`` is the optical center in the world [m].
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 from eldenet.geometry import pinhole
 from eldenet.simulation.rendering.culling import SEEN_GROUPS, only_visible, visible_geoms
 
-#: Colour rays that meet nothing, RGB in [0, 1].
+#: Color rays that meet nothing, RGB in [0, 1].
 SKY = (0.75, 0.82, 0.9)
 
 
@@ -35,7 +35,7 @@ class Hits(NamedTuple):
 class RayCamera:
     """A pinhole RGB-D camera on ``mujoco.mj_multiRay``.
 
-    Depth is exact at every pixel: the distance along the optical axis from the pixel's centre ray.
+    Depth is exact at every pixel: the distance along the optical axis from the pixel's center ray.
 
     Args:
         size: ``(height, width)`` [px].
@@ -72,7 +72,7 @@ class RayCamera:
         Args:
             model: ``mujoco.MjModel``.
             data: ``mujoco.MjData`` with up-to-date kinematics (``mj_forward`` or ``mj_kinematics``).
-            position: ``(3,)`` optical centre in the world [m].
+            position: ``(3,)`` optical center in the world [m].
             rotation: ``(3, 3)`` world from camera.
         """
         rotation = np.asarray(rotation, dtype=np.float64)
@@ -117,7 +117,7 @@ class RayCamera:
     def render(
         self, model: Any, data: Any, position: np.ndarray, rotation: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Render with the model's own colours and a light at the camera.
+        """Render with the model's own colors and a light at the camera.
 
         Returns:
             Image ``(H, W, 3)`` uint8 RGB and depth ``(H, W)`` float32 [m], 0 = nothing within ``far``.
@@ -165,7 +165,7 @@ def _halves(length: int) -> list[tuple[int, int]]:
 
 
 def geom_colors(model: Any) -> np.ndarray:
-    """RGB ``(G, 3)`` float32 of every geom: its material's colour where it has one."""
+    """RGB ``(G, 3)`` float32 of every geom: its material's color where it has one."""
     colors = model.geom_rgba[:, :3].astype(np.float32).copy()
     painted = model.geom_matid >= 0
     colors[painted] = model.mat_rgba[model.geom_matid[painted], :3]

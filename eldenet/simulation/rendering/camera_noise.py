@@ -1,4 +1,4 @@
-"""What a cheap camera makes of light: exposure, colour cast, tone curve, blur, vignette, noise."""
+"""What a cheap camera makes of light: exposure, color cast, tone curve, blur, vignette, noise."""
 
 import cv2
 import numpy as np
@@ -34,8 +34,8 @@ def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray
     edge = draw.uniform(-0.8, 0.8)
     image = cv2.addWeighted(image, 1 + edge, cv2.GaussianBlur(image, (0, 0), 0.7 * width / 160), -edge, 0)
     contrast, saturation = draw.uniform(1.2, 2.1), draw.uniform(0.6, 1.35)
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
-    image = (grey + (image - grey) * np.float32(saturation) - np.float32(0.45)) * np.float32(
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    image = (gray + (image - gray) * np.float32(saturation) - np.float32(0.45)) * np.float32(
         contrast
     ) + np.float32(0.45)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))

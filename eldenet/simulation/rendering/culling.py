@@ -25,7 +25,7 @@ def visible_geoms(
     Args:
         model: ``mujoco.MjModel``.
         data: ``mujoco.MjData`` with kinematics.
-        position: ``(3,)`` camera centre [m].
+        position: ``(3,)`` camera center [m].
         rotation: ``(3, 3)`` world from camera.
         windows: ``(T, 4)`` bounds x0, x1, y0, y1 of each window on the image plane at distance 1.
     """

@@ -1,4 +1,4 @@
-"""What a room is made of: colours as they occur indoors, one set of materials per room."""
+"""What a room is made of: colors as they occur indoors, one set of materials per room."""
 
 import colorsys
 
@@ -22,13 +22,13 @@ def shade(color: Color, factor: float) -> Color:
 
 
 def jitter(draw: Draw, color: Color, amount: float = 0.06) -> Color:
-    """The colour, a little off."""
+    """The color, a little off."""
     r, g, b = (min(0.95, max(0.02, c + draw.uniform(-amount, amount))) for c in color)
     return (r, g, b)
 
 
 def any_color(draw: Draw, saturation: float = 0.8) -> Color:
-    """Any colour; greys, darks and muted ones more often than loud ones."""
+    """Any color; grays, darks and muted ones more often than loud ones."""
     value = draw.uniform(0.2, 0.97) ** 1.7 + 0.02
     color = colorsys.hsv_to_rgb(draw.unit(), saturation * draw.unit() ** 1.5 + 0.08 * draw.unit(), value)
     return (color[0], color[1], color[2])
@@ -149,7 +149,7 @@ class Materials:
             "plaster",
             "plain",
             "grain",
-        ):  # quiet: the colours lie close together
+        ):  # quiet: the colors lie close together
             tones = (color, shade(color, d.uniform(0.82, 1.05)), jitter(d, shade(color, 0.9), 0.05))
             return self._add3(tones, family, d.uniform(0.5, 3.0))
         tones = (color, jitter(d, shade(color, 0.8)), shade(jitter(d, WALLS[2]), d.uniform(0.5, 1.1)))

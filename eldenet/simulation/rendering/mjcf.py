@@ -78,7 +78,7 @@ class Body:
         self, x: float, y: float, z: float, wx: float, wy: float, wz: float, material: int,
         euler: Sequence[float] | None = None,
     ) -> None:  # fmt: skip
-        """Box by its centre in x, y, its lower face z and its full extents [m]."""
+        """Box by its center in x, y, its lower face z and its full extents [m]."""
         half = (max(wx, 0.002) / 2, max(wy, 0.002) / 2, max(wz, 0.002) / 2)
         self._geom("box", (x, y, z + half[2]), numbers(half), material, euler)
 
@@ -93,7 +93,7 @@ class Body:
         self, x: float, y: float, z: float, rx: float, ry: float, rz: float, material: int,
         euler: Sequence[float] | None = None,
     ) -> None:  # fmt: skip
-        """Ellipsoid by its centre and radii [m]."""
+        """Ellipsoid by its center and radii [m]."""
         self._geom("ellipsoid", (x, y, z), numbers((rx, ry, rz)), material, euler)
 
     def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
@@ -117,7 +117,7 @@ class Body:
 class Palette:
     """The materials of one room; a material's number is its place in the MJCF.
 
-    Its look (three colours, pattern, scale, gloss, light) rides in the model as ``<numeric>``, so the text
+    Its look (three colors, pattern, scale, gloss, light) rides in the model as ``<numeric>``, so the text
     alone is the whole room. Columns of :meth:`table`: A rgb, B rgb, C rgb, pattern, period u [m],
     period v [m] (0 = the pattern fits the face once), gloss, emission, offset.
     """
@@ -131,7 +131,7 @@ class Palette:
         self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, aspect: float = 1.0,
         gloss: float = 0.0, emission: float = 0.0, offset: float = 0.0,
     ) -> int:  # fmt: skip
-        """Add a material and return its number; one or two colours are repeated to three."""
+        """Add a material and return its number; one or two colors are repeated to three."""
         three = (list(colors) * 3)[:3]
         self.rows.append(
             (

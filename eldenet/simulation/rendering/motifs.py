@@ -75,7 +75,7 @@ def books(rng: np.random.Generator) -> Weights:
 
 
 def poster(rng: np.random.Generator) -> Weights:
-    """Picture, poster, screen: random shapes in three colours, often framed; fits one face."""
+    """Picture, poster, screen: random shapes in three colors, often framed; fits one face."""
     u, v = grid()
     base = noise(rng, 2, 2, 4)
     second, third = base * float(rng.random() * 1.5), np.zeros((SIDE, SIDE), np.float32)

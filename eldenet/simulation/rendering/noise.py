@@ -13,7 +13,7 @@ Pattern = Callable[[np.random.Generator], Weights]
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates ``(u, v)`` of the texels' centres in [0, 1]."""
+    """Coordinates ``(u, v)`` of the texels' centers in [0, 1]."""
     axis = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
     v, u = np.meshgrid(axis, axis, indexing="ij")
     return u, v

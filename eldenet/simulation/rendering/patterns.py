@@ -1,7 +1,7 @@
 """Surface patterns drawn by formula: wood, tiles, brick, carpet, fabric, fronts, posters, windows.
 
-A pattern does not hold colours but three weights per texel: the surface's colour is
-``w0 * A + w1 * B + w2 * C`` with the material's own three colours, so a hundred patterns make any number
+A pattern does not hold colors but three weights per texel: the surface's color is
+``w0 * A + w1 * B + w2 * C`` with the material's own three colors, so a hundred patterns make any number
 of surfaces. Row 0 is the lower edge.
 """
 
@@ -53,7 +53,7 @@ def grain(rng: np.random.Generator) -> Weights:
 
 
 def tiles(rng: np.random.Generator) -> Weights:
-    """Square or long tiles with grout; some sets are two-coloured."""
+    """Square or long tiles with grout; some sets are two-colored."""
     u, v = grid()
     nu, nv = int(rng.integers(2, 6)), int(rng.integers(2, 6))
     iu, iv = np.floor(u * nu).astype(int), np.floor(v * nv).astype(int)

@@ -2,7 +2,7 @@
 
 Lambert with a few point lights (distance fall-off, the strongest with shadows at a quarter of the
 resolution), light from everywhere that fades in corners and behind furniture, gloss, textures from the
-atlas. Arrays run ``(3, N)``, a row per coordinate or colour: NumPy is several times faster on those.
+atlas. Arrays run ``(3, N)``, a row per coordinate or color: NumPy is several times faster on those.
 """
 
 from typing import Any
@@ -49,7 +49,7 @@ class Surfaces:
         self.shift = np.where(fits, np.float32(0.5), offset)
 
     def albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
-        """Surface colour ``(3, N)`` of every hit; ``footprint`` is a pixel's size there ``(N,)`` [m]."""
+        """Surface color ``(3, N)`` of every hit; ``footprint`` is a pixel's size there ``(N,)`` [m]."""
         geom, point, normal = hits.geom, hits.point, hits.normal
         rot = [row.take(geom) for row in self.rotation]
         local = np.stack(
@@ -149,7 +149,7 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
         near = np.float32(half) - np.abs(point[axis] - np.float32(middle))
         edge = np.float32(0.5) / (np.float32(1) + np.square(np.maximum(near, 0) * np.float32(3.0)))
         out *= 1 - edge * (1 - np.abs(normal[axis]))
-    # things in front of a surface: the pixel lies deeper than its neighbourhood
+    # things in front of a surface: the pixel lies deeper than its neighborhood
     for window in (depth.shape[1] // 20 * 2 + 1, depth.shape[1] // 8 * 2 + 1):
         mean = cv2.blur(depth, (window, window), borderType=cv2.BORDER_REPLICATE)
         dip = np.clip((depth - mean) / (np.float32(0.12) * mean + np.float32(0.05)), 0, 1)

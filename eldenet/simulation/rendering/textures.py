@@ -12,7 +12,7 @@ LEVELS = 6
 class Atlas:
     """All patterns with their pyramid, flat: one level per power of two, sampled bilinearly.
 
-    The level fits the pixel's footprint, so far tiles turn grey instead of sparkling.
+    The level fits the pixel's footprint, so far tiles turn gray instead of sparkling.
 
     Attributes:
         planes: ``(3, T)`` uint8 weights, 200 = 1.0; level by level, pattern by pattern, row by row.

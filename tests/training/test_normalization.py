@@ -1,4 +1,4 @@
-"""What the images are normalised by: ImageNet's numbers, the data set's own, or given ones."""
+"""What the images are normalized by: ImageNet's numbers, the data set's own, or given ones."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ from eldenet.data.statistics import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.train import build_seeded_model
-from eldenet.training.normalization import normalisation, write_normalisation
+from eldenet.training.normalization import normalization, write_normalization
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def frames(tmp_path: Path) -> FolderDataset:
 
 def test_the_data_sets_own_are_numpys(frames: FolderDataset) -> None:
     pixels = np.concatenate([frames.load_frame(i).image.reshape(-1, 3) for i in range(6)]) / 255.0
-    chosen = normalisation("dataset", frames)
+    chosen = normalization("dataset", frames)
     np.testing.assert_allclose(chosen["mean"], pixels.mean(0), atol=1e-5)
     np.testing.assert_allclose(chosen["std"], pixels.std(0), atol=1e-5)
 
@@ -49,35 +49,35 @@ def test_the_draw_is_seeded(frames: FolderDataset) -> None:
 
 def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) -> None:
     config = compose("train", [])
-    assert plain(config.normalisation) == "imagenet"
-    assert normalisation("imagenet", frames) == {}
-    chosen = build_model(config.model, **normalisation("imagenet", frames))
+    assert plain(config.normalization) == "imagenet"
+    assert normalization("imagenet", frames) == {}
+    chosen = build_model(config.model, **normalization("imagenet", frames))
     assert chosen.config == build_model(config.model).config  # so older checkpoints still fit
     torch.testing.assert_close(build_model(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
 
 
 def test_given_numbers_reach_the_model_and_its_folder(frames: FolderDataset, tmp_path: Path) -> None:
-    config = compose("train", ["normalisation={mean: [0.28, 0.32, 0.3], std: [0.18, 0.19, 0.2]}"])
-    model = build_model(config.model, **normalisation(plain(config.normalisation), frames))
+    config = compose("train", ["normalization={mean: [0.28, 0.32, 0.3], std: [0.18, 0.19, 0.2]}"])
+    model = build_model(config.model, **normalization(plain(config.normalization), frames))
     again = DepthNet.from_pretrained(model.save_pretrained(tmp_path / "model"))
     torch.testing.assert_close(again.mean.flatten(), torch.tensor([0.28, 0.32, 0.3]))
     torch.testing.assert_close(again.std.flatten(), torch.tensor([0.18, 0.19, 0.2]))
 
 
 def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) -> None:
-    first = normalisation("dataset", frames)
-    write_normalisation(tmp_path / "run", "dataset", first)
+    first = normalization("dataset", frames)
+    write_normalization(tmp_path / "run", "dataset", first)
     layouts.picture(tmp_path / "set/images/f001.png", np.full((48, 64, 3), 255, np.uint8))
-    assert normalisation("dataset", frames) != first
-    assert normalisation("dataset", frames, resumed=tmp_path / "run") == first
-    write_normalisation(tmp_path / "other", "imagenet", {})
+    assert normalization("dataset", frames) != first
+    assert normalization("dataset", frames, resumed=tmp_path / "run") == first
+    write_normalization(tmp_path / "other", "imagenet", {})
     assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ("kitti", "normalisation='kitti': give imagenet, dataset"),
+        ("kitti", "normalization='kitti': give imagenet, dataset"),
         ({"mean": [0.5] * 3}, "give mean and std"),
         ({"mean": [0.5] * 3, "std": [0.2] * 3, "max": 1}, "give mean and std"),
         ({"mean": [0.5] * 2, "std": [0.2] * 3}, r"mean=\[0.5, 0.5\]: give three numbers"),
@@ -88,13 +88,13 @@ def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) 
 )
 def test_what_cannot_be_is_refused(choice: Any, message: str, frames: FolderDataset) -> None:
     with pytest.raises(ValueError, match=message):
-        normalisation(choice, frames)
+        normalization(choice, frames)
 
 
-def test_pictures_of_one_colour_are_refused(tmp_path: Path) -> None:
+def test_pictures_of_one_color_are_refused(tmp_path: Path) -> None:
     layouts.folder(tmp_path, layouts.SMALL._replace(rgb=np.full((48, 64, 3), 90, np.uint8)), count=2)
     with pytest.raises(ValueError, match="never changes in 2 frames"):
-        normalisation("dataset", FolderDataset(tmp_path, max_depth=10.0))
+        normalization("dataset", FolderDataset(tmp_path, max_depth=10.0))
 
 
 def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
@@ -103,14 +103,14 @@ def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
     return build_seeded_model(config, RunLog(tmp_path), **arguments)
 
 
-def test_weights_bring_their_normalisation(tmp_path: Path, capsys) -> None:
+def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
     theirs = {"mean": [0.3, 0.31, 0.32], "std": [0.2, 0.21, 0.22]}
     config = compose("train", ["model=eldenet_s", "model.head.max_depth=10"])
     start = build_model(config.model, **theirs)
     start.save_pretrained(tmp_path / "start")
     model, image = seeded(tmp_path), torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(0))
     assert same_model(model, start)
-    assert "their normalisation is taken over, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
+    assert "their normalization is taken over, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
     model.save_pretrained(tmp_path / "saved")
     assert same_model(DepthNet.from_pretrained(tmp_path / "saved"), start)
     mine = {"mean": [0.5] * 3, "std": [0.25] * 3}
@@ -144,19 +144,19 @@ def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
 
 def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:
     arguments = ("data=folder", f"data.root={tmp_path / 'set'}", "data.input_size=[32,40]", "model=eldenet_s")
-    arguments += ("trainer.epochs=2", "trainer.batch_size=4", "normalisation=dataset", "run_dir=run")
+    arguments += ("trainer.epochs=2", "trainer.batch_size=4", "normalization=dataset", "run_dir=run")
     finished = run_command("train", *arguments)
     assert finished.returncode == 0, finished.stderr
     run = json.loads((tmp_path / "run/run.json").read_text())
     stored = json.loads((tmp_path / "run/model/config.json").read_text())["model"]
-    kept = json.loads((tmp_path / "run/normalisation.json").read_text())
-    assert run["normalisation"] == {name: pytest.approx(kept[name]) for name in ("mean", "std")}
+    kept = json.loads((tmp_path / "run/normalization.json").read_text())
+    assert run["normalization"] == {name: pytest.approx(kept[name]) for name in ("mean", "std")}
     assert (stored["mean"], stored["std"]) == (kept["mean"], kept["std"])
     assert kept["mean"][0] > kept["mean"][1] > kept["mean"][2]
     layouts.picture(tmp_path / "set/images/f001.png", np.full((48, 64, 3), 255, np.uint8))
     resumed = run_command("train", *arguments, "ckpt_path=auto")
     assert resumed.returncode == 0, resumed.stderr
-    assert json.loads((tmp_path / "run/normalisation.json").read_text()) == kept
+    assert json.loads((tmp_path / "run/normalization.json").read_text()) == kept
     both = run_command("train", *arguments[:-1], "run_dir=other", "+model.mean=[0.5,0.5,0.5]")
     assert both.returncode == 1
     assert "take one of them" in both.stderr

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.episodes import Crossings
-from eldenet.navigation.localisation import Fixes, Localiser
+from eldenet.navigation.localization import Fixes, Localizer
 from eldenet.navigation.sensors import Drift, Odometry, Ranges
 from eldenet.simulation.arenas import generate_arena
 
 
-def drive(localiser: Localiser, odometry: Odometry, rng: np.random.Generator, steps: int, deviation: float):
+def drive(localizer: Localizer, odometry: Odometry, rng: np.random.Generator, steps: int, deviation: float):
     """A winding way, a fix a second; returns the true pose at its end."""
     pose = odometry.pose
     for step in range(1, steps + 1):
@@ -19,19 +19,19 @@ def drive(localiser: Localiser, odometry: Odometry, rng: np.random.Generator, st
         after = (pose[0] + 0.14 * math.cos(pose[2]), pose[1] + 0.14 * math.sin(pose[2]), yaw)
         odometry.move(pose, after)
         pose = after
-        localiser.move(odometry.pose)
+        localizer.move(odometry.pose)
         if step % 5 == 0 and deviation < math.inf:
-            localiser.fix(*(np.array(pose[:2]) + deviation * rng.standard_normal(2)).tolist())
+            localizer.fix(*(np.array(pose[:2]) + deviation * rng.standard_normal(2)).tolist())
     return pose
 
 
 def test_without_fixes_it_is_the_odometry():
     rng = np.random.default_rng(0)
     odometry = Odometry(Drift(), rng, (1.0, 2.0, 0.3))
-    localiser = Localiser((1.0, 2.0, 0.3), deviation=0.1)
-    drive(localiser, odometry, rng, 50, math.inf)
-    assert localiser.pose == pytest.approx(odometry.pose, abs=1e-9)
-    assert localiser.odometry == pytest.approx(odometry.pose, abs=1e-9)
+    localizer = Localizer((1.0, 2.0, 0.3), deviation=0.1)
+    drive(localizer, odometry, rng, 50, math.inf)
+    assert localizer.pose == pytest.approx(odometry.pose, abs=1e-9)
+    assert localizer.odometry == pytest.approx(odometry.pose, abs=1e-9)
 
 
 def test_fixes_bound_the_error_and_calibrate_the_odometry():
@@ -39,28 +39,28 @@ def test_fixes_bound_the_error_and_calibrate_the_odometry():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         odometry = Odometry(Drift(), rng, (0.0, 0.0, 0.0))
-        localiser = Localiser((0.0, 0.0, 0.0), deviation=0.15)
-        true = drive(localiser, odometry, rng, 120, 0.15)
-        poses.append(math.dist(localiser.pose[:2], true[:2]))
-        headings.append(localiser.pose[2] - true[2])
-        scales.append(odometry.scale - 1 - localiser._state[3])
-        drifts.append(odometry.turn_per_metre - localiser._state[4])
+        localizer = Localizer((0.0, 0.0, 0.0), deviation=0.15)
+        true = drive(localizer, odometry, rng, 120, 0.15)
+        poses.append(math.dist(localizer.pose[:2], true[:2]))
+        headings.append(localizer.pose[2] - true[2])
+        scales.append(odometry.scale - 1 - localizer._state[3])
+        drifts.append(odometry.turn_per_meter - localizer._state[4])
         raw.append(math.dist(odometry.pose[:2], true[:2]))
     deviation = [float(np.sqrt(np.mean(np.square(values)))) for values in (poses, headings, scales, drifts)]
     assert deviation[0] < 0.13  # less than a single fix is wrong by (0.21 m)
     assert math.degrees(deviation[1]) < 1.2
     assert deviation[2] < 0.01  # of 0.02
-    assert math.degrees(deviation[3]) < 0.15  # of 1 degree a metre
+    assert math.degrees(deviation[3]) < 0.15  # of 1 degree a meter
     assert float(np.sqrt(np.mean(np.square(raw)))) > 1.5
 
 
 def test_bearings_are_counter_clockwise_from_ahead():
-    localiser = Localiser((1.0, 1.0, math.pi / 2), deviation=0.1)
-    assert localiser.towards(1.0, 4.0) == pytest.approx((3.0, 0.0))
-    assert localiser.towards(0.0, 1.0) == pytest.approx((1.0, math.pi / 2))
+    localizer = Localizer((1.0, 1.0, math.pi / 2), deviation=0.1)
+    assert localizer.towards(1.0, 4.0) == pytest.approx((3.0, 0.0))
+    assert localizer.towards(0.0, 1.0) == pytest.approx((1.0, math.pi / 2))
 
 
-def test_crossings_with_fixes_know_the_goal_within_decimetres():
+def test_crossings_with_fixes_know_the_goal_within_decimeters():
     class Drifting(Ranges):
         drift = Drift(0.05, math.radians(3))
 

@@ -28,7 +28,7 @@ class Fixes(NamedTuple):
     deviation: float = 0.15
 
 
-class Localiser:
+class Localizer:
     """Follows one robot.
 
     Args:
