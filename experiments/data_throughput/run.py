@@ -2,7 +2,7 @@
 
 ELDENET_DATA=... python experiments/data_throughput/run.py
 
-1. images/s of the training loader: the 665 labelled NYU training frames (480 x 640 JPEG and PNG) at 228 x 304
+1. images/s of the training loader: the 665 labeled NYU training frames (480 x 640 JPEG and PNG) at 228 x 304
    with full augmentation, in batches of 32, with and without workers. Rows take turns, so that a drift of the
    machine affects all alike; figures are medians over rounds.
 2. The trainer's own record of its wait for data and its time in steps, for ELDE-Net, by epoch.
@@ -176,7 +176,7 @@ def main() -> None:
         f"{where['hardware']['processor']}, {resources.cores} hardware threads, {resources.threads} of them "
         f"torch's, {where['date']}; versions {json.dumps(where['versions'])}.",
         "",
-        f"NYU labelled, 665 frames, {SIZE[0]} x {SIZE[1]}, batch {BATCH}, full augmentation. The source "
+        f"NYU labeled, 665 frames, {SIZE[0]} x {SIZE[1]}, batch {BATCH}, full augmentation. The source "
         "files are in the operating system's memory, so cold means decoding, not a slow disk. Medians and "
         "quartiles of interleaved rounds.",
         "",
@@ -203,12 +203,10 @@ def main() -> None:
 
 
 def draw(rows: list[dict[str, object]]) -> None:
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
+    figure = Figure(figsize=(6, 3), layout="constrained")
+    axes = figure.subplots()
     labels = [f"{r['loader']}, {r['workers']} workers" for r in rows]
     rates = [float(str(r["images_per_s"])) for r in rows]
     bars = axes.barh(labels, rates, color=["#999999" if "torch" in label else "#3b6ea5" for label in labels])

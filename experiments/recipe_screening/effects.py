@@ -24,7 +24,7 @@ CHANGES = {  # columns of the design; "nothing" changes nothing, so its effect s
     "optimizer.lr=2e-3": "optimizer.lr=2.0e-3",
     "AdamW, weight decay 0.05": "optimizer=adamw",
     "zoom up to 1.6": "augmentation.scale=[1.0,1.6]",
-    "colours changed twice as often": "augmentation.color_jitter=0.6",
+    "colors changed twice as often": "augmentation.color_jitter=0.6",
 }
 NOTHING = ("run_02", "run_06", "run_07", "run_08", "run_10", "run_11")
 

@@ -32,7 +32,7 @@ def main() -> None:
     rooms = Rooms("test", 512, size=(120, 160))
     sets = {"rooms (test)": rooms}
     try:
-        sets["NYU labelled (795 training frames)"] = NYULabelled(split="all", min_depth=0.1)
+        sets["NYU labeled (795 training frames)"] = NYULabelled(split="all", min_depth=0.1)
     except FileNotFoundError as error:
         print(f"NYU is left out: {error}")
     lines = [f"| data | {' | '.join(TITLES)} |", "|---|" + "---:|" * len(TITLES)]
@@ -42,8 +42,6 @@ def main() -> None:
     lines += [
         "",
         "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
-    ]
-    lines += [
         "Made by `python experiments/rooms_beside_nyu/run.py`.",
         "",
         "![test rooms, image over depth](rooms.png)",

@@ -4,7 +4,6 @@ python experiments/table1_efficiency/run.py                # all of it, on an id
 python experiments/table1_efficiency/run.py rounds=1 seconds=0.05 memory=false   # a quick look
 """
 
-import csv
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from eldenet.benchmark import benchmark
 from eldenet.config import compose
 from eldenet.deploy.benchmarking.measure import COLUMNS
 from eldenet.deploy.benchmarking.tables import draw, notes_of, text_of
+from eldenet.results.run_record import write_rows
 from eldenet.results.tables import to_latex, to_markdown
 
 HERE = Path(__file__).parent
@@ -50,10 +50,8 @@ def write(
     ]
     notes += [f"no code identified, so no figures: {', '.join(no_code)}"]
     notes += [f"not in this version: {', '.join(missing)}"] if missing else []
-    with (folder / "results.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["part", *COLUMNS])
-        writer.writerows([key[0], *(row[name] for name in COLUMNS)] for key, row in every.items())
+    lines = [[key[0], *(row[name] for name in COLUMNS)] for key, row in every.items()]
+    write_rows(folder / "results.csv", ["part", *COLUMNS], lines)
     markdown, latex = [], []
     for number, (name, rows) in enumerate(tables.items(), 1):
         cells = [[text_of(column, row[column]) for column in COLUMNS] for row in rows]

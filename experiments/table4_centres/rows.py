@@ -15,7 +15,7 @@ COLUMNS = (
     "command",
 )  # fmt: skip
 TITLES = (
-    "depth, 2D boxes", "method", "objects", "centre accuracy [%]", "median [m]", "BEV > 0.25 [%]",
+    "depth, 2D boxes", "method", "objects", "center accuracy [%]", "median [m]", "BEV > 0.25 [%]",
     "BEV > 0.5 [%]", "3D > 0.5 [%]", "yaw [deg]",
 )  # fmt: skip
 RUNTIME = "boxes: numpy; depth networks: torch; YOLOX: ONNX Runtime"
@@ -89,7 +89,7 @@ def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]
     """Return lines that describe the protocol and the machine."""
     machine = dict(zip(COLUMNS[11:], where(example), strict=True))
     return [
-        "Centre accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
+        "Center accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
         "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
         "Brackets: 95 % of 2000 resamples of whole frames.",
         "",

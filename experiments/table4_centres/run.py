@@ -57,7 +57,7 @@ def main() -> None:
     text = [
         f"| {' | '.join(TITLES)} |", "|---|---|" + "---:|" * (len(TITLES) - 2),
         *(f"| {' | '.join(row)} |" for row in cells),
-        "", "Differences on the same objects:", "", *gaps, "", "Centre accuracy by distance:", "", *spans, "",
+        "", "Differences on the same objects:", "", *gaps, "", "Center accuracy by distance:", "", *spans, "",
         *protocol_notes(args.frames, notes, settings[0]),
     ]  # fmt: skip
     args.output.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +95,7 @@ def in_simulation(args: argparse.Namespace, kind: str) -> tuple[list[Setting], l
     training = render("train", FIRST_SIGMA_SCENE, SIGMA_SCENES, kind)
     sigma = relative_error(training, network)
     cases = simulated(views, lambda view: network(view.image))
-    learnt = Setting(
+    learned = Setting(
         f"{kind}: ELDE-Net", "simulator", cases, HEIGHTS[kind], sigma, f"{size}, {seen_by(network)}", SEEN
     )
     measured = (
@@ -103,8 +103,8 @@ def in_simulation(args: argparse.Namespace, kind: str) -> tuple[list[Setting], l
         f"scenes: {sigma[0]:.3f} and {sigma[1]:.3f}"
     )
     if args.detector:
-        notes += stages(learnt, network, OnnxDetector(args.detector, keep=ROAD_NAMES))
-    return [exact, learnt], [measured, *notes]
+        notes += stages(learned, network, OnnxDetector(args.detector, keep=ROAD_NAMES))
+    return [exact, learned], [measured, *notes]
 
 
 def growth(settings: list[Setting]) -> float:
