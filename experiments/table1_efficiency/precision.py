@@ -48,7 +48,7 @@ def main() -> None:
         result = evaluate(network, val_set, protocol, batch_size=1)
         scores = {row[0]: row[delta1] for row in result.rows}
         reference = scores if reference is None else reference
-        mean, low, high = paired_interval(scores, reference)
+        mean, low, high = paired_interval(scores, reference, draw_seeds=False)
         metrics = [f"{result.metrics[name]:.4f}" for name in ("delta1", "abs_rel", "rmse")]
         rows.append([runtime, precision, *metrics, f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]"])
         print(*rows[-1], flush=True)
