@@ -7,6 +7,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import torch
 
 import eldenet
@@ -16,7 +17,7 @@ from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.export import export
 from eldenet.results.run_record import environment
-from eldenet.results.statistics import paired_interval
+from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).parent
@@ -46,7 +47,8 @@ def main() -> None:
             )
             network = RuntimeNetwork(runtimes.load(output, runtime, precision, threads=1))
         result = evaluate(network, val_set, protocol, batch_size=1)
-        scores = {row[0]: row[delta1] for row in result.rows}
+        values = np.array([[float(row[delta1]) for row in result.rows]])
+        scores = Scores(tuple(row[0] for row in result.rows), values)
         reference = scores if reference is None else reference
         mean, low, high = paired_interval(scores, reference, draw_seeds=False)
         metrics = [f"{result.metrics[name]:.4f}" for name in ("delta1", "abs_rel", "rmse")]
