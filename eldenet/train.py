@@ -110,7 +110,7 @@ def train(config: "DictConfig", folder: Path) -> float:
         name=config.model_name,
         progress=progress,
         skipped={"train": train_set.skipped, "val": val_set.skipped},
-        teacher=loss.identity,
+        teacher=loss.signature,
     )
     closing_table(log, record)
     return progress.best_value
@@ -123,7 +123,7 @@ def build_loss(config: "DictConfig") -> "WeightedSum":
         ValueError: a teacher is named that it does not learn from.
     """
     loss: WeightedSum = cfg.instantiate(config.loss)
-    if config.teacher is not None and not loss.identity:
+    if config.teacher is not None and not loss.signature:
         raise ValueError(
             f"teacher={config.teacher}: no term of this loss learns from a teacher; give "
             "loss=ssim_l1_distill, or leave the teacher out"

@@ -183,7 +183,7 @@ class Trainer:
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
-        loss.attach(model, self.accelerator.autocast)
+        loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
@@ -219,7 +219,7 @@ class Trainer:
                 "batch_size": self.batch_size * self.processes,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
-                "teacher": loss.identity,
+                "teacher": loss.signature,
                 "precision": resources.precision,
                 "sources": self.sources,
             },

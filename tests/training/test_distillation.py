@@ -65,7 +65,7 @@ def test_the_gradient_reaches_the_student_alone(networks):
     student, network = networks
     before = {name: value.clone() for name, value in network.state_dict().items()}
     term = DistilledTerm(L1Loss(), Teacher(network.train()), feature_weight=1.0, feature_strides=(8, 16))
-    term.attach(student)
+    term.setup(student)
     loss = WeightedSum({"distilled": term})
     loss.train()
     image = torch.rand(2, 3, 64, 96)
@@ -86,7 +86,7 @@ def test_features_of_twins_agree(networks):
     twin = eldenet.load("eldenet_s")
     twin.load_state_dict(student.state_dict())
     term = DistilledTerm(L1Loss(), Teacher(twin), feature_weight=1.0)
-    term.attach(student.eval())
+    term.setup(student.eval())
     image = torch.rand(2, 3, 64, 96)
     assert list(term.parameters()) == []  # equal channels need no projection
     value = term(student(image), torch.zeros(SHAPE), torch.zeros(SHAPE, dtype=torch.bool), image)
@@ -98,7 +98,7 @@ def test_the_teacher_may_see_another_size(networks):
     seen = []
     network.register_forward_pre_hook(lambda part, inputs: seen.append(tuple(inputs[0].shape[-2:])))
     term = DistilledTerm(L1Loss(), Teacher(network, input_size=[96, 128]), feature_weight=0.1)
-    term.attach(student)
+    term.setup(student)
     image = torch.rand(2, 3, 64, 96)
     value = term(student(image), torch.zeros(SHAPE), torch.zeros(SHAPE, dtype=torch.bool), image)
     assert seen == [(96, 128)]
@@ -120,9 +120,9 @@ def test_a_teacher_says_at_which_size_it_sees(networks):
 def test_what_cannot_be_distilled_is_refused(networks):
     student, network = networks
     with pytest.raises(ValueError, match=r"feature_strides=\[64\].*features of \[2, 4, 8, 16, 32\]"):
-        DistilledTerm(L1Loss(), Teacher(network), feature_weight=1.0, feature_strides=(64,)).attach(student)
+        DistilledTerm(L1Loss(), Teacher(network), feature_weight=1.0, feature_strides=(64,)).setup(student)
     with pytest.raises(ValueError, match=r"teacher has no network\.backbone"):
-        DistilledTerm(L1Loss(), Teacher(torch.nn.Conv2d(3, 1, 1)), feature_weight=1.0).attach(student)
+        DistilledTerm(L1Loss(), Teacher(torch.nn.Conv2d(3, 1, 1)), feature_weight=1.0).setup(student)
     with pytest.raises(ValueError, match="feature_weight=-1"):
         DistilledTerm(L1Loss(), Teacher(network), feature_weight=-1)
     with pytest.raises(ValueError, match="needs the images"):
@@ -239,5 +239,5 @@ def test_the_command_distils_from_any_run(run_command, tmp_path, networks):
     run = json.loads((tmp_path / "student" / "run.json").read_text())
     teacher = run["teacher"]["distilled"]
     assert teacher["source"] == "big"
-    assert teacher["weights"] == Teacher(eldenet.load(tmp_path / "big")).identity["weights"]
+    assert teacher["weights"] == Teacher(eldenet.load(tmp_path / "big")).signature["weights"]
     assert run["training"]["history"][0]["train_distilled"] > 0
