@@ -19,7 +19,7 @@ TARGETS = {
     "eldenet.trainer.Trainer": "eldenet.training.trainer.Trainer",
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
-OPTIONS = {
+OPTIONS: dict[str, dict[str, str]] = {
     "eldenet.losses.pointwise.BerHuLoss": {"share": "threshold_ratio"},
     "eldenet.losses.silog.SILogLoss": {"balance": "variance_focus"},
 }
@@ -30,7 +30,7 @@ VALUES: dict[tuple[str, Any], str] = {("encoding", "metres"): "meters", ("space"
 
 
 def renamed(content: Any) -> Any:
-    """Return ``content`` (a stored config, or a record that holds one, as plain values) with today's names."""
+    """Return a stored config, or a record that holds one, as plain values with today's names."""
     if isinstance(content, list | tuple):
         return [renamed(item) for item in content]
     if not isinstance(content, Mapping):

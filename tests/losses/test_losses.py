@@ -72,9 +72,7 @@ def test_a_perfect_prediction_has_the_least_loss(total: Callable[..., Tensor]) -
     junk=st.lists(st.sampled_from(ANYTHING), min_size=2, max_size=2),
 )
 @settings(max_examples=25, deadline=None)
-def test_masked_pixels_change_neither_loss_nor_gradient(
-    total, seed: int, share: float, junk: list[float]
-) -> None:
+def test_masked_pixels_do_not_count(total, seed: int, share: float, junk: list[float]) -> None:
     prediction, target = maps(seed)
     mask = patchy(seed + 1, target.shape, share)
     value, gradient = value_and_gradient(total, prediction, target, mask)
