@@ -37,10 +37,10 @@ def renamed(content: Any) -> Any:
         return content
     target = content.get("_target_")
     target = TARGETS.get(str(target), target)
-    options = KEYS | OPTIONS.get(str(target), {})
+    options: dict[str, str] = KEYS | OPTIONS.get(str(target), {})
     found = {}
     for key, value in content.items():
-        new = options.get(key, key)
+        new: Any = options.get(key, key)
         found[new] = target if key == "_target_" else renamed(value)
         if isinstance(value, str) and (new, value) in VALUES:
             found[new] = VALUES[new, value]
