@@ -22,14 +22,14 @@ def _norm_act_conv(in_channels: int, out_channels: int, kernel_size: int = 1) ->
 
 
 class Residual(nn.Module):
-    """A residual block without activation at its end: two 3x3 convolutions, or a bottleneck.
+    """A residual block without a final activation: two 3x3 convolutions, or a bottleneck.
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
     Args:
         in_channels: channels in.
         out_channels: channels out.
-        stride: of the (first) 3x3 convolution.
+        stride: of the first 3x3 convolution.
         bottleneck: 1x1, 3x3 and 1x1 convolutions, the first two with half of ``out_channels``.
     """
 
@@ -64,16 +64,16 @@ def _stage(in_channels: int, out_channels: int, stride: int = 1) -> nn.Sequentia
 
 
 class PyramidPooling(nn.Module):
-    """DAPPM (the paper's section 3.3): means over growing windows, each fused with the one before it.
+    """DAPPM (section 3.3 of the paper): averages over growing windows, each fused with the one before.
 
-    ``(B, in_channels, H, W) -> (B, out_channels, H, W)``. One window is the whole map, so training needs
-    batches of two images or more.
+    ``(B, in_channels, H, W) -> (B, out_channels, H, W)``. The largest window is the whole map, so training
+    needs batches of two images or more.
 
     Args:
         in_channels: channels in.
-        branch_channels: of each scale.
+        branch_channels: channels of each window's branch.
         out_channels: channels out.
-        windows: (size, stride) of the averages between the map itself and the whole map's mean.
+        windows: (size, stride) of the windows between a single pixel and the whole map.
     """
 
     def __init__(
@@ -106,16 +106,16 @@ class DDRNet(nn.Module):
     """DDRNet-23-slim: ``(B, 3, H, W) -> (B, out_channels, ceil(H / 8), ceil(W / 8))``.
 
     Hong et al., "Deep Dual-resolution Networks for Real-time and Accurate Semantic Segmentation of Road
-    Scenes" (arXiv 2101.06085), with its segmentation head as the last layer, as GuideDepth uses it.
+    Scenes" (arXiv 2101.06085), ending in its segmentation head, as in GuideDepth.
 
-    Convention: convolutions that a normalization follows have no bias (the published stem's have one, which
-    the normalization takes out again).
+    Convention: convolutions before a normalization have no bias (those of the published stem have one, which
+    the normalization cancels).
 
     Args:
-        out_channels: of the head.
-        width: of the stem; the paper's "slim" has 32.
-        pooling_width: of each scale of the pyramid pooling.
-        head_width: of the head's 3x3 convolution.
+        out_channels: channels of the output.
+        width: channels of the stem; 32 in the paper's "slim" network.
+        pooling_width: channels of each branch of the pyramid pooling.
+        head_width: channels of the head's 3x3 convolution.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class DDRNet(nn.Module):
         init_kaiming(self)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalized image -> features at stride 8."""
+        """Normalized image ``(B, 3, H, W)`` -> features at stride 8."""
         fine = coarse = self.shared(self.stem(image)).relu()
         for index in range(2):
             coarse, fine = self.coarse[index](coarse), self.fine[index](fine)
