@@ -49,33 +49,16 @@ def nodes(value: Any) -> Iterator[dict[str, Any]]:
 
 
 HOSTILE = [
-    "os.system",
-    "builtins.eval",
-    "eval",
-    "",
-    "subprocess.Popen",
-    "torch.nn.Linear",
-    "torch.load",
-    "functools.partial",
-    "somebodys_parts.TheirHead",
-    "eldenet.config.instantiate",
-    "eldenet.training.trainer.Trainer",
-    "eldenet.data.nyu.NYULabelled",
-    "eldenet.headsX.Head",
-    "eldenet.model.json.loads",
-    "eldenet.model.json.codecs.open",
-    "eldenet.model.torch.load",
-    "eldenet.model.torch",
-    "eldenet.model.Path",
-    "eldenet.model.build",
-    "eldenet.model.DepthNet.from_pretrained",
-    "eldenet.model.DepthNet.__init__",
-    "eldenet.heads..LinearHead",
-    "eldenet.heads.nn.Linear",
-    "eldenet.backbones.nothing.Here",
-    "eldenet.backbones.weights.read_weights",
-    "eldenet.backbones.weights.download_from_hub",
-    "..heads.LinearHead",
+    # outside the trusted modules
+    *("os.system", "eval", "", "torch.load", "functools.partial", "somebodys_parts.TheirHead"),
+    *("eldenet.config.instantiate", "eldenet.training.trainer.Trainer", "eldenet.headsX.Head"),
+    # what the trusted modules import, and functions in them
+    *("eldenet.model.json.loads", "eldenet.model.json.codecs.open", "eldenet.model.torch.load"),
+    *("eldenet.model.torch", "eldenet.model.Path", "eldenet.heads.nn.Linear", "eldenet.model.build"),
+    *("eldenet.model.DepthNet.from_pretrained", "eldenet.model.DepthNet.__init__"),
+    *("eldenet.backbones.weights.read_weights", "eldenet.backbones.weights.download_from_hub"),
+    # no modules
+    *("eldenet.heads..LinearHead", "eldenet.backbones.nothing.Here", "..heads.LinearHead"),
 ]
 
 

@@ -1,7 +1,5 @@
 """DDRNet-23-slim, GuideDepth's feature extractor: a fine and a coarse branch that exchange features."""
 
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -73,22 +71,13 @@ class PyramidPooling(nn.Module):
         in_channels: channels in.
         branch_channels: channels of each window's branch.
         out_channels: channels out.
-        windows: (size, stride) of the windows between a single pixel and the whole map.
     """
 
-    def __init__(
-        self,
-        in_channels: int,
-        branch_channels: int,
-        out_channels: int,
-        *,
-        windows: Sequence[tuple[int, int]] = ((5, 2), (9, 4), (17, 8)),
-    ) -> None:
+    def __init__(self, in_channels: int, branch_channels: int, out_channels: int) -> None:
         super().__init__()
-        self.pools = nn.ModuleList(
-            [nn.AvgPool2d(size, stride=stride, padding=size // 2) for size, stride in windows]
-        )
-        self.pools.append(nn.AdaptiveAvgPool2d(1))
+        windows = ((5, 2), (9, 4), (17, 8))  # (size, stride)
+        pools = [nn.AvgPool2d(size, stride, padding=size // 2) for size, stride in windows]
+        self.pools = nn.ModuleList([*pools, nn.AdaptiveAvgPool2d(1)])
         self.scales = nn.ModuleList(_norm_act_conv(in_channels, branch_channels) for _ in range(5))
         self.fuse = nn.ModuleList(_norm_act_conv(branch_channels, branch_channels, 3) for _ in range(4))
         self.compress = _norm_act_conv(branch_channels * 5, out_channels)
@@ -113,16 +102,11 @@ class DDRNet(nn.Module):
 
     Args:
         out_channels: channels of the output.
-        width: channels of the stem; 32 in the paper's "slim" network.
-        pooling_width: channels of each branch of the pyramid pooling.
-        head_width: channels of the head's 3x3 convolution.
     """
 
-    def __init__(
-        self, out_channels: int, *, width: int = 32, pooling_width: int = 128, head_width: int = 64
-    ) -> None:
+    def __init__(self, out_channels: int) -> None:
         super().__init__()
-        fine = 2 * width
+        width, fine, head = 32, 64, 64  # channels of the stem, the fine branch and the head
         self.stem = nn.Sequential(ConvNormAct(3, width, 3, stride=2), ConvNormAct(width, width, 3, stride=2))
         self.shared = nn.Sequential(_stage(width, width), nn.ReLU(), _stage(width, fine, stride=2))
         self.coarse = nn.ModuleList(
@@ -140,12 +124,12 @@ class DDRNet(nn.Module):
         self.to_fine = nn.ModuleList([_conv_norm(4 * width, fine, 1), _conv_norm(8 * width, fine, 1)])
         self.coarse_end = Residual(8 * width, 16 * width, stride=2, bottleneck=True)
         self.fine_end = Residual(fine, 2 * fine, bottleneck=True)
-        self.pooling = PyramidPooling(16 * width, pooling_width, 2 * fine)
+        self.pooling = PyramidPooling(16 * width, 128, 2 * fine)
         self.head = nn.Sequential(
-            _norm_act_conv(2 * fine, head_width, 3),
-            nn.BatchNorm2d(head_width),
+            _norm_act_conv(2 * fine, head, 3),
+            nn.BatchNorm2d(head),
             nn.ReLU(),
-            nn.Conv2d(head_width, out_channels, 1),
+            nn.Conv2d(head, out_channels, 1),
         )
         init_kaiming(self)
 

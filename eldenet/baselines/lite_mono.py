@@ -30,7 +30,7 @@ SIZES = {
 }
 # Dilations of a round, and of the last round of stage three (table 2 of the paper and the published code).
 DILATIONS = {"low": ((1, 2, 3), (2, 4, 6)), "high": ((1, 2, 5), (2, 4, 10))}
-EXPANSION, HEADS, LAYER_SCALE = 6, 8, 1e-6
+EXPANSION, HEADS, FREQUENCIES, LAYER_SCALE = 6, 8, 16, 1e-6
 
 
 class DilatedBlock(nn.Module):
@@ -83,16 +83,15 @@ class CrossCovarianceAttention(nn.Module):
 class FourierPosition(nn.Module):
     """Sines and cosines of row and column at 16 frequencies, projected to C channels."""
 
-    def __init__(self, channels: int, *, frequencies: int = 16) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
-        self.frequencies = frequencies
-        self.project = nn.Conv2d(4 * frequencies, channels, 1)
+        self.project = nn.Conv2d(4 * FREQUENCIES, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """``(B, C, H, W)``, of which only the size matters -> ``(1, C, H, W)``."""
         height, width = x.shape[-2:]
-        steps = torch.arange(self.frequencies, device=x.device, dtype=torch.float32)
-        rates = 10000 ** (-steps / self.frequencies)
+        steps = torch.arange(FREQUENCIES, device=x.device, dtype=torch.float32)
+        rates = 10000 ** (-steps / FREQUENCIES)
 
         def waves(count: int) -> Tensor:
             positions = torch.arange(1, count + 1, device=x.device, dtype=torch.float32)
