@@ -14,7 +14,7 @@ from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.renames import renamed
-from eldenet.results.fingerprints import located
+from eldenet.weights import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
