@@ -105,7 +105,7 @@ class _Builder:
         self.shell.plane((0, 0, 0), (0, 0, 1), asphalt)
         half = d.uniform(4.0, 6.5)
         for start in range(4, 80, 8):
-            self.shell.box(start, -d.uniform(1.6, 1.8), 0, 3, 0.14, 0.004, mark)
+            self.shell.box((start, -d.uniform(1.6, 1.8), 0), (3, 0.14, 0.004), mark)
         for side in (-1, 1):
             pavement = d.uniform(2, 4)
             edge = side * (half + 2.2 + pavement)
@@ -114,12 +114,8 @@ class _Builder:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
                 if d.chance(0.8):
                     self.shell.box(
-                        x + wide / 2,
-                        edge + side * (deep / 2 + d.uniform(0, 2)),
-                        0,
-                        wide,
-                        deep,
-                        tall,
+                        (x + wide / 2, edge + side * (deep / 2 + d.uniform(0, 2)), 0),
+                        (wide, deep, tall),
                         d.pick(self.m.walls),
                     )
                 x += wide + d.uniform(0, 5)

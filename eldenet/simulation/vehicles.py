@@ -74,41 +74,41 @@ def truck(d: Draw, p: Paint, b: Body, length: float, width: float, height: float
     paint, load = d.pick(p.bodies), d.pick((*p.bodies, *p.card))
     cab = min(2.0, 0.35 * length)
     _wheels(p, b, length, width, 0.45)
-    b.box(0, length / 2 - cab / 2, 0.4, width * 0.94, cab, height * 0.78 - 0.4, paint)
-    b.box(0, length / 2 - 0.02, height * 0.45, width * 0.8, 0.05, height * 0.24, p.glass)
-    b.box(0, -cab / 2 - 0.1, 0.75, width, length - cab - 0.2, height - 0.75, load)
-    b.box(0, -cab / 2, 0.5, width * 0.5, length - cab, 0.3, p.rubber)
+    b.box((0, length / 2 - cab / 2, 0.4), (width * 0.94, cab, height * 0.78 - 0.4), paint)
+    b.box((0, length / 2 - 0.02, height * 0.45), (width * 0.8, 0.05, height * 0.24), p.glass)
+    b.box((0, -cab / 2 - 0.1, 0.75), (width, length - cab - 0.2, height - 0.75), load)
+    b.box((0, -cab / 2, 0.5), (width * 0.5, length - cab, 0.3), p.rubber)
 
 
 def carton(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
     """A closed box on the floor."""
-    b.box(0, 0, 0, width, length, height, d.pick(p.card))
+    b.box((0, 0, 0), (width, length, height), d.pick(p.card))
 
 
 def pillar(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
     """A round or square post."""
     if d.chance(0.5):
-        b.cylinder(0, 0, 0, width / 2, height, d.pick(p.card))
+        b.cylinder((0, 0, 0), width / 2, height, d.pick(p.card))
     else:
-        b.box(0, 0, 0, width, length, height, d.pick(p.card))
+        b.box((0, 0, 0), (width, length, height), d.pick(p.card))
 
 
 def _chassis(d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int) -> None:
     """Wheels, and a body below the windows whose four corners are cut."""
     _wheels(p, b, length, width, d.uniform(0.29, 0.35))
     low, cut = d.uniform(0.18, 0.28), d.uniform(0.84, 0.92)
-    b.box(0, 0, low, width, length * cut, waist - low, paint)
-    b.box(0, 0, low + 0.05, width * 0.84, length, waist - low - 0.12, paint)
+    b.box((0, 0, low), (width, length * cut, waist - low), paint)
+    b.box((0, 0, low + 0.05), (width * 0.84, length, waist - low - 0.12), paint)
     for s in (-1, 1):
-        b.box(s * width * 0.33, length / 2 - 0.08, waist - 0.3, 0.3, 0.14, 0.12, p.lamp)
-        b.box(s * width * 0.35, -length / 2 + 0.08, waist - 0.28, 0.22, 0.14, 0.14, p.tail)
+        b.box((s * width * 0.33, length / 2 - 0.08, waist - 0.3), (0.3, 0.14, 0.12), p.lamp)
+        b.box((s * width * 0.35, -length / 2 + 0.08, waist - 0.28), (0.22, 0.14, 0.14), p.tail)
 
 
 def _wheels(p: Paint, b: Body, length: float, width: float, radius: float) -> None:
     for sx in (-1, 1):
         for sy in (-1, 1):
             place = (sx * (width / 2 - 0.12), sy * length * 0.31, 0.0)
-            b.cylinder(place[0], place[1], radius - 0.11, radius, 0.22, p.rubber, (0, 90, 0))
+            b.cylinder((place[0], place[1], radius - 0.11), radius, 0.22, p.rubber, euler=(0, 90, 0))
 
 
 def _cabin(
@@ -121,6 +121,6 @@ def _cabin(
         share = (k + 0.5) / _SLICES
         rear, front = span[0] + share * slant[0], span[1] - share * slant[1]
         width = low_width + share * (high_width - low_width)
-        b.box(0, (rear + front) / 2, levels[0] + k * step, width, front - rear, step, p.glass)
+        b.box((0, (rear + front) / 2, levels[0] + k * step), (width, front - rear, step), p.glass)
     rear, front = span[0] + slant[0], span[1] - slant[1]
-    b.box(0, (rear + front) / 2, levels[1] - 0.05, high_width, front - rear, 0.05, paint)
+    b.box((0, (rear + front) / 2, levels[1] - 0.05), (high_width, front - rear, 0.05), paint)

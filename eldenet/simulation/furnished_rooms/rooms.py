@@ -160,7 +160,7 @@ class _Builder:
             y = d.sign() * (sy - depth) / 2 if d.chance(0.5) else d.uniform(-0.4, 0.4) * sy
             if self._free(x, y, width, depth):
                 body = Body((x, y, 0))
-                body.box(0, 0, 0, width, depth, h, d.pick(self.m.walls))
+                body.box((0, 0, 0), (width, depth, h), d.pick(self.m.walls))
                 self.bodies.append(body)
                 self.room.obstacles.append((x - width / 2, y - depth / 2, x + width / 2, y + depth / 2, h))
 
@@ -179,7 +179,7 @@ class _Builder:
         yaw = (90.0 if turned else 0.0) + d.pick((0.0, 180.0)) + d.pick((0.0, d.uniform(-15, 15)))
         if d.chance(0.3):
             rug = Body((x, y, 0), yaw)
-            rug.box(0, 0, 0, width + d.uniform(0.2, 1.2), depth + d.uniform(0.2, 1.0), 0.012, self.m.rug)
+            rug.box((0, 0, 0), (width + d.uniform(0.2, 1.2), depth + d.uniform(0.2, 1.0), 0.012), self.m.rug)
             self.bodies.append(rug)
         self._make(item, x, y, width, depth, yaw)
         if item.maker in (furniture.table, furniture.round_table):
@@ -217,13 +217,13 @@ class _Builder:
                 y = ((j + 0.5) / ny - 0.5) * sy + d.uniform(-0.2, 0.2)
                 drop = 0.05
                 if style == 0:
-                    body.box(x, y, h - 0.04, 1.2, 0.3, 0.04, m.lamp if lit else m.white)
+                    body.box((x, y, h - 0.04), (1.2, 0.3, 0.04), m.lamp if lit else m.white)
                 elif style == 1:
-                    body.ellipsoid(x, y, h - 0.05, 0.2, 0.2, 0.1, m.lamp if lit else m.white)
+                    body.ellipsoid((x, y, h - 0.05), (0.2, 0.2, 0.1), m.lamp if lit else m.white)
                 elif style == 2 and h > 2.3:
                     drop = d.uniform(0.4, 0.8)
-                    body.cylinder(x, y, h - drop, 0.008, drop, m.dark)
-                    body.ellipsoid(x, y, h - drop, 0.2, 0.2, 0.14, m.lamp if lit else m.shade)
+                    body.cylinder((x, y, h - drop), 0.008, drop, m.dark)
+                    body.ellipsoid((x, y, h - drop), (0.2, 0.2, 0.14), m.lamp if lit else m.shade)
                 if lit and len(self.room.lights) < 6:
                     self.room.lights.append((x, y, h - drop - 0.25, *(power * t for t in tone), 2.2))
         if body.geoms:

@@ -7,6 +7,7 @@ import numpy as np
 
 T = TypeVar("T")
 Color = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 
 class Draw:
@@ -74,27 +75,25 @@ class Body:
             f'<geom type="{kind}" pos="{numbers(center)}" size="{size}" material="m{material}"{turn}/>'
         )
 
-    def box(
-        self, x: float, y: float, z: float, wx: float, wy: float, wz: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Box by its center in x, y, its lower face z and its full extents [m]."""
-        half = (max(wx, 0.002) / 2, max(wy, 0.002) / 2, max(wz, 0.002) / 2)
-        self._geom("box", (x, y, z + half[2]), numbers(half), material, euler)
+    def box(self, base: Vector, extents: Vector, material: int, euler: Sequence[float] | None = None) -> None:
+        """Add a box by the center of its lower face and its full extents [m]."""
+        x, y, z = base
+        half_x, half_y, half_z = (max(extent, 0.002) / 2 for extent in extents)
+        size = numbers((half_x, half_y, half_z))
+        self._geom("box", (x, y, z + half_z), size, material, euler)
 
     def cylinder(
-        self, x: float, y: float, z: float, radius: float, height: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Upright cylinder by its axis, lower end, radius and height [m]; ``euler`` tips it over."""
+        self, base: Vector, radius: float, height: float, material: int, euler: Sequence[float] | None = None
+    ) -> None:
+        """Add an upright cylinder by the center of its lower face [m]; ``euler`` tips it over."""
+        x, y, z = base
         self._geom("cylinder", (x, y, z + height / 2), numbers((radius, height / 2)), material, euler)
 
     def ellipsoid(
-        self, x: float, y: float, z: float, rx: float, ry: float, rz: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Ellipsoid by its center and radii [m]."""
-        self._geom("ellipsoid", (x, y, z), numbers((rx, ry, rz)), material, euler)
+        self, center: Vector, radii: Vector, material: int, euler: Sequence[float] | None = None
+    ) -> None:
+        """Add an ellipsoid by its center and radii [m]."""
+        self._geom("ellipsoid", center, numbers(radii), material, euler)
 
     def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
         """Capsule from one point to another [m]."""
