@@ -10,7 +10,7 @@ import numpy as np
 
 from eldenet.simulation.arena_mjcf import TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
-from eldenet.simulation.rendering.culling import SEEN_GROUPS
+from eldenet.simulation.rendering.camera import SEEN_GROUPS
 from eldenet.simulation.robot import ROBOT
 
 PHYSICS = ("kinematic", "wheels")

@@ -13,7 +13,7 @@ from eldenet.simulation.furnished_rooms import household
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
 from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw
-from eldenet.simulation.rendering.patterns import variants
+from eldenet.simulation.rendering.textures import variants
 
 KINDS = ("street", "hall")
 NAMES = ("car", "van", "truck", "person", "box", "pillar")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from eldenet.simulation.rendering.materials import any_color
 from eldenet.simulation.rendering.mjcf import Body, Draw, Palette
-from eldenet.simulation.rendering.patterns import variants
+from eldenet.simulation.rendering.textures import variants
 
 _SLICES = 5  # of a slanted windscreen
 

@@ -12,9 +12,8 @@ from eldenet.data import rendered
 from eldenet.data.arenas import Arenas
 from eldenet.data.rooms import Rooms
 from eldenet.data.shards import DEPTH_STEP
-from eldenet.simulation import arena_frames
-from eldenet.simulation.arena_frames import FIRST_ARENA, render_arena
-from eldenet.simulation.arena_view import ArenaView, camera_pose
+from eldenet.simulation import arena_view
+from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
 from eldenet.simulation.robot import ROBOT
 
@@ -38,7 +37,7 @@ def test_frames_are_of_the_training_stream_alone_and_of_no_arena_twice(monkeypat
         asked.append((split, index))
         return generate_arena(split, 0, 0)
 
-    monkeypatch.setattr(arena_frames, "generate_arena", note)
+    monkeypatch.setattr(arena_view, "generate_arena", note)
     for split in FIRST_ARENA:
         for index in (0, 1, 999_999):
             render_arena(split, index, (16, 16), views=1)
@@ -71,7 +70,7 @@ def test_light_goes_from_dim_to_bright_and_people_walk(monkeypatch):
                 movers.append(len(arena.movers))
             super().__init__(arena, size, light=light)
 
-    monkeypatch.setattr(arena_frames, "ArenaView", Dark)
+    monkeypatch.setattr(arena_view, "ArenaView", Dark)
     for index in range(12):
         render_arena("train", index, (16, 16), views=1)
     assert 0.05 <= min(lights) < 0.3

@@ -6,45 +6,15 @@ The text of a room depends on ``(split, index)`` alone and is the same on every 
 ``(SPLITS[split], index, 2, view)``; the splits share no stream, so no room is in two of them.
 """
 
-import hashlib
-from dataclasses import dataclass, field
-
 from eldenet.simulation.furnished_rooms import furniture, household, seating
 from eldenet.simulation.furnished_rooms.kinds import KINDS, Item, Kind
 from eldenet.simulation.furnished_rooms.walls import Wall, overlaps
 from eldenet.simulation.rendering.materials import Materials
 from eldenet.simulation.rendering.mjcf import Body, Draw
+from eldenet.simulation.rendering.shading import Room
 
 #: First number of the seed of every split.
 SPLITS = {"train": 0, "val": 1, "test": 2}
-
-
-@dataclass
-class Room:
-    """A room ready to compile.
-
-    Attributes:
-        kind: bedroom, kitchen, ...
-        size: extents in x and y and ceiling height [m]; the origin is the middle of the floor.
-        text: MJCF.
-        lights: rows of x, y, z [m], r, g, b, reach [m].
-        obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
-        pieces: maker ("chair", "person", ...) of what stands in the room, by its body's number in the model.
-        ambient: share of the light that comes from everywhere.
-    """
-
-    kind: str
-    size: tuple[float, float, float]
-    text: str = ""
-    lights: list[tuple[float, ...]] = field(default_factory=list)
-    obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    pieces: dict[int, str] = field(default_factory=dict)
-    ambient: float = 0.5
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the MJCF text."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
 
 
 def generate_room(split: str, index: int) -> Room:

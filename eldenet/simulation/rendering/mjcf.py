@@ -1,4 +1,4 @@
-"""Write MJCF text that is the same on every machine: seeded draws and fixed decimals only."""
+"""MJCF text that is the same on every machine: seeded random numbers, fixed decimals."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -11,7 +11,7 @@ Vector = tuple[float, float, float]
 
 
 class Draw:
-    """Seeded draws that rest on ``PCG64``'s 53-bit doubles alone, the most stable of NumPy's streams."""
+    """Seeded random numbers from ``PCG64``'s 53-bit doubles alone, the most stable of NumPy's streams."""
 
     def __init__(self, seed: Sequence[int]) -> None:
         self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(tuple(seed))))
@@ -32,11 +32,11 @@ class Draw:
         return self.unit() < probability
 
     def pick(self, options: Sequence[T]) -> T:
-        """One of the options, all alike."""
+        """One of the options, with equal probability."""
         return options[int(self.unit() * len(options))]
 
     def integer(self, low: int, high: int) -> int:
-        """Whole number, both ends included."""
+        """Uniform integer in [low, high]."""
         return low + int(self.unit() * (high - low + 1))
 
     def sign(self) -> float:
@@ -45,18 +45,18 @@ class Draw:
 
 
 def number(value: float) -> str:
-    """Four decimals (0.1 mm), never "-0.0000"."""
+    """Format with four decimals (0.1 mm), never "-0.0000"."""
     text = f"{value:.4f}"
     return "0.0000" if text == "-0.0000" else text
 
 
 def numbers(values: Sequence[float]) -> str:
-    """Numbers with four decimals, separated by spaces."""
+    """Format several numbers, separated by spaces."""
     return " ".join(map(number, values))
 
 
 class Body:
-    """One piece of furniture: geoms in a frame whose origin lies on the floor, +y to its front.
+    """Geoms in one frame, as of a piece of furniture: origin on the floor, +y to the front.
 
     Args:
         position: of the frame in the world [m].
@@ -96,19 +96,19 @@ class Body:
         self._geom("ellipsoid", center, numbers(radii), material, euler)
 
     def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
-        """Capsule from one point to another [m]."""
+        """Add a capsule from one point to another [m]."""
         ends = numbers((*start, *end))
         self.geoms.append(
             f'<geom type="capsule" fromto="{ends}" size="{number(radius)}" material="m{material}"/>'
         )
 
     def plane(self, position: Sequence[float], normal: Sequence[float], material: int) -> None:
-        """Infinite plane that faces along ``normal``."""
+        """Add an infinite plane that faces along ``normal``."""
         place = f'pos="{numbers(position)}" zaxis="{numbers(normal)}"'
         self.geoms.append(f'<geom type="plane" {place} size="0 0 1" material="m{material}"/>')
 
     def text(self) -> str:
-        """MJCF of the body with its geoms."""
+        """Return the MJCF of the body."""
         inner = "\n".join(self.geoms)
         return f'<body pos="{numbers(self.position)}" euler="0 0 {number(self.yaw)}">\n{inner}\n</body>'
 
@@ -116,9 +116,9 @@ class Body:
 class Palette:
     """The materials of one room; a material's number is its place in the MJCF.
 
-    Its look (three colors, pattern, scale, gloss, light) rides in the model as ``<numeric>``, so the text
-    alone is the whole room. Columns of :meth:`table`: A rgb, B rgb, C rgb, pattern, period u [m],
-    period v [m] (0 = the pattern fits the face once), gloss, emission, offset.
+    The model carries them as ``<numeric>``, so its text alone is the whole room. Columns of :attr:`rows`:
+    A rgb, B rgb, C rgb, pattern, period u [m], period v [m] (0 = the pattern fits the face once), gloss,
+    emission, offset.
     """
 
     COLUMNS = 15
@@ -127,28 +127,17 @@ class Palette:
         self.rows: list[tuple[float, ...]] = []
 
     def add(
-        self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, aspect: float = 1.0,
-        gloss: float = 0.0, emission: float = 0.0, offset: float = 0.0,
+        self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, gloss: float = 0.0,
+        emission: float = 0.0, offset: float = 0.0,
     ) -> int:  # fmt: skip
         """Add a material and return its number; one or two colors are repeated to three."""
         three = (list(colors) * 3)[:3]
-        self.rows.append(
-            (
-                *three[0],
-                *three[1],
-                *three[2],
-                float(pattern),
-                period,
-                period * aspect,
-                gloss,
-                emission,
-                offset,
-            )
-        )
+        look = (float(pattern), period, period, gloss, emission, offset)
+        self.rows.append((*three[0], *three[1], *three[2], *look))
         return len(self.rows) - 1
 
     def assets(self) -> str:
-        """The ``<asset>`` and ``<custom>`` sections."""
+        """Return the ``<asset>`` and ``<custom>`` sections."""
         looks = "\n".join(
             f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows)
         )
