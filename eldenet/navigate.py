@@ -104,7 +104,7 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
         one_of("course", str(config.course), ("triangle",))
         arena = triangle_course()
     else:
-        arena = generate_arena(config.split, density, int(config.world), movers=int(config.movers))
+        arena = generate_arena(config.split, density, int(config.world), pedestrians=int(config.movers))
     policy = cfg.instantiate(config.policy)(robots=1)
     path = folder / f"{policy.name}-{arena.name}.{config.film}"
     with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:

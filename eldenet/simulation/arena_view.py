@@ -70,7 +70,7 @@ class ArenaView:
             Room(
                 "arena",
                 (outer, outer, CEILING),
-                arena_mjcf(arena, "none", look=True),
+                arena_mjcf(arena, "none", visual=True),
                 lights=[(x, y, CEILING - 0.4, *(power * t for t in tone), 4.0) for x, y in lamps],
                 ambient=light * draw.uniform(0.15, 0.4),
             )
@@ -89,7 +89,7 @@ class ArenaView:
             settings: seed of the camera's exposure, tone and blur; keep it over a video, so that it does not
                 flicker.
         """
-        pedestrians = self.arena.movers
+        pedestrians = self.arena.pedestrians
         if pedestrians:
             self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
             self.room.update()
@@ -115,8 +115,8 @@ def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), vie
     cv2.setNumThreads(0)
     number = FIRST_ARENA[split] + index
     draw = Draw((FRAME_STREAM, number))
-    movers = draw.integer(1, _MAX_PEDESTRIANS) if draw.chance(0.5) else 0
-    arena = generate_arena("train", draw.integer(0, _MAX_OBSTACLES), number, movers=movers)
+    pedestrians = draw.integer(1, _MAX_PEDESTRIANS) if draw.chance(0.5) else 0
+    arena = generate_arena("train", draw.integer(0, _MAX_OBSTACLES), number, pedestrians=pedestrians)
     light = _LIGHT[0] * (_LIGHT[1] / _LIGHT[0]) ** draw.unit()
     view = ArenaView(arena, size, light=light)
     clearance = clearance_map(arena.obstacles)
@@ -136,7 +136,7 @@ def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), vie
 
 def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> tuple[float, float, float]:
     """Draw a place where the robot fits, and any heading."""
-    people = [walker.position(time) for walker in arena.movers]
+    people = [pedestrian.position(time) for pedestrian in arena.pedestrians]
     far = _CLOSE if draw.chance(0.5) else np.inf
     places = np.argwhere((clearance >= _MIN_CLEARANCE) & (clearance < far))
     while True:

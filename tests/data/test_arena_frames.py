@@ -33,7 +33,7 @@ def dataset(root):
 def test_frames_are_of_the_training_stream_alone_and_of_no_arena_twice(monkeypatch):
     asked = []
 
-    def note(split, density, index, *, movers):
+    def note(split, density, index, *, pedestrians):
         asked.append((split, index))
         return generate_arena(split, 0, 0)
 
@@ -67,7 +67,7 @@ def test_light_goes_from_dim_to_bright_and_people_walk(monkeypatch):
         def __init__(self, arena, size, *, light=1.0):
             if size != (9, 16):
                 lights.append(light)
-                movers.append(len(arena.movers))
+                movers.append(len(arena.pedestrians))
             super().__init__(arena, size, light=light)
 
     monkeypatch.setattr(arena_view, "ArenaView", Dark)
@@ -143,7 +143,7 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
         geom = np.zeros(1, np.int32)
         depth = np.array(
             [
-                mujoco.mj_ray(other.model, other.data, center, ray, None, 1, -1, geom) * ray[0]
+                mujoco.mj_ray(other.room.model, other.room.data, center, ray, None, 1, -1, geom) * ray[0]
                 for ray in view.camera.rays(rotation)
             ]
         ).reshape(SIZE)
