@@ -1,6 +1,6 @@
-"""What else is in a home: kitchen and bathroom fittings, lamps, plants, people, clutter.
+"""Kitchen and bathroom fixtures, lamps, plants, people and clutter.
 
-Makers work as in :mod:`eldenet.simulation.furnished_rooms.furniture`.
+The makers work like those of :mod:`eldenet.simulation.furnished_rooms.furniture`.
 """
 
 from eldenet.simulation.furnished_rooms.furniture import Surface
@@ -9,7 +9,7 @@ from eldenet.simulation.rendering.mjcf import Body, Draw
 
 
 def counter(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Surface]:
-    """Kitchen run: lower cabinets, stone top, sink or stove, upper cabinets, splash back."""
+    """Kitchen counter: lower cabinets, stone top, sink or stove, backsplash, upper cabinets."""
     front, height = m.fronts[0], 0.88
     b.box((0, -0.02, 0.0), (width, depth - 0.08, height - 0.03), m.woods[0])
     step = d.uniform(0.5, 0.8)
@@ -46,7 +46,7 @@ def counter(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[
 
 
 def sink(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Surface]:
-    """Wash stand with basin, tap and mirror."""
+    """Washstand with basin, faucet and mirror."""
     height = d.uniform(0.78, 0.88)
     if d.chance(0.6):
         b.box((0, 0, 0), (width, depth - 0.04, height - 0.04), d.pick(m.fronts))
@@ -65,7 +65,7 @@ def sink(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Sur
 
 
 def toilet(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Surface]:
-    """Toilet with cistern."""
+    """Toilet with tank."""
     b.box((0, -depth / 2 + 0.09, 0.38), (width, 0.18, 0.38), m.white)
     b.cylinder((0, 0.02, 0), 0.12, 0.3, m.white)
     b.ellipsoid((0, 0.08, 0.34), (0.18, depth * 0.38, 0.1), m.white)
@@ -110,7 +110,7 @@ def lamp(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Sur
 
 
 def plant(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Surface]:
-    """Pot plant."""
+    """Potted plant."""
     pot = d.uniform(0.18, 0.4)
     b.cylinder((0, 0, 0), width * 0.28, pot, d.pick(m.colors))
     b.cylinder((0, 0, pot), 0.02, 0.3, m.woods[0])
@@ -154,7 +154,7 @@ def basket(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[S
 
 
 def person(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Surface]:
-    """A standing person of capsules, facing +y."""
+    """Standing person of capsules, facing +y."""
     h = d.uniform(1.45, 1.95) / 1.75
     shirt, trousers = d.pick(m.clothes), d.pick((*m.clothes, m.dark))
     stride = d.uniform(-0.18, 0.18)
@@ -196,17 +196,17 @@ def rack(d: Draw, m: Materials, b: Body, width: float, depth: float) -> list[Sur
 
 
 def clutter(d: Draw, m: Materials, b: Body, surface: Surface, amount: float) -> None:
-    """Set bottles, cups, books, boxes, papers, bowls, table lamps on a surface."""
+    """Put bottles, cups, books, boxes, papers, bowls, table lamps on a surface."""
     area = surface.wx * surface.wy
     count = min(9, int(amount * d.uniform(2.0, 9.0) * min(1.0, area + 0.25)))
     for _ in range(count):
         x = surface.x + d.uniform(-0.46, 0.46) * surface.wx
         y = surface.y + d.uniform(-0.4, 0.4) * surface.wy
-        thing(d, m, b, x, y, surface.z)
+        small_object(d, m, b, x, y, surface.z)
 
 
-def thing(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -> None:
-    """One small object that stands at (x, y, z)."""
+def small_object(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -> None:
+    """Add one small object that stands at (x, y, z)."""
     style, color, turn = d.integer(0, 8), d.pick((*m.colors, m.white, m.metal)), (0.0, 0.0, d.uniform(0, 180))
     if style <= 1:
         b.box(

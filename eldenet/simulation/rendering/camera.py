@@ -1,4 +1,4 @@
-"""An RGB-D camera that looks into any MuJoCo model with rays: no GPU, no display.
+"""An RGB-D camera for any MuJoCo model, by ray casting: no GPU, no display.
 
 Convention: the camera frame is OpenCV's (x right, y down, z forward), pixel centers lie on whole numbers
 (see :mod:`eldenet.geometry`); ``rotation`` is world-from-camera, so its columns are the camera's right,
@@ -17,11 +17,11 @@ _HIDDEN = 5
 
 
 class Hits(NamedTuple):
-    """What the rays of one frame met, row by row; ``N = H * W``.
+    """What the rays of one frame hit, row by row; ``N = H * W``.
 
     Attributes:
-        depth: ``(N,)`` float64, distance along the optical axis [m]; 0 where nothing was met.
-        geom: ``(N,)`` int32 geom number, -1 where nothing was met.
+        depth: ``(N,)`` float64, distance along the optical axis [m]; 0 where nothing was hit.
+        geom: ``(N,)`` int32 geom number, -1 where nothing was hit.
         point: ``(3, N)`` float32 world points [m].
         normal: ``(3, N)`` float32 unit outward surface normals in the world.
     """
@@ -83,7 +83,7 @@ class RayCamera:
         return Hits(depth, geom, point, normals)
 
     def _split(self, x: np.ndarray, y: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        """Pixel numbers of the picture's quarters and their windows on the image plane."""
+        """Return the pixel numbers of the image's quarters and their windows on the image plane."""
         number = np.arange(len(x) * len(y)).reshape(len(y), len(x))
         quarters, windows = [], []
         for top, bottom in _halves(len(y)):
@@ -93,13 +93,13 @@ class RayCamera:
         return quarters, np.array(windows)
 
     def rays(self, rotation: np.ndarray) -> np.ndarray:
-        """Unit ray ``(N, 3)`` of every pixel in the world, row by row."""
+        """Return every pixel's unit ray ``(N, 3)`` in the world, row by row."""
         return np.ascontiguousarray((np.asarray(rotation, dtype=np.float64) @ self._rays).T)
 
     def probe(
         self, model: Any, data: Any, position: np.ndarray, rotation: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Depth ``(N,)`` [m], ``inf`` where nothing was met, and geom ``(N,)``: cheaper than :meth:`cast`."""
+        """Return depth ``(N,)`` [m], ``inf`` where nothing was hit, and geom ``(N,)``: cheaper than :meth:`cast`."""
         distance, geom, _ = cast_rays(model, data, position, self.rays(rotation), self.far, normals=False)
         return np.where(geom < 0, np.inf, distance * self._scale), geom
 
@@ -138,7 +138,7 @@ def _halves(length: int) -> list[tuple[int, int]]:
 
 
 def camera_rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """World-from-camera rotation ``(3, 3)`` of a camera in a z-up world.
+    """Return the world-from-camera rotation ``(3, 3)`` in a z-up world.
 
     Args:
         yaw: heading of the optical axis, counter-clockwise from world x [rad].

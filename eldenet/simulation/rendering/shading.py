@@ -170,14 +170,14 @@ def _power(light: tuple[float, ...], position: np.ndarray) -> float:
 
 
 def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Share of the surrounding light ``(N,)``: less near the room's edges and behind things."""
+    """Return the share of ambient light ``(N,)``: less near the room's edges and behind objects."""
     sx, sy, h = room.size
     out = np.ones(point.shape[1], np.float32)
     for axis, middle, half in ((0, 0.0, sx / 2), (1, 0.0, sy / 2), (2, h / 2, h / 2)):
         near = np.float32(half) - np.abs(point[axis] - np.float32(middle))
         edge = np.float32(0.5) / (np.float32(1) + np.square(np.maximum(near, 0) * np.float32(3.0)))
         out *= 1 - edge * (1 - np.abs(normal[axis]))
-    # things in front of a surface: the pixel lies deeper than its neighborhood
+    # behind something: the pixel lies deeper than its neighborhood
     for window in (depth.shape[1] // 20 * 2 + 1, depth.shape[1] // 8 * 2 + 1):
         mean = cv2.blur(depth, (window, window), borderType=cv2.BORDER_REPLICATE)
         dip = np.clip((depth - mean) / (np.float32(0.12) * mean + np.float32(0.05)), 0, 1)
@@ -186,7 +186,7 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
 
 
 def shadow(model: Any, data: Any, light: np.ndarray, hits: Hits, size: tuple[int, int]) -> np.ndarray:
-    """Visibility ``(N,)`` of a light, cast at a quarter of the resolution and softened."""
+    """Return the visibility ``(N,)`` of a light, cast at a quarter of the resolution and softened."""
     height, width = size
     points = hits.point.reshape(3, height, width)[:, 1::_SHADOW_STRIDE, 1::_SHADOW_STRIDE]
     rows, columns = points.shape[1:]

@@ -21,23 +21,21 @@ Pattern = Callable[[np.random.Generator], Weights]
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates ``(u, v)`` of the texels' centers in [0, 1]."""
+    """Return the coordinates ``(u, v)`` of the texels' centers in [0, 1]."""
     axis = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
     v, u = np.meshgrid(axis, axis, indexing="ij")
     return u, v
 
 
 def noise(rng: np.random.Generator, cells_u: int, cells_v: int, octaves: int = 3) -> np.ndarray:
-    """Periodic value noise ``(SIDE, SIDE)`` in [0, 1]."""
+    """Return periodic value noise ``(SIDE, SIDE)`` in [0, 1]."""
     total = np.zeros((SIDE, SIDE), np.float32)
     weight = 0.0
     for octave in range(octaves):
         nu, nv = min(SIDE, cells_u << octave), min(SIDE, cells_v << octave)
         coarse = np.pad(rng.random((nv, nu)).astype(np.float32), 2, mode="wrap")
         su, sv = SIDE // nu, SIDE // nv
-        fine = cv2.resize(
-            coarse, (coarse.shape[1] * su, coarse.shape[0] * sv), interpolation=cv2.INTER_LINEAR
-        )
+        fine = cv2.resize(coarse, None, fx=su, fy=sv, interpolation=cv2.INTER_LINEAR)
         total += fine[2 * sv : 2 * sv + SIDE, 2 * su : 2 * su + SIDE] * 0.5**octave
         weight += 0.5**octave
     total /= weight
@@ -45,7 +43,7 @@ def noise(rng: np.random.Generator, cells_u: int, cells_v: int, octaves: int = 3
 
 
 def mix(second: np.ndarray, third: np.ndarray | float = 0.0, light: np.ndarray | float = 1.0) -> Weights:
-    """Weights of a blend: A where both are 0, B where ``second`` is 1, C where ``third`` is 1."""
+    """Return the weights of a blend: A where both are 0, B where ``second`` is 1, C where ``third`` is 1."""
     second = np.clip(second, 0, 1)
     third = np.broadcast_to(np.clip(third, 0, 1), second.shape)
     out = np.stack([(1 - second) * (1 - third), second * (1 - third), third], axis=-1)
@@ -53,12 +51,12 @@ def mix(second: np.ndarray, third: np.ndarray | float = 0.0, light: np.ndarray |
 
 
 def plain(rng: np.random.Generator) -> Weights:
-    """Paint: almost nothing."""
+    """Paint: almost uniform."""
     return mix(0.25 * noise(rng, 2, 2), 0.0, 0.98 + 0.04 * noise(rng, 16, 16, 2))
 
 
 def plaster(rng: np.random.Generator) -> Weights:
-    """Uneven, stained plaster or wallpaper ground."""
+    """Uneven, stained plaster or wallpaper."""
     return mix(noise(rng, 2, 2, 4) ** 2, 0.0, 0.9 + 0.2 * noise(rng, 8, 8, 4))
 
 
@@ -110,17 +108,15 @@ def bricks(rng: np.random.Generator) -> Weights:
 
 def carpet(rng: np.random.Generator) -> Weights:
     """Fine pile with soft stains."""
-    return mix(
-        noise(rng, 4, 4, 3) * 0.5 + 0.5 * rng.random((SIDE, SIDE)), 0.0, 0.8 + 0.4 * noise(rng, 64, 64, 1)
-    )
+    stains = noise(rng, 4, 4, 3) * 0.5 + 0.5 * rng.random((SIDE, SIDE))
+    return mix(stains, 0.0, 0.8 + 0.4 * noise(rng, 64, 64, 1))
 
 
 def speckle(rng: np.random.Generator) -> Weights:
     """Granite, terrazzo, marble."""
     fine, broad = noise(rng, 32, 32, 2), noise(rng, 4, 4, 4)
-    return mix(
-        np.clip(3 * (fine - 0.4), 0, 1) * 0.8, np.clip(6 * (broad - 0.7), 0, 1) * 0.7, 0.9 + 0.2 * broad
-    )
+    grains, veins = np.clip(3 * (fine - 0.4), 0, 1) * 0.8, np.clip(6 * (broad - 0.7), 0, 1) * 0.7
+    return mix(grains, veins, 0.9 + 0.2 * broad)
 
 
 def stripes(rng: np.random.Generator) -> Weights:
@@ -137,11 +133,8 @@ def plaid(rng: np.random.Generator) -> Weights:
     u, v = grid()
     bands = rng.random(int(rng.integers(4, 12)))
     a, b = (bands[np.floor(x * len(bands)).astype(int)] for x in (u, v))
-    return mix(
-        0.5 * (a > 0.5) + 0.5 * (b > 0.5),
-        0.8 * ((a > 0.85) | (b > 0.85)),
-        0.85 + 0.3 * noise(rng, 32, 32, 2),
-    )
+    second, third = 0.5 * (a > 0.5) + 0.5 * (b > 0.5), 0.8 * ((a > 0.85) | (b > 0.85))
+    return mix(second, third, 0.85 + 0.3 * noise(rng, 32, 32, 2))
 
 
 def blobs(rng: np.random.Generator) -> Weights:
@@ -171,7 +164,7 @@ def tufted(rng: np.random.Generator) -> Weights:
     return mix(0.2 * noise(rng, 8, 8), 0.0, 0.7 + 0.4 * wave**0.5)
 
 
-def _frame(u: np.ndarray, v: np.ndarray, x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+def _rectangle(u: np.ndarray, v: np.ndarray, x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
     return (u >= x0) & (u < x1) & (v >= y0) & (v < y1)
 
 
@@ -180,8 +173,8 @@ def _panel(
 ) -> None:
     """Carve a raised panel: dark lower edge, bright upper edge."""
     x0, y0, x1, y1 = box
-    light[_frame(u, v, x0, y0, x1, y1)] *= 0.72
-    light[_frame(u, v, x0 + edge, y0 + edge, x1 - edge, y1 - edge)] *= 1.36
+    light[_rectangle(u, v, x0, y0, x1, y1)] *= 0.72
+    light[_rectangle(u, v, x0 + edge, y0 + edge, x1 - edge, y1 - edge)] *= 1.36
 
 
 def fronts(rng: np.random.Generator) -> Weights:
@@ -195,17 +188,16 @@ def fronts(rng: np.random.Generator) -> Weights:
     for i in range(nu):
         for j in range(nv):
             x0, y0, x1, y1 = i / nu, j / nv, (i + 1) / nu, (j + 1) / nv
-            gap |= _frame(u, v, x0, y0, x1, y1) & ~_frame(
-                u, v, x0 + 0.012, y0 + 0.012, x1 - 0.012, y1 - 0.012
-            )
+            inner = _rectangle(u, v, x0 + 0.012, y0 + 0.012, x1 - 0.012, y1 - 0.012)
+            gap |= _rectangle(u, v, x0, y0, x1, y1) & ~inner
             if style:
                 _panel(light, u, v, (x0 + 0.2 / nu, y0 + 0.15 / nv, x1 - 0.2 / nu, y1 - 0.15 / nv), 0.02)
             cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
             if nv >= 2 and style != 2:
-                handle |= _frame(u, v, cx - 0.12 / nu, cy - 0.018, cx + 0.12 / nu, cy + 0.018)
+                handle |= _rectangle(u, v, cx - 0.12 / nu, cy - 0.018, cx + 0.12 / nu, cy + 0.018)
             else:
                 side = x0 + 0.1 / nu if i % 2 else x1 - 0.1 / nu
-                handle |= _frame(u, v, side - 0.018, cy - 0.09 / nv, side + 0.018, cy + 0.09 / nv)
+                handle |= _rectangle(u, v, side - 0.018, cy - 0.09 / nv, side + 0.018, cy + 0.09 / nv)
     light = np.where(gap, light * 0.35, light)
     return mix(noise(rng, 2, 32, 2) * 0.6, handle * 1.0, light)
 
@@ -217,7 +209,7 @@ def door(rng: np.random.Generator) -> Weights:
     for x0, x1 in ((0.12, 0.46), (0.54, 0.88)) if rng.random() < 0.6 else ((0.15, 0.85),):
         for y0, y1 in ((0.05, 0.4), (0.47, 0.94)):
             _panel(light, u, v, (x0, y0, x1, y1), 0.025)
-    handle = _frame(u, v, 0.9, 0.44, 0.96, 0.48)
+    handle = _rectangle(u, v, 0.9, 0.44, 0.96, 0.48)
     return mix(0.4 * noise(rng, 2, 32, 2), handle * 1.0, light)
 
 
@@ -247,16 +239,14 @@ def poster(rng: np.random.Generator) -> Weights:
     second, third = base * float(rng.random() * 1.5), np.zeros((SIDE, SIDE), np.float32)
     for _ in range(int(rng.integers(2, 9))):
         x, y, r = rng.random(), rng.random(), 0.05 + 0.3 * rng.random()
-        inside = (
-            (u - x) ** 2 + (v - y) ** 2 < r * r
-            if rng.random() < 0.5
-            else _frame(u, v, x - r, y - r / 2, x + r, y + r / 2)
-        )
+        round_shape = rng.random() < 0.5
+        rectangle = _rectangle(u, v, x - r, y - r / 2, x + r, y + r / 2)
+        inside = (u - x) ** 2 + (v - y) ** 2 < r * r if round_shape else rectangle
         target = second if rng.random() < 0.5 else third
         target[inside] = rng.random()
     light = 0.5 + 0.7 * noise(rng, 4, 4, 4)
     border = 0.03 + 0.09 * rng.random()
-    edge = ~_frame(u, v, border, border, 1 - border, 1 - border)
+    edge = ~_rectangle(u, v, border, border, 1 - border, 1 - border)
     light = np.where(edge, 1.1 * rng.random() + 0.1, light)
     return mix(np.where(edge, 0.0, second), np.where(edge, 0.0, third), light)
 
@@ -266,8 +256,10 @@ def text(rng: np.random.Generator) -> Weights:
     u, v = grid()
     lines = int(rng.integers(6, 16))
     ink = ((v * lines) % 1.0 < 0.45) & (noise(rng, 32, lines if lines in (8, 16) else 8, 1) > 0.45)
-    ink &= _frame(u, v, 0.08, 0.06, 0.92, 0.94) & (rng.random(lines)[np.floor(v * lines).astype(int)] < 0.75)
-    picture = _frame(u, v, 0.1, 0.1, 0.1 + 0.5 * rng.random(), 0.1 + 0.4 * rng.random())
+    ink &= _rectangle(u, v, 0.08, 0.06, 0.92, 0.94) & (
+        rng.random(lines)[np.floor(v * lines).astype(int)] < 0.75
+    )
+    picture = _rectangle(u, v, 0.1, 0.1, 0.1 + 0.5 * rng.random(), 0.1 + 0.4 * rng.random())
     return mix(ink * 0.9, picture * 0.9, 0.95 + 0.08 * noise(rng, 4, 4))
 
 
@@ -293,7 +285,7 @@ def appliance(rng: np.random.Generator) -> Weights:
     """Oven, microwave, washing machine, computer: dark window and buttons; fits one face."""
     u, v = grid()
     x0, y0, x1, y1 = 0.1, 0.12, 0.6 + 0.3 * rng.random(), 0.6 + 0.2 * rng.random()
-    pane = _frame(u, v, x0, y0, x1, y1)
+    pane = _rectangle(u, v, x0, y0, x1, y1)
     if rng.random() < 0.3:
         pane = (u - 0.5) ** 2 + (v - 0.45) ** 2 < 0.1
     knobs = (((u * 8) % 1.0 - 0.5) ** 2 + ((v * 8) % 1.0 - 0.5) ** 2 < 0.06) & (v > 0.86)
@@ -303,12 +295,11 @@ def appliance(rng: np.random.Generator) -> Weights:
 
 def foliage(rng: np.random.Generator) -> Weights:
     """Leaves."""
-    return mix(
-        noise(rng, 16, 16, 2) > 0.5, 0.5 * (noise(rng, 16, 16, 2) > 0.7), 0.5 + 0.7 * noise(rng, 16, 16, 3)
-    )
+    second, third = noise(rng, 16, 16, 2) > 0.5, 0.5 * (noise(rng, 16, 16, 2) > 0.7)
+    return mix(second, third, 0.5 + 0.7 * noise(rng, 16, 16, 3))
 
 
-# How many variants of each pattern the atlas holds; the order fixes their numbers, hence the hashes of rooms.
+# Variants of each pattern in the atlas. Their order fixes the patterns' numbers and so the rooms.
 FAMILIES: tuple[tuple[Pattern, int], ...] = (
     (plain, 3),
     (plaster, 4),
@@ -337,7 +328,7 @@ FAMILIES: tuple[tuple[Pattern, int], ...] = (
 
 
 def variants(family: str) -> range:
-    """Pattern numbers of a family, e.g. ``variants("planks")``."""
+    """Return the pattern numbers of a family, e.g. ``variants("planks")``."""
     first = 0
     for pattern, count in FAMILIES:
         if pattern.__name__ == family:
@@ -347,9 +338,9 @@ def variants(family: str) -> range:
 
 
 class Atlas:
-    """All patterns with their pyramid, flat: one level per power of two, sampled bilinearly.
+    """All patterns with their image pyramids, sampled bilinearly.
 
-    The level fits the pixel's footprint, so far tiles turn gray instead of sparkling.
+    The level follows the pixel's footprint, so distant tiles turn gray instead of sparkling.
 
     Attributes:
         planes: ``(3, T)`` uint8 weights, 200 = 1.0; level by level, pattern by pattern, row by row.
@@ -359,9 +350,9 @@ class Atlas:
 
     def __init__(self) -> None:
         first = [
-            p(np.random.default_rng((77, i, k)))
-            for i, (p, count) in enumerate(FAMILIES)
-            for k in range(count)
+            pattern(np.random.default_rng((77, number, variant)))
+            for number, (pattern, count) in enumerate(FAMILIES)
+            for variant in range(count)
         ]
         level = np.clip(np.stack(first) * 200 + 0.5, 0, 255).astype(np.uint8)
         levels = [level]
@@ -375,7 +366,7 @@ class Atlas:
         self.planes = np.ascontiguousarray(np.concatenate([lv.reshape(-1, 3) for lv in levels]).T)
 
     def sample(self, pattern: np.ndarray, u: np.ndarray, v: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-        """Weights ``(3, N)`` float32 at texture coordinates (period 1), bilinear.
+        """Return the weights ``(3, N)`` float32 at texture coordinates (period 1).
 
         Args:
             pattern: ``(N,)`` int32 pattern numbers.
