@@ -211,7 +211,9 @@ def test_pedestrians_walk_their_path_and_can_be_hit():
         assert step <= pedestrian.speed * 0.1 + 1e-9
         corners = pedestrian.path
         length = sum(math.dist(a, b) for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
-        assert pedestrian.position(length / pedestrian.speed) == pytest.approx(pedestrian.position(0.0), abs=1e-6)
+        assert pedestrian.position(length / pedestrian.speed) == pytest.approx(
+            pedestrian.position(0.0), abs=1e-6
+        )
     person = Obstacle("person", 3.0, 0.0, 0.0, (0.25, 0.25), 1.7, ((3.0, 0.0), (-3.0, 0.0)), 0.5)
     world = ArenaWorld(Arena("", 0, 0, (person,), (0.0, 0.0, 0.0), ((5.0, 0.0),)))
     # the person walks into the standing robot: 3 m minus half a person and half a robot, at 0.5 m/s
