@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import eldenet
+
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
     from eldenet.deploy.runtimes.module import RuntimeNetwork
@@ -66,7 +68,6 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
     from eldenet.results.score import ScoreSetup, score_and_record
     from eldenet.results.tables import closing_table
     from eldenet.system.resources import choose_resources
-    from eldenet.zoo import note_if_untrained
 
     if (setup.folder / "checkpoints").is_dir():
         raise ValueError(
@@ -76,8 +77,8 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
     model = open_checkpoint(setup, resources)
     setup.folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(setup.folder)
-    if note := note_if_untrained(setup.checkpoint):
-        log.say(note)
+    if setup.checkpoint in eldenet.list_models():
+        log.say(f"note: {setup.checkpoint} is a freshly initialized network: its depth means nothing")
     size = chosen_size(setup, model, log)
     scoring = ScoreSetup(
         folder=setup.folder,
@@ -102,7 +103,6 @@ def open_checkpoint(setup: EvaluationSetup, resources: "Resources") -> "DepthNet
 
     A file runs on an accelerator only where that was asked for: it needs another build of its runtime.
     """
-    import eldenet
     from eldenet.deploy import runtimes
     from eldenet.deploy.runtimes.module import RuntimeNetwork
 
