@@ -72,8 +72,9 @@ class TrainingArenas:
                 least = (self.low + self.high) // 2
             density = int(rng.integers(least, self.high + 1))
             movers = int(rng.integers(0, self.movers + 1))
+            index = int(rng.integers(2**31))
             self._arena = generate_arena(
-                self.split, density, int(rng.integers(2**31)), pedestrians=movers, min_distance=self.min_distance
+                self.split, density, index, pedestrians=movers, min_distance=self.min_distance
             )
             self._left = self.repeats - 1
             self._clearance = clearance_map(self._arena.obstacles)

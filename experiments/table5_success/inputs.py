@@ -18,7 +18,7 @@ from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.training import PROGRESS
 from eldenet.navigation.versions import training_hash
 from eldenet.results.fingerprints import located
-from eldenet.results.run_record import write_json
+from eldenet.system.files import write_json
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")

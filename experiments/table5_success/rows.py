@@ -18,8 +18,9 @@ from eldenet.navigation.evaluation import Crossing, Policy, as_rows, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.navigation.versions import crossing_hash
-from eldenet.results.run_record import environment, write_json, write_rows
+from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
+from eldenet.system.files import write_json, write_rows
 
 HERE = Path(__file__).parent
 

@@ -99,7 +99,7 @@ class RayCamera:
     def probe(
         self, model: Any, data: Any, position: np.ndarray, rotation: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Like :meth:`cast`, but return depth ``(N,)`` [m] (``inf``: nothing was hit) and geom ``(N,)`` alone."""
+        """Return depth ``(N,)`` [m], ``inf`` where nothing was hit, and geom ``(N,)`` alone; cheap."""
         distance, geom, _ = cast_rays(model, data, position, self.rays(rotation), self.far, normals=False)
         return np.where(geom < 0, np.inf, distance * self._scale), geom
 
