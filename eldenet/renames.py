@@ -19,7 +19,16 @@ TARGETS = {
     "eldenet.trainer.Trainer": "eldenet.training.trainer.Trainer",
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
-OPTIONS: dict[str, dict[str, str]] = {}
+OPTIONS: dict[str, dict[str, str]] = {
+    "eldenet.training.optim.constant": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.cosine": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.one_cycle": {"peak": "max_lr_factor", "warmup": "warmup_fraction"},
+    "eldenet.training.trainer.Trainer": {
+        "accumulate": "accumulate_grad_batches",
+        "backbone_lr": "backbone_lr_factor",
+        "gradient_clip": "max_grad_norm",
+    },
+}
 #: Sections and entries that were renamed, wherever they stand: old name -> new name.
 KEYS = {"normalisation": "normalization"}
 #: Values that were renamed: (key, old value) -> new value.
