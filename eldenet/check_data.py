@@ -29,7 +29,7 @@ def check(config: "DictConfig") -> bool:
     """Read the splits, show a table, write ``check.json`` and a contact sheet; True if all is well."""
     from eldenet.data.inspection import SplitCheck, check_split, shared_frames
     from eldenet.results.run_log import RunLog
-    from eldenet.results.run_record import write_json
+    from eldenet.system.files import write_json
     from eldenet.visualization import contact_sheet, write_picture
 
     for name, least in (("frames", 1), ("samples", 0)):

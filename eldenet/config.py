@@ -102,9 +102,9 @@ def read_yaml(path: Path) -> Any:
         raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
-def plain(config: Any) -> Any:
-    """Resolved dicts, lists and values; what ``run.json`` stores."""
-    return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+def plain(config: Any, *, resolve: bool = True) -> Any:
+    """Dicts, lists and values, resolved unless ``resolve`` is False; what ``run.json`` stores."""
+    return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
 
 
 def listed(config: Any) -> list[Any]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
@@ -48,7 +48,7 @@ def predict(config: "DictConfig") -> "Results":
     from eldenet.perception.predict_boxes import Timed, box_results
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import choose_resources
-    from eldenet.system.signals import stop_wish
+    from eldenet.system.signals import GracefulStop
 
     given = str(config.source)
     live, source = is_live(given), Path(given).expanduser()
@@ -65,7 +65,7 @@ def predict(config: "DictConfig") -> "Results":
     predictor = Timed(open_predictor(config, resources, log))
     about = {"source": without_password(given), "checkpoint": str(config.checkpoint)}
     results.video, broken = named[0] if is_video else "", ""
-    with Written(results.folder, kind, names, about) as results.written, stop_wish() as stop:
+    with Written(results.folder, kind, names, about) as results.written, GracefulStop() as stop:
         with box_results(config, results, named, log, predictor.seconds, is_video=is_video) as results.also:
             if is_video:
                 stream = given if live else source
@@ -110,9 +110,9 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
         ValueError: a runtime that is unknown, or does not run such a file here.
     """
     import eldenet
-    from eldenet.data.paths import one_of
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.system.checks import one_of
 
     one_of("engine", str(config.engine), ("auto", *runtimes.RUNTIMES))
     engine = str(config.engine)
@@ -151,9 +151,9 @@ def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log:
 
 def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
     """Check the settings that speak of results."""
-    from eldenet.data.paths import one_of
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.geometry import pinhole
+    from eldenet.system.checks import one_of
 
     one_of("on_error", str(config.on_error), ("stop", "skip"))
     if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
@@ -191,7 +191,7 @@ def predict_pictures(
     predictor: "Predictor",
     results: "Results",
     log: "RunLog",
-    stop: "StopWish",
+    stop: "GracefulStop",
     *,
     skip: bool,
 ) -> None:

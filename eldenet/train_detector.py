@@ -37,9 +37,9 @@ def train_detector(config: "DictConfig", folder: Path) -> dict[str, Any]:
     """
     from eldenet.perception.detection_data import write_dataset
     from eldenet.results.run_log import RunLog
-    from eldenet.results.run_record import RUN_FILE, environment, write_json
-    from eldenet.simulation.object_views import NAMES
-    from eldenet.simulation.street_views import STREETS_VERSION
+    from eldenet.results.run_record import RUN_FILE, environment
+    from eldenet.simulation.street_views import NAMES, STREETS_VERSION
+    from eldenet.system.files import write_json
     from eldenet.system.resources import choose_resources
 
     if (folder / "train").exists() and not config.resume:

@@ -11,7 +11,7 @@ from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.io import read_depth, read_image
 from eldenet.data.kitti_layouts import Place
 from eldenet.data.kitti_lidar import CAM_TO_CAM, rectified_intrinsics
-from eldenet.data.paths import one_of
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 KITTI_MIN_DEPTH, KITTI_MAX_DEPTH = 1e-3, 80.0

@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.boxes import Detections2D
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.simulation.object_views import KINDS, NAMES, render_objects
+from eldenet.simulation.street_views import KINDS, NAMES, render_objects
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
@@ -32,7 +32,7 @@ def write_dataset(
             shares of the picture).
         counts: by split of the simulator: "train", "val", "test".
         size: ``(height, width)`` [px].
-        kinds: of scenes, see :data:`eldenet.simulation.object_views.KINDS`.
+        kinds: of scenes, see :data:`eldenet.simulation.street_views.KINDS`.
         advance: called with the number of pictures that came to be.
 
     Raises:

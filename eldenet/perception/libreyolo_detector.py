@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.data.paths import one_of
 from eldenet.perception.detectors import check_frame
 from eldenet.perception.postprocess import fit_picture, in_frame
+from eldenet.system.checks import one_of
 
 SIZES = ("t", "s", "m", "c")
 _STRIDE = 32

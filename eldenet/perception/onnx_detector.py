@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.data.paths import one_of
 from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.postprocess import fit_picture, in_frame
+from eldenet.system.checks import one_of
 
 _STRIDES = (8, 16, 32)
 _INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters

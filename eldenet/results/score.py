@@ -20,7 +20,8 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.results.fingerprints import fingerprints
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, environment, write_json, write_rows
+from eldenet.results.run_record import RUN_FILE, environment
+from eldenet.system.files import write_json, write_rows
 from eldenet.system.resources import Resources
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.results.run_record import write_json
+from eldenet.system.files import write_json
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences, run_differences
-from eldenet.results.run_record import RUN_FILE, read_run, read_yaml
+from eldenet.results.run_record import RUN_FILE, read_run
+from eldenet.system.files import read_yaml
 
 if TYPE_CHECKING:
     from eldenet.training.setup import TrainingSetup

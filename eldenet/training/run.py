@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from eldenet.results.run_record import write_yaml
+from eldenet.system.files import write_yaml
 from eldenet.system.resources import choose_resources, is_main_process, main_process_first
 from eldenet.training.resume import checkpoint_to_resume, finished_run, run_folder
 from eldenet.training.setup import TrainingSetup

@@ -31,7 +31,8 @@ from torch.utils.data import DataLoader, Dataset  # noqa: E402
 from eldenet.data.loaders import EpochSampler, _quiet_worker, training_loader  # noqa: E402
 from eldenet.data.nyu import NYULabelled  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
-from eldenet.results.run_record import environment, write_rows  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
 from eldenet.system.resources import choose_resources  # noqa: E402
 
 HERE = Path(__file__).parent

@@ -14,8 +14,8 @@ from eldenet.benchmark import benchmark
 from eldenet.config import compose
 from eldenet.deploy.benchmarking.measure import COLUMNS
 from eldenet.deploy.benchmarking.tables import draw, notes_of, text_of
-from eldenet.results.run_record import write_rows
 from eldenet.results.tables import to_latex, to_markdown
+from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 

@@ -25,7 +25,7 @@ from eldenet.perception.kitti_object import KittiObjects
 from eldenet.perception.lifter import METHODS, BoxLifter
 from eldenet.perception.matching_metrics import Pairs, compare
 from eldenet.perception.onnx_detector import OnnxDetector
-from eldenet.results.run_record import write_rows
+from eldenet.system.files import write_rows
 from eldenet.visualization import write_picture
 
 HERE = Path(__file__).parent

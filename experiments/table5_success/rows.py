@@ -25,8 +25,9 @@ from eldenet.navigation.evaluation import Crossing, Policy, cross
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.navigation.versions import EPISODE_VERSION
-from eldenet.results.run_record import environment, write_json, write_rows
+from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
+from eldenet.system.files import write_json, write_rows
 
 HERE = Path(__file__).parent
 LABELS = ("sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row of a method

@@ -22,8 +22,9 @@ from panels import draw_panels
 from rows import measure
 
 from eldenet.navigation.evaluation import Crossing, summarize
-from eldenet.results.run_record import environment, write_rows
+from eldenet.results.run_record import environment
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 

@@ -26,7 +26,8 @@ from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
-from eldenet.results.run_record import environment, write_rows  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
 
 # (physics, sensor, course) -> method -> episodes of every training
 Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]

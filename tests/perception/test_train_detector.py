@@ -12,7 +12,7 @@ from eldenet.geometry import to_corner
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.libreyolo_detector import LibreYoloDetector
 from eldenet.simulation.furnished_rooms.rooms import generate_room
-from eldenet.simulation.object_views import KINDS, NAMES, render_objects
+from eldenet.simulation.street_views import KINDS, NAMES, render_objects
 from eldenet.train_detector import average_precisions, train_detector
 
 SIZE = (96, 160)

@@ -20,7 +20,7 @@ from support.training import ONE_THREAD, digest, fit, make_trainer
 from eldenet.config import build_training, compose, plain
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.pointwise import L1Loss
-from eldenet.results.run_record import write_json
+from eldenet.system.files import write_json
 from eldenet.training.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.training.optim import cosine
 from eldenet.training.run import train

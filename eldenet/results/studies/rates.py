@@ -7,9 +7,10 @@ from typing import Any
 from eldenet import config as cfg
 from eldenet.config import build_training
 from eldenet.results.fingerprints import fingerprints
-from eldenet.results.run_record import read_record, read_run, write_json
+from eldenet.results.run_record import read_record, read_run
 from eldenet.results.studies.matching import compose_run, refuse_missing, search_differences
 from eldenet.results.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
+from eldenet.system.files import write_json
 from eldenet.training.run import train
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
