@@ -17,7 +17,7 @@ from eldenet.heads import LogHead
 from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
 from eldenet.results.fingerprints import sha256
-from eldenet.zoo import PACKAGED
+from eldenet.weights import PACKAGED
 
 NAMES = [
     *("eldenet", "eldenet_fast", "eldenet_l", "eldenet_s", "fastdepth", "guidedepth", "guidedepth_s"),

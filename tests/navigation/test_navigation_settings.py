@@ -15,7 +15,7 @@ from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.settings import NOT_READ, refuse_ignored
 from eldenet.results.fingerprints import sha256
-from eldenet.zoo import PACKAGED
+from eldenet.weights import PACKAGED
 
 
 def check(*overrides: str) -> None:
