@@ -35,9 +35,9 @@ def renamed(content: Any) -> Any:
     target = content.get("_target_")
     target = TARGETS.get(str(target), target)
     options = KEYS | OPTIONS.get(str(target), {})
-    found = {}
+    found: dict[str, Any] = {}
     for key, value in content.items():
-        new = options.get(key, key)
+        new = str(options.get(key, key))
         found[new] = target if key == "_target_" else renamed(value)
         if isinstance(value, str) and (new, value) in VALUES:
             found[new] = VALUES[new, value]

@@ -39,10 +39,11 @@ def normalization(
         raise ValueError(f"normalization={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
     if choice == "imagenet":
         return {}
-    for name in (FILE, _EARLIER_FILE) if resumed is not None else ():
-        if (resumed / name).is_file():
-            known = json.loads((resumed / name).read_text())
-            return {name: _three(name, known[name]) for name in ("mean", "std")}
+    if resumed is not None:
+        for file in (resumed / FILE, resumed / _EARLIER_FILE):
+            if file.is_file():
+                known = json.loads(file.read_text())
+                return {name: _three(name, known[name]) for name in ("mean", "std")}
     from eldenet.data.statistics import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)

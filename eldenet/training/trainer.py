@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,6 +24,20 @@ from eldenet.training.loss_meter import LossMeter, timed
 from eldenet.training.optim import build_optimizer
 
 IDENTITY = ("monitor", "seed", "accumulate", "epochs", "backbone_lr", "ema_decay")  # as a checkpoint's
+
+
+class TrainingData(NamedTuple):
+    """The frames of a training and the rules of its validation.
+
+    Attributes:
+        train: augmented.
+        val: scored after every epoch.
+        protocol: by which ``val`` is scored.
+    """
+
+    train: DepthDataset
+    val: DepthDataset
+    protocol: EvalProtocol
 
 
 class Trainer:
@@ -83,10 +97,8 @@ class Trainer:
     def fit(
         self,
         model: DepthNet,
-        train_set: DepthDataset,
-        val_set: DepthDataset,
         loss: WeightedSum,
-        protocol: EvalProtocol,
+        data: TrainingData,
         folder: Path,
         resources: Resources,
         *,
@@ -98,10 +110,8 @@ class Trainer:
 
         Args:
             model: trained in place.
-            train_set: augmented.
-            val_set: scored after every epoch.
             loss: what is minimized.
-            protocol: of the validation.
+            data: frames, and the rules of the validation.
             folder: of the run.
             resources: device, precision, threads and workers.
             ckpt_path: checkpoint to go on from; the result is that of an uninterrupted run.
@@ -112,7 +122,7 @@ class Trainer:
             FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
         """
         self.info, self.sources = info or {}, dict(sources or {})
-        self._set_up(model, train_set, val_set, loss, protocol, folder, resources, ckpt_path)
+        self._set_up(model, loss, data, folder, resources, ckpt_path)
         progress, batches = self.progress, self.sampler.batches
         for epoch in range(progress.epoch, self.epochs):
             self.sampler.epoch, self.sampler.start = epoch, progress.batch
@@ -171,10 +181,8 @@ class Trainer:
     def _set_up(
         self,
         model: DepthNet,
-        train_set: DepthDataset,
-        val_set: DepthDataset,
         loss: WeightedSum,
-        protocol: EvalProtocol,
+        data: TrainingData,
         folder: Path,
         resources: Resources,
         ckpt_path: str | Path | None,
@@ -182,17 +190,17 @@ class Trainer:
         seed_everything(self.seed)
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
-        self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
+        self.train_set, self.val_set, self.protocol = data
+        self.folder, self.workers = folder, resources.workers
         loss.attach(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
-        self.train_set = train_set
         self.sampler = EpochSampler(
-            len(train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
+            len(self.train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
         )
         self.loader = training_loader(
-            train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
+            self.train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
         )
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
         optimizer = build_optimizer(self.make_optimizer, model, self.loss, backbone_lr=self.backbone_lr)
@@ -213,9 +221,9 @@ class Trainer:
             identity={
                 **{name: getattr(self, name) for name in IDENTITY},
                 "model": model.config,
-                "training split": train_set.split_hash,
-                "validation split": val_set.split_hash,
-                "protocol": protocol.as_dict(),
+                "training split": self.train_set.split_hash,
+                "validation split": self.val_set.split_hash,
+                "protocol": self.protocol.as_dict(),
                 "batch_size": self.batch_size * self.processes,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),

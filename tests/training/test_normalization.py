@@ -10,12 +10,12 @@ import torch
 from support import layouts
 from support.networks import same_model
 
-from eldenet.config import build_model, compose, plain
+from eldenet.config import build_model, build_training, compose, plain
 from eldenet.data.folder import FolderDataset
 from eldenet.data.statistics import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
-from eldenet.train import build_seeded_model
+from eldenet.training.initialization import initial_model
 from eldenet.training.normalization import normalization, write_normalization
 
 
@@ -99,8 +99,10 @@ def test_pictures_of_one_color_are_refused(tmp_path: Path) -> None:
 
 def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
     source = tmp_path / "start"
-    config = compose("train", ["model=eldenet_s", f"weights={source}", "model.head.max_depth=10", *words])
-    return build_seeded_model(config, RunLog(tmp_path), **arguments)
+    config = compose(
+        "train", ["model=eldenet_s", "model_name=s", f"weights={source}", "model.head.max_depth=10", *words]
+    )
+    return initial_model(build_training(config, tmp_path), RunLog(tmp_path), **arguments)
 
 
 def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:

@@ -17,7 +17,7 @@ from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.loss_meter import LOOK_EVERY, LossMeter
 from eldenet.training.optim import constant, cosine
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 
 
 def test_training_learns_one_batch_by_heart(tmp_path):
@@ -143,7 +143,7 @@ def test_validation_is_in_fp32_whatever_the_training(tmp_path, options):
     seen = set()
     model.network.register_forward_hook(lambda part, args, raw: seen.add((part.training, raw.dtype)))
     trainer = make_trainer(epochs=1, monitor="abs_rel", **options)
-    progress = trainer.fit(model, SyntheticDepth(8), data, loss, PROTOCOL, tmp_path, resources)
+    progress = trainer.fit(model, loss, TrainingData(SyntheticDepth(8), data, PROTOCOL), tmp_path, resources)
     assert (True, torch.bfloat16) in seen
     saved = evaluate(eldenet.load(tmp_path), data, PROTOCOL).metrics["abs_rel"]
     assert progress.best_value == pytest.approx(saved, rel=1e-6)
