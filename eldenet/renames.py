@@ -19,7 +19,13 @@ TARGETS = {
     "eldenet.trainer.Trainer": "eldenet.training.trainer.Trainer",
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
-OPTIONS: dict[str, dict[str, str]] = {}
+OPTIONS: dict[str, dict[str, str]] = {
+    "eldenet.perception.tracking.BoxTracker": {
+        "births": "min_hits",
+        "deaths": "max_age",
+        "gate": "max_distance",
+    },
+}
 #: Sections and entries that were renamed, wherever they stand: old name -> new name.
 KEYS = {"normalisation": "normalization"}
 #: Values that were renamed: (key, old value) -> new value.

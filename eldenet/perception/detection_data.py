@@ -45,7 +45,9 @@ def write_dataset(
     settings = {"size": list(size), "kinds": list(kinds), "names": list(NAMES)}
     stored = folder / SETTINGS
     if stored.is_file() and json.loads(stored.read_text()) != settings:
-        raise ValueError(f"{folder} holds images of other settings ({stored.read_text()}): give another folder")
+        raise ValueError(
+            f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     stored.write_text(json.dumps(settings))
     for split, count in counts.items():

@@ -52,22 +52,14 @@ class DetectorTrainingSetup:
 
 
 def train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
-    """Render, train, export and score; return the content of ``run.json``.
-
-    Raises:
-        ValueError: the folder holds another run already.
-    """
+    """Render, train, export and score; return the content of ``run.json``."""
     folder, detector, counts = setup.folder, setup.detector, setup.counts
-    if (folder / "train").exists() and not setup.resume:
-        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
     name = f"yolov9-{setup.settings['detector']['size']}"
     start = time.perf_counter()
     with log.bar("rendering", sum(counts.values())) as bar:
-        data = write_dataset(
-            setup.data, counts, detector.input_size, kinds=setup.kinds, advance=bar.advance
-        )
+        data = write_dataset(setup.data, counts, detector.input_size, kinds=setup.kinds, advance=bar.advance)
     rendered = time.perf_counter()
     log.say(
         f"{name}, {setup.training.epochs} epochs of {counts['train']} pictures on {setup.resources.device}, "

@@ -98,8 +98,8 @@ class Perception:
     """``perception(image) -> Scene``.
 
     Args:
-        depth_model: frame ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.deploy.predictor.DepthPredictor`.
+        depth_model: image ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
+            :class:`eldenet.deploy.predictor.DepthPredictor`; None: every call gives the depth.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
         camera: of the images.
@@ -108,7 +108,7 @@ class Perception:
 
     def __init__(
         self,
-        depth_model: Callable[[np.ndarray], np.ndarray],
+        depth_model: Callable[[np.ndarray], np.ndarray] | None,
         detector: Detector,
         lifter: BoxLifter,
         camera: PinholeCamera,
@@ -134,7 +134,10 @@ class Perception:
         check_frame(image)
         check_intrinsics(self.camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
-        depth = self.depth_model(image) if depth is None else depth
+        if depth is None:
+            if self.depth_model is None:
+                raise ValueError("Perception has no depth model: give depth=")
+            depth = self.depth_model(image)
         clock.append(time.perf_counter())
         if depth.shape != image.shape[:2]:
             raise ValueError(

@@ -43,7 +43,7 @@ def test_the_plane_homography_is_back_projection_with_the_planes_depth():
     ground = GroundHomography(camera, plane)
     columns, rows = np.meshgrid(np.arange(0.0, 640, 40), np.arange(140.0, 240, 20))
     points = camera.back_project(columns, rows, ground.depth(columns, rows))
-    np.testing.assert_allclose(plane.below(points), 0, atol=1e-12)
+    np.testing.assert_allclose(plane.height_above(points), 0, atol=1e-12)
     np.testing.assert_allclose(ground.to_ground(columns, rows), points[..., [0, 2]], atol=1e-9)
 
 

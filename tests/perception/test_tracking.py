@@ -53,7 +53,7 @@ def test_a_filter_is_calmer_than_its_measurements():
 
 
 def test_births_deaths_gaps_and_classes():
-    tracker = BoxTracker(births=3, deaths=3)
+    tracker = BoxTracker(min_hits=3, max_age=3)
     here = [0.0, 0.8, 10.0]
     for _ in range(3):
         tracker(Boxes3D.empty(("car", "person")), 0.1)
@@ -68,12 +68,12 @@ def test_births_deaths_gaps_and_classes():
     assert not tracker.tracks
     with pytest.raises(ValueError, match="seconds"):
         tracker(boxes(here), 0.0)
-    with pytest.raises(ValueError, match="gate"):
-        BoxTracker(gate=0)
+    with pytest.raises(ValueError, match="max_distance"):
+        BoxTracker(max_distance=0)
 
 
 def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
-    tracker = BoxTracker(births=1, report_unseen=True)
+    tracker = BoxTracker(min_hits=1, report_unseen=True)
     for frame in range(6):
         # a person and a car beside it are seen in turn, each as class 0 of its frame
         name, x = ("car", 0.0) if frame % 2 else ("person", 0.5)

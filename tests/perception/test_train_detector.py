@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from eldenet.boxes import Detections2D
-from eldenet.config import compose
+from eldenet.config import build_train_detector, compose
 from eldenet.geometry import to_corner
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.libreyolo_detector import LibreYoloDetector
 from eldenet.simulation.furnished_rooms.rooms import generate_room
 from eldenet.simulation.object_views import KINDS, NAMES, render_objects
-from eldenet.train_detector import average_precisions, train_detector
+from eldenet.perception.detector_training import average_precisions, train_detector
 
 SIZE = (96, 160)
 NEEDED = "pip install 'eldenet[yolo]'"
@@ -146,7 +146,7 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
 def test_a_run_folder_holds_one_training(tmp_path):
     (tmp_path / "run/train").mkdir(parents=True)
     with pytest.raises(ValueError, match="resume=true"):
-        train_detector(compose("train_detector", [f"run_dir='{tmp_path / 'run'}'"]), tmp_path / "run")
+        train_detector(build_train_detector(compose("train_detector", [f"run_dir='{tmp_path / 'run'}'"]), tmp_path / "run"))
 
 
 def test_the_config_shows_every_option():
@@ -201,7 +201,7 @@ def test_a_detector_learns_and_its_file_finds_the_same(tmp_path):
     ]  # fmt: skip
     (folder / "train").mkdir(parents=True)  # as a run leaves it that was killed before its first checkpoint
     first = compose("train_detector", [*options, "training.epochs=4", "resume=true"])
-    record = train_detector(first, folder)
+    record = train_detector(build_train_detector(first, folder))
     assert json.loads((folder / "run.json").read_text())["metrics"]["all"]["objects"] > 5
     assert (folder / "detections.png").is_file()
     rows = (folder / "train/results.csv").read_text().splitlines()
@@ -210,8 +210,8 @@ def test_a_detector_learns_and_its_file_finds_the_same(tmp_path):
     assert loss[-1] < 0.9 * loss[0]
     assert record["file"]["bytes"] > 1e6
     with pytest.raises(ValueError, match="resume=true"):
-        train_detector(compose("train_detector", [*options, "training.epochs=5"]), folder)
-    train_detector(compose("train_detector", [*options, "training.epochs=5", "resume=true"]), folder)
+        train_detector(build_train_detector(compose("train_detector", [*options, "training.epochs=5"]), folder))
+    train_detector(build_train_detector(compose("train_detector", [*options, "training.epochs=5", "resume=true"]), folder))
     assert len((folder / "train/results.csv").read_text().splitlines()) == 6
     trained = LibreYoloDetector(folder / "train/weights/last.pt", input_size=SIZE, threshold=0.01)
     image, _ = read_split(folder / "data", "test", 1)[0]
