@@ -1,4 +1,4 @@
-"""Tracks over time: numbers, speeds, births and deaths."""
+"""Tracks over time: identities, velocities, begin and end."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_a_filter_is_calmer_than_its_measurements():
     assert np.mean(smooth[20:]) < 0.8 * np.mean(raw[20:])
 
 
-def test_births_deaths_gaps_and_classes():
+def test_tracks_begin_survive_gaps_keep_their_class_and_end():
     tracker = BoxTracker(min_hits=3, max_age=3)
     here = [0.0, 0.8, 10.0]
     for _ in range(3):

@@ -146,7 +146,11 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
 def test_a_run_folder_holds_one_training(tmp_path):
     (tmp_path / "run/train").mkdir(parents=True)
     with pytest.raises(ValueError, match="resume=true"):
-        train_detector(build_train_detector(compose("train_detector", [f"run_dir='{tmp_path / 'run'}'"]), tmp_path / "run"))
+        train_detector(
+            build_train_detector(
+                compose("train_detector", [f"run_dir='{tmp_path / 'run'}'"]), tmp_path / "run"
+            )
+        )
 
 
 def test_the_config_shows_every_option():
@@ -210,8 +214,14 @@ def test_a_detector_learns_and_its_file_finds_the_same(tmp_path):
     assert loss[-1] < 0.9 * loss[0]
     assert record["file"]["bytes"] > 1e6
     with pytest.raises(ValueError, match="resume=true"):
-        train_detector(build_train_detector(compose("train_detector", [*options, "training.epochs=5"]), folder))
-    train_detector(build_train_detector(compose("train_detector", [*options, "training.epochs=5", "resume=true"]), folder))
+        train_detector(
+            build_train_detector(compose("train_detector", [*options, "training.epochs=5"]), folder)
+        )
+    train_detector(
+        build_train_detector(
+            compose("train_detector", [*options, "training.epochs=5", "resume=true"]), folder
+        )
+    )
     assert len((folder / "train/results.csv").read_text().splitlines()) == 6
     trained = LibreYoloDetector(folder / "train/weights/last.pt", input_size=SIZE, threshold=0.01)
     image, _ = read_split(folder / "data", "test", 1)[0]
