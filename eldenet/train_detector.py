@@ -1,4 +1,4 @@
-"""``python -m eldenet.train_detector``: rendered scenes -> YOLOv9 -> an ONNX file and its average precision."""
+"""``python -m eldenet.train_detector``: rendered scenes -> YOLOv9 -> a scored ONNX file."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The fit's derivatives, and what is known of classes."""
+"""The derivatives of the fit, and the class priors."""
 
 import numpy as np
 from support.blocks import CAMERA
@@ -8,7 +8,7 @@ from eldenet.perception import box_fit
 from eldenet.perception.priors import PRIORS, prior_of, silhouette
 
 
-def test_gradients_are_those_of_the_cost():
+def test_the_gradient_is_the_derivative_of_the_cost():
     rng = np.random.default_rng(0)
     count, points = 6, 40
     direction = np.concatenate([rng.uniform(-0.4, 0.4, (count, points, 2)), np.ones((count, points, 1))], -1)
@@ -32,7 +32,7 @@ def test_gradients_are_those_of_the_cost():
         np.testing.assert_allclose(model.gradient[:, unknown], (high - low) / 2e-6, rtol=2e-3, atol=2e-3)
 
 
-def test_priors_go_by_name():
+def test_priors_are_found_by_name_in_upper_and_lower_case():
     assert prior_of("Car") is prior_of("car") is PRIORS["car"]
     assert prior_of("gizmo") is None
     for shape in ("vehicle", "upright", "box"):

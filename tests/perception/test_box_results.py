@@ -27,7 +27,7 @@ def run(model_folder, tmp_path):
 
     def predict_boxes(source: Path, *overrides: str):
         options = [
-            f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path / 'out'}'", "boxes=true",
+            f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true",
             f"perception.detector.path='{detector}'", "runtime.threads=1", "runtime.workers=0", INTRINSICS,
         ]  # fmt: skip
         return predict(compose("predict", [*options, *overrides]))

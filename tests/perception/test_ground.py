@@ -1,4 +1,4 @@
-"""The ground: fitted to depth, known from calibration, and the view from above that it gives."""
+"""The ground: fitted to depth, known from calibration, and the bird's-eye view it gives."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_ground_is_found_beside_walls_and_objects():
 
 
 @pytest.mark.parametrize("turn", [np.pi, np.pi / 2])
-def test_ground_is_found_whatever_way_the_camera_looks(turn):
+def test_the_ground_is_found_in_every_viewing_direction(turn):
     depth, _ = block((30.0, 0.85, 70.0))
     c, s = np.cos(turn), np.sin(turn)
     camera = PinholeCamera(CAMERA.intrinsics, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
@@ -28,7 +28,7 @@ def test_ground_is_found_whatever_way_the_camera_looks(turn):
     assert plane.offset == pytest.approx(1.6, abs=0.02)
 
 
-def test_no_ground_where_there_is_none():
+def test_walls_and_unknown_depth_show_no_ground():
     wall = np.full((100, 100), 3.0)
     assert fit_ground(wall, PinholeCamera(pinhole(90, 90, 50, 50))) is None
     assert fit_ground(np.zeros((100, 100)), CAMERA) is None
@@ -58,20 +58,19 @@ def test_from_calibration_and_from_depth_agree():
     assert np.isnan(known.to_ground(np.array([320.0]), np.array([50.0]))).all()
 
 
-def test_the_view_from_above_puts_a_mark_where_it_lies():
-    camera = CAMERA
+def test_the_birds_eye_view_shows_a_mark_at_its_place():
     image = np.zeros((240, 640, 3), np.uint8)
-    spot = camera.project(np.array([[1.0, 1.6, 10.0]]))[0]
+    spot = CAMERA.project(np.array([[1.0, 1.6, 10.0]]))[0]
     column, row = np.rint(spot).astype(int)
     image[row - 1 : row + 2, column - 2 : column + 3] = 255
-    above = GroundHomography.from_camera(camera, 1.6).warp(image, across=(-5, 5), ahead=(5, 15), cell=0.05)
+    above = GroundHomography.from_camera(CAMERA, 1.6).warp(image, across=(-5, 5), ahead=(5, 15), cell=0.05)
     assert above.shape == (200, 200, 3)
     rows, columns = np.nonzero(above[..., 0] > 100)
     assert columns.mean() * 0.05 - 5 == pytest.approx(1.0, abs=0.1)
     assert 15 - rows.mean() * 0.05 == pytest.approx(10.0, abs=0.35)
 
 
-def test_the_ground_behind_the_camera_is_not_seen_from_above():
+def test_the_ground_behind_the_camera_is_black():
     image = np.full((240, 640, 3), 200, np.uint8)
     known = GroundHomography.from_camera(CAMERA, 1.6)
     above = known.warp(image, across=(-5, 5), ahead=(-15, 15), cell=0.1)
