@@ -60,7 +60,7 @@ class KittiLabels(ArrayRows):
     def __len__(self) -> int:
         return len(self.types)
 
-    def select(self, chosen: np.ndarray) -> Self:
+    def select(self, chosen: np.ndarray | slice) -> Self:
         """The objects that ``chosen`` (bool or indices) picks."""
         types = tuple(self.types[index] for index in np.arange(len(self))[chosen])
         return replace(super().select(chosen), types=types)

@@ -56,7 +56,7 @@ class Pairs(ArrayRows):
         """``(P,)`` center accuracy of each pair."""
         return np.asarray(np.maximum(0.0, 1.0 - self.error / self.distance))
 
-    def select(self, chosen: np.ndarray) -> Self:
+    def select(self, chosen: np.ndarray | slice) -> Self:
         """The pairs that ``chosen`` picks; ``truths`` counts only these, so recalls become match rates."""
         pairs = super().select(chosen)
         return replace(pairs, truths=len(pairs))
