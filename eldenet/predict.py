@@ -3,10 +3,10 @@
 import re
 import time
 from collections import deque
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -69,7 +69,7 @@ def predict(config: "DictConfig") -> "Results":
     about = {"source": without_password(given), "checkpoint": str(config.checkpoint)}
     results.video, broken = named[0] if is_video else "", ""
     with Written(results.folder, kind, names, about) as results.written, stop_wish() as stop:
-        boxes = nullcontext()
+        boxes: AbstractContextManager[Any] = nullcontext()
         if config.boxes:
             perception = cfg.build_perception(config, results.intrinsics, is_video=is_video)
             boxes = box_results(perception, results, named, log, predictor.seconds, is_video=is_video)
