@@ -25,6 +25,14 @@ OPTIONS: dict[str, dict[str, str]] = {
         "deaths": "max_age",
         "gate": "max_distance",
     },
+    "eldenet.training.optim.constant": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.cosine": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.one_cycle": {"peak": "max_lr_factor", "warmup": "warmup_fraction"},
+    "eldenet.training.trainer.Trainer": {
+        "accumulate": "accumulate_grad_batches",
+        "backbone_lr": "backbone_lr_factor",
+        "gradient_clip": "max_grad_norm",
+    },
 }
 #: Sections and entries that were renamed, wherever they stand: old name -> new name.
 KEYS = {"normalisation": "normalization"}

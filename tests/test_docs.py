@@ -14,7 +14,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [
     *REPOSITORY.glob("*.md"),
     *(REPOSITORY / "docs").rglob("*.md"),
-    *(REPOSITORY / "experiments").glob("*/README.md"),
+    *(REPOSITORY / "experiments").rglob("README.md"),
 ]
 CONFIGS = sorted(config_folder().rglob("*.yaml"))
 
@@ -23,7 +23,8 @@ def commands() -> list[tuple[str, str]]:
     """Every ``python -m eldenet.<command> ...`` of the pages and of the comments in the configs."""
     found = set()
     for page in [*PAGES, *CONFIGS]:
-        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", page.read_text()):
+        text = re.sub(r"\s*\\\n\s*", " ", page.read_text())  # a command may continue on the next line
+        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", text):
             line = re.split(r"\s{2,}#?|\s#\s|\s&&|`|; ", match.group(1))[0].strip().rstrip(".,:)")
             found.add((str(page.relative_to(REPOSITORY)), line))
     return sorted(found)
@@ -50,6 +51,12 @@ def test_a_documented_command_composes(page, line):
         overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
     config = compose(name, overrides)
     assert config is not None
+
+
+def test_documented_scripts_exist():
+    for page in PAGES:
+        for script in re.findall(r"python (experiments/\S+\.py)", page.read_text()):
+            assert (REPOSITORY / script).is_file(), f"{page}: {script}"
 
 
 def test_links_lead_somewhere():

@@ -39,8 +39,8 @@ class NoisyLoss(L1Loss):
     [
         ({}, L1Loss),
         ({"ema_decay": 0.9}, NoisyLoss),
-        ({"accumulate": 2, "gradient_clip": 1.0}, L1Loss),
-        ({"accumulate": 3, "evaluate_every": 2}, L1Loss),
+        ({"accumulate_grad_batches": 2, "max_grad_norm": 1.0}, L1Loss),
+        ({"accumulate_grad_batches": 3, "evaluate_every": 2}, L1Loss),
     ],
 )
 def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options, loss):
