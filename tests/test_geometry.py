@@ -43,11 +43,6 @@ def test_inputs_do_not_change() -> None:
     np.testing.assert_array_equal(K, kept)
 
 
-def test_resize_and_back_gives_the_same_intrinsics() -> None:
-    there = resize_intrinsics(K, (480, 640), (120, 213))
-    np.testing.assert_allclose(resize_intrinsics(there, (120, 213), (480, 640)), K)
-
-
 def test_resize_agrees_with_opencvs_pixels() -> None:
     """An image of its own ray coordinates stays correct under cv2.resize."""
     rows, cols = np.indices((40, 60), dtype=np.float64)
@@ -62,11 +57,3 @@ def test_back_projection_equals_kornia() -> None:
     intrinsics = pinhole(20.0, 22.0, 7.7, 6.1)
     theirs = depth_to_3d(torch.from_numpy(depth)[None, None], torch.from_numpy(intrinsics)[None])
     np.testing.assert_allclose(back_project(depth, intrinsics), theirs[0].permute(1, 2, 0).numpy())
-
-
-def test_back_projection_undoes_projection() -> None:
-    depth = np.random.default_rng(1).uniform(0.5, 9, (5, 6))
-    cloud = back_project(depth, K)
-    assert cloud.shape == (5, 6, 3)
-    np.testing.assert_array_equal(cloud[..., 2], depth)
-    assert project(cloud[3, 4], K) == pytest.approx((4, 3))

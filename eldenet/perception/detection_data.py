@@ -73,25 +73,17 @@ def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, D
     for number in range(count):
         image = read_image(folder / PICTURES / split / f"{number:06d}.png")
         text = (folder / BOXES / split / f"{number:06d}.txt").read_text()
-        pairs.append((image, _read_boxes(text, image.shape[:2])))
+        table = np.array(text.split(), float).reshape(-1, 5)
+        sides = np.array(image.shape[1::-1])
+        center, half = table[:, 1:3] * sides, table[:, 3:] * sides / 2
+        xyxy = from_corner(np.concatenate([center - half, center + half], axis=1))
+        pairs.append((image, Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)))
     return pairs
 
 
 def _write_boxes(path: Path, found: Detections2D, size: tuple[int, int]) -> None:
     sides = np.array([size[1], size[0]], float)
     xyxy = to_corner(found.xyxy)
-    middle, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
-    lines = [
-        f"{label} {x:.6f} {y:.6f} {width:.6f} {height:.6f}\n"
-        for label, (x, y), (width, height) in zip(found.label, middle, extent, strict=True)
-    ]
+    center, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(lines))
-
-
-def _read_boxes(text: str, size: tuple[int, int]) -> Detections2D:
-    table = np.array([line.split() for line in text.splitlines()], float).reshape(-1, 5)
-    sides = np.array([size[1], size[0]], float)
-    middle, extent = table[:, 1:3] * sides, table[:, 3:] * sides
-    xyxy = from_corner(np.concatenate([middle - extent / 2, middle + extent / 2], axis=1))
-    return Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)
+    np.savetxt(path, np.column_stack([found.label, center, extent]), fmt="%d" + 4 * " %.6f")

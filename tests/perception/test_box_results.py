@@ -35,8 +35,8 @@ def run(model_folder, tmp_path):
     return predict_boxes
 
 
-def write_image(path: Path, height: int = 128) -> Path:
-    cv2.imwrite(str(path), np.full((height, 256, 3), 90, np.uint8))
+def write_image(path: Path) -> Path:
+    cv2.imwrite(str(path), np.full((128, 256, 3), 90, np.uint8))
     return path
 
 
@@ -59,14 +59,6 @@ def test_images_without_objects_get_empty_files(run, tmp_path):
     for name in ("a", "b"):
         assert (tmp_path / f"out/{name}_boxes.txt").read_text() == ""
         assert (tmp_path / f"out/{name}_boxes.png").is_file()
-
-
-def test_images_of_two_sizes_need_two_cameras(run, tmp_path):
-    for name, height in (("a", 128), ("b", 120)):
-        write_image(tmp_path / f"{name}.png", height)
-    with pytest.raises(ValueError, match=r"b is 120 x 256, the pictures before it 128 x 256"):
-        run(tmp_path, "formats=[depth]")
-    assert not (tmp_path / "out/b_boxes.txt").exists()
 
 
 def test_predict_follows_boxes_through_a_video(run, tmp_path):

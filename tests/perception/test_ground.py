@@ -6,12 +6,10 @@ from support.blocks import CAMERA, block
 
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception.ground import GroundHomography, GroundPlane, fit_ground
-from eldenet.simulation.street_views import render_street
 
 
-def test_ground_is_found_beside_walls_and_objects():
-    for index in range(4):
-        view = render_street("test", index, (192, 624))
+def test_the_ground_is_found_beside_walls_and_objects(views):
+    for view in views:
         plane = fit_ground(view.depth, view.camera)
         assert plane is not None
         assert plane.offset == pytest.approx(view.height, abs=0.05)
