@@ -64,7 +64,7 @@ def test_nearest_is_the_distance_to_the_footprint():
         assert nearest == pytest.approx(Polygon(corners).distance(Point(0, 0)), abs=1e-9)
 
 
-def test_selecting_and_indexing():
+def test_boxes_can_be_selected_and_indexed():
     boxes = random_boxes(4)
     one = boxes[2]
     np.testing.assert_array_equal(one.center, boxes.center[2])
@@ -165,7 +165,7 @@ def test_wrong_detections_are_refused(xyxy, label, message):
         Detections2D(xyxy, np.ones(1), label, ("car",))
 
 
-def test_detections_select_and_name():
+def test_detections_can_be_selected_and_named():
     found = Detections2D(
         np.arange(8.0).reshape(2, 4), np.array([0.5, 0.9]), np.array([1, 0]), ("car", "person"),
         track_id=np.array([7, 8]),
@@ -178,7 +178,7 @@ def test_detections_select_and_name():
 # --- overlap ---
 
 
-def test_rotated_overlap_is_shapelys():
+def test_rotated_overlap_equals_shapely():
     first, second = random_boxes(60, seed=2), random_boxes(60, seed=3)
     areas = rotated_intersections(first.bev, second.bev)
     polygons = [[Polygon(corners) for corners in footprints(boxes.bev)] for boxes in (first, second)]
@@ -200,7 +200,7 @@ def test_overlap_of_equal_turned_and_distant_boxes():
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), 0)
 
 
-def test_plain_overlap_is_torchvisions():
+def test_2d_iou_equals_torchvision():
     import torch
     from torchvision.ops import box_iou
 

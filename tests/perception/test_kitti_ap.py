@@ -57,7 +57,7 @@ def test_precision_is_made_monotone_from_the_right():
     assert value == pytest.approx({"R40": 100 * 3 * 0.8 / 40, "R11": 100 * 0.8 / 11})
 
 
-def test_half_of_eighty_found():
+def test_half_of_eighty_objects_found_give_an_r40_of_50():
     """Thresholds at the finds 1, 2, 4, 6 ... 40 of 80: precision is 1 at the points 0 to 20."""
     assert ap(cars(80), cars(40, (0.9, 0.51))) == pytest.approx({"R40": 50, "R11": 100 * 6 / 11})
 
@@ -106,7 +106,7 @@ def test_boxes_off_by_a_meter_match_only_the_loose_overlap():
         ({"truncated": 0.6}, ""),
     ],
 )
-def test_difficulties(change, counts):
+def test_difficulties_limit_height_occlusion_and_truncation(change, counts):
     found = cars(2, (0.1, 0.9), tall=change.get("tall", 60))
     values = {name: ap(cars(2, **change), found, difficulty=name)["R40"] for name in DIFFICULTIES}
     assert [name for name, value in values.items() if not np.isnan(value)] == counts.split()
@@ -279,7 +279,7 @@ def random_frames(seed: int, count: int):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", sorted(STRICT))
-def test_the_fast_one_equals_the_slow_one(kind, seed):
+def test_ap_equals_the_literal_implementation(kind, seed):
     truths, detections = random_frames(seed, 14)
     seen = 0
     for metric in METRICS:

@@ -72,7 +72,7 @@ def test_wrong_lines_are_named(line, tmp_path):
         read_labels(tmp_path / "a.txt")
 
 
-def test_empty_and_missing_files(tmp_path):
+def test_empty_files_have_no_objects_and_missing_ones_are_named(tmp_path):
     (tmp_path / "a.txt").write_text("")
     assert len(read_labels(tmp_path / "a.txt")) == 0
     with pytest.raises(FileNotFoundError):
@@ -123,7 +123,7 @@ def test_kittis_classes_have_the_same_label_in_every_file(tmp_path):
     assert numbers[0]["Pedestrian"] == numbers[1]["Pedestrian"]
 
 
-def test_kittis_own_frames():
+def test_kittis_2d_labels_are_projections_of_its_3d_labels():
     import os
 
     if not os.environ.get("ELDENET_DATA") or not (Path(os.environ["ELDENET_DATA"]) / "kitti/object").is_dir():

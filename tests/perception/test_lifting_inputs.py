@@ -145,7 +145,7 @@ def test_a_few_background_pixels_do_not_move_the_box_away():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_boxes_five_hundred_boxes_and_tiny_ones(method):
+def test_no_boxes_many_boxes_and_tiny_boxes_are_lifted(method):
     depth, _ = block((-2.0, 0.85, 12.0))
     lifter = BoxLifter(method)
     none = lifter(depth, Detections2D.empty(("car",)), CAMERA)

@@ -53,20 +53,20 @@ def test_depth_image_and_camera_must_fit_together(view):
         without_model(view.image[..., 0])
 
 
-def test_a_scene_without_objects(view):
+def test_a_scene_may_have_no_objects(view):
     scene = perceive(view, Detections2D.empty(("car",)))
     assert len(scene.boxes) == 0
     assert scene.picture().any()
 
 
-def test_detections_for_supervision(view):
+def test_detections_convert_to_supervision(view):
     pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
     given = view.detections.to_supervision()
     np.testing.assert_allclose(given.xyxy, view.detections.xyxy + 0.5)
     assert list(given.data["class_name"]) == view.detections.classes
 
 
-def test_a_scene_for_rerun(view, tmp_path):
+def test_a_scene_is_sent_to_rerun(view, tmp_path):
     rerun = pytest.importorskip("rerun", reason="pip install 'eldenet[viz]'")
     scene = perceive(view, view.detections)
     rerun.init("test")

@@ -10,7 +10,7 @@ from eldenet.boxes import Boxes3D
 from eldenet.perception.tracking import BoxTracker
 
 
-def test_two_cars_keep_their_numbers_and_get_their_speeds():
+def test_two_cars_keep_their_identities_and_get_their_velocities():
     rng = np.random.default_rng(0)
     tracker = BoxTracker(still_camera=True)
     start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
@@ -40,7 +40,7 @@ def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
     assert found.quality["heading"][0] == still_camera
 
 
-def test_a_filter_is_calmer_than_its_measurements():
+def test_tracks_are_closer_to_the_truth_than_measurements():
     rng = np.random.default_rng(1)
     tracker, raw, smooth = BoxTracker(), [], []
     for frame in range(60):

@@ -69,7 +69,7 @@ def found(boxes: list[list[float]], scores: list[float], labels: list[int]) -> D
     )
 
 
-def test_average_precision_by_hand():
+def test_cocos_average_precision_by_hand():
     """Class a: true, false, true: precision 1 up to recall 1/2, then 2/3; COCO's 101 points."""
     pytest.importorskip("pycocotools", reason=NEEDED)
     truth = found([[0, 0, 50, 50], [100, 0, 150, 50], [0, 100, 80, 180]], [1, 1, 1], [0, 0, 1])
