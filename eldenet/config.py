@@ -21,6 +21,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
     from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.scene import Perception
     from eldenet.training.setup import TrainingSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
@@ -182,6 +184,57 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
         trusted_modules=settings["trusted_modules"],
         settings=settings,
     )
+
+
+def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
+    """What ``python -m eldenet.train_detector`` trains in ``folder``.
+
+    Raises:
+        ValueError: the folder holds another run already, or libreyolo is missing.
+    """
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.libreyolo_detector import YoloTraining
+    from eldenet.simulation.street_views import NAMES
+    from eldenet.system.resources import choose_resources
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    if (folder / "train").exists() and not config.resume:
+        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
+    resources = choose_resources(**settings["runtime"])
+    return DetectorTrainingSetup(
+        folder=folder,
+        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(NAMES)),
+        training=YoloTraining(
+            **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
+        ),
+        data=Path(settings["data"]["root"]),
+        kinds=listed(config.data.kinds),
+        counts={split: config.data[split] for split in ("train", "test")},
+        resources=resources,
+        resume=config.resume,
+        settings=settings,
+    )
+
+
+def build_perception(config: DictConfig, intrinsics: Any, *, is_video: bool) -> "Perception":
+    """Detector, lifter and, for a video, tracker of ``python -m eldenet.predict boxes=true``.
+
+    Raises:
+        ValueError: intrinsics or detector are missing.
+    """
+    from eldenet.geometry import PinholeCamera
+    from eldenet.perception.scene import Perception
+
+    if intrinsics is None:
+        raise ValueError("boxes need the camera: give intrinsics=[fx,fy,cx,cy] of the pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = instantiate(config.perception.detector)
+    lifter = instantiate(config.perception.lifter)
+    tracker = instantiate(config.perception.tracker) if is_video else None
+    return Perception(None, detector, lifter, PinholeCamera(intrinsics), tracker=tracker)
 
 
 def _build_trainer(config: DictConfig) -> Any:

@@ -1,9 +1,12 @@
 """``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera."""
 
 import re
+import time
+from collections import deque
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,7 +48,7 @@ def predict(config: "DictConfig") -> "Results":
     from eldenet.deploy.manifest import Written
     from eldenet.deploy.stream import is_live, without_password
     from eldenet.deploy.videos import predict_video
-    from eldenet.perception.predict_boxes import Timed, box_results
+    from eldenet.perception.box_results import box_results
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import choose_resources
     from eldenet.system.signals import GracefulStop
@@ -66,7 +69,11 @@ def predict(config: "DictConfig") -> "Results":
     about = {"source": without_password(given), "checkpoint": str(config.checkpoint)}
     results.video, broken = named[0] if is_video else "", ""
     with Written(results.folder, kind, names, about) as results.written, GracefulStop() as stop:
-        with box_results(config, results, named, log, predictor.seconds, is_video=is_video) as results.also:
+        boxes: AbstractContextManager[Any] = nullcontext()
+        if config.boxes:
+            perception = cfg.build_perception(config, results.intrinsics, is_video=is_video)
+            boxes = box_results(perception, results, named, log, predictor.seconds, is_video=is_video)
+        with boxes as results.also:
             if is_video:
                 stream = given if live else source
                 broken = predict_video(stream, named[0], predictor, results, log, stop, frames=config.frames)
@@ -78,6 +85,21 @@ def predict(config: "DictConfig") -> "Results":
     if not live:
         stop.obey()
     return results
+
+
+class Timed:
+    """A depth predictor that keeps the times [s] of the last images in ``seconds``."""
+
+    def __init__(self, predictor: "Predictor") -> None:
+        self.predictor = predictor
+        self.seconds: deque[float] = deque(maxlen=10_000)
+
+    def __call__(self, frame: np.ndarray) -> np.ndarray:
+        """Depth ``(H, W)`` [m] of a frame."""
+        start = time.perf_counter()
+        depth = self.predictor(frame)
+        self.seconds.append(time.perf_counter() - start)
+        return depth
 
 
 def kind_of(source: Path, *, live: bool) -> str:

@@ -22,6 +22,11 @@ TARGETS = {
 OPTIONS: dict[str, dict[str, str]] = {
     "eldenet.losses.pointwise.BerHuLoss": {"share": "threshold_ratio"},
     "eldenet.losses.silog.SILogLoss": {"balance": "variance_focus"},
+    "eldenet.perception.tracking.BoxTracker": {
+        "births": "min_hits",
+        "deaths": "max_age",
+        "gate": "max_distance",
+    },
     "eldenet.training.optim.constant": {"warmup": "warmup_fraction"},
     "eldenet.training.optim.cosine": {"warmup": "warmup_fraction"},
     "eldenet.training.optim.one_cycle": {"peak": "max_lr_factor", "warmup": "warmup_fraction"},

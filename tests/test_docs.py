@@ -23,7 +23,8 @@ def commands() -> list[tuple[str, str]]:
     """Every ``python -m eldenet.<command> ...`` of the pages and of the comments in the configs."""
     found = set()
     for page in [*PAGES, *CONFIGS]:
-        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", page.read_text()):
+        text = re.sub(r"\s*\\\n\s*", " ", page.read_text())  # a command may continue on the next line
+        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", text):
             line = re.split(r"\s{2,}#?|\s#\s|\s&&|`|; ", match.group(1))[0].strip().rstrip(".,:)")
             found.add((str(page.relative_to(REPOSITORY)), line))
     return sorted(found)

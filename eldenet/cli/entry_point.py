@@ -75,8 +75,10 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if isinstance(error, BrokenPipeError):
             raise
         logging.getLogger("eldenet").debug("", exc_info=True)
-        missing = isinstance(error, MissingMandatoryValue)
-        _print_error(f"give {error.full_key}=... on the command line" if missing else str(error))
+        if isinstance(error, MissingMandatoryValue):
+            _print_error(f"give {error.full_key}=... on the command line")
+        else:
+            _print_error(str(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
         raise SystemExit(1) from None

@@ -9,15 +9,15 @@ from eldenet.simulation.street_views import render_street
 from eldenet.simulation.streets import generate_scene
 
 
-def test_scenes_are_the_same_every_time_and_differ_by_split():
+def test_scenes_are_reproducible_and_differ_by_split():
     first, again, other = (generate_scene(split, 0) for split in ("train", "train", "val"))
     assert first.room.text == again.room.text != other.room.text
     with pytest.raises(ValueError, match="split"):
         generate_scene("all", 0)
 
 
-def test_known_boxes_hold_their_pixels(views):
-    """Every pixel of an object lies in its box, and the box is no larger than needed."""
+def test_the_pixels_of_an_object_lie_in_its_boxes(views):
+    """Every pixel lies in the 3D box, and the 2D box is tight."""
     for view in views:
         rows, columns = np.indices(view.depth.shape)
         points = view.camera.back_project(columns, rows, view.depth)
@@ -37,14 +37,14 @@ def test_known_boxes_hold_their_pixels(views):
 
 
 def neighbors(view, number: int) -> set[int]:
-    """Objects that stand nearer right beside the pixels of one."""
+    """Nearer objects that touch the pixels of an object."""
     mine = view.instance == number
     beside = cv2.dilate(mine.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & (view.instance >= 0)
     near = view.depth < np.median(view.depth[mine])
     return set(view.instance[beside & near & ~mine].tolist())
 
 
-def test_visibility_is_one_for_what_stands_free():
+def test_unoccluded_objects_have_a_visibility_near_one():
     free, hidden, touching, inside = [], [], [], []
     for index in range(6):
         view = render_street("val", index, (120, 160), "hall")
@@ -68,10 +68,10 @@ def test_visibility_is_one_for_what_stands_free():
     assert not any(inside)
 
 
-def test_a_block_that_fills_its_box_has_its_projection_as_2d_box():
-    """Rendered pixels reach from border to border: on average they neither stick out nor fall short.
+def test_the_2d_box_of_a_block_is_the_projection_of_its_3d_box():
+    """On average, the rendered pixels neither stick out of the projection nor fall short of it.
 
-    A camera that is tilted by a degree leaves a pixel or so for each block, which evens out.
+    A camera tilt of a degree leaves about a pixel for each block, which averages out.
     """
     excess = []
     for index in range(8):

@@ -1,4 +1,4 @@
-"""The whole chain from a picture to a scene, and what is written of it."""
+"""The whole pipeline from an image to a scene, and the files it writes."""
 
 from dataclasses import replace
 
@@ -21,11 +21,14 @@ def view():
     return render_street("val", 3, (128, 416))
 
 
-def test_a_picture_becomes_a_scene(view, tmp_path):
-    perception = Perception(
-        lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(depth_sigma=0.02), view.camera
-    )
-    scene = perception(view.image)
+def perceive(view, detections, *, lifter=BoxLifter(), camera=None, depth=None):  # noqa: B008 - immutable
+    depth = view.depth if depth is None else depth
+    perception = Perception(lambda image: depth, FixedDetections([detections]), lifter, camera or view.camera)
+    return perception(view.image)
+
+
+def test_an_image_becomes_a_scene(view, tmp_path):
+    scene = perceive(view, view.detections, lifter=BoxLifter(depth_sigma=0.02))
     assert set(scene.seconds) == set(STAGES)
     assert len(scene.boxes) == len(scene.detections) == len(view.boxes)
     picture = scene.picture()
@@ -37,42 +40,35 @@ def test_a_picture_becomes_a_scene(view, tmp_path):
     np.testing.assert_allclose(read.xyxy, view.detections.xyxy, atol=1e-3)
 
 
-def test_depth_of_another_size_and_no_picture_are_refused(view):
-    perception = Perception(
-        lambda frame: view.depth[:50], FixedDetections([view.detections] * 2), BoxLifter(), view.camera
-    )
+def test_depth_image_and_camera_must_fit_together(view):
     with pytest.raises(ValueError, match="one size"):
-        perception(view.image)
-    with pytest.raises(ValueError, match="frame is"):
-        perception(view.image[..., 0])
-
-
-def test_intrinsics_of_another_picture_are_refused(view):
+        perceive(view, view.detections, depth=view.depth[:50])
     camera = PinholeCamera(pinhole(100.0, 100.0, view.image.shape[1] + 5.0, 20.0))
-    perception = Perception(lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), camera)
     with pytest.raises(ValueError, match="lies outside the picture"):
-        perception(view.image)
+        perceive(view, view.detections, camera=camera)
+    without_model = Perception(None, FixedDetections([]), BoxLifter(), view.camera)
+    with pytest.raises(ValueError, match="give depth="):
+        without_model(view.image)
+    with pytest.raises(ValueError, match="frame is"):
+        without_model(view.image[..., 0])
 
 
-def test_a_scene_without_objects(view):
-    empty = FixedDetections([Detections2D.empty(("car",))])
-    scene = Perception(lambda frame: view.depth, empty, BoxLifter(), view.camera)(view.image)
+def test_a_scene_may_have_no_objects(view):
+    scene = perceive(view, Detections2D.empty(("car",)))
     assert len(scene.boxes) == 0
     assert scene.picture().any()
 
 
-def test_detections_for_supervision(view):
+def test_detections_convert_to_supervision(view):
     pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
     given = view.detections.to_supervision()
     np.testing.assert_allclose(given.xyxy, view.detections.xyxy + 0.5)
     assert list(given.data["class_name"]) == view.detections.classes
 
 
-def test_a_scene_for_rerun(view, tmp_path):
+def test_a_scene_is_sent_to_rerun(view, tmp_path):
     rerun = pytest.importorskip("rerun", reason="pip install 'eldenet[viz]'")
-    scene = Perception(
-        lambda frame: view.depth, FixedDetections([view.detections]), BoxLifter(), view.camera
-    )(view.image)
+    scene = perceive(view, view.detections)
     rerun.init("test")
     rerun.save(tmp_path / "scene.rrd")
     scene.log_to_rerun()
@@ -80,11 +76,9 @@ def test_a_scene_for_rerun(view, tmp_path):
     assert (tmp_path / "scene.rrd").stat().st_size > view.image.nbytes // 4
 
 
-def test_results_keep_a_detectors_boxes_unless_a_tracker_moved_them(view, tmp_path):
+def test_2d_boxes_are_the_detectors_and_with_a_tracker_projections(view, tmp_path):
     numbered = replace(view.detections, track_id=np.arange(len(view.detections)))
-    scene = Perception(lambda frame: view.depth, FixedDetections([numbered]), BoxLifter(), view.camera)(
-        view.image
-    )
+    scene = perceive(view, numbered)
     np.testing.assert_array_equal(scene.xyxy, view.detections.xyxy)
     # one track in view, one beside it, one behind
     tracked = BoxTracker()(boxes([[0.0, 0.8, 10.0], [60.0, 0.8, 10.0], [0.0, 0.8, -10.0]]), 0.1)
@@ -94,16 +88,3 @@ def test_results_keep_a_detectors_boxes_unless_a_tracker_moved_them(view, tmp_pa
     read = read_labels(tmp_path / "a.txt")
     assert read.types == ("Car",)
     assert (read.xyxy[:, 2:] - read.xyxy[:, :2] > 30).all()
-
-
-def test_kittis_classes_have_one_number_in_every_file(tmp_path):
-    lines = {kind: f"{kind} 0 0 0 1 1 9 9 1.5 1.6 4 0 1 9 0" for kind in ("Car", "Pedestrian", "Rickshaw")}
-    numbers = []
-    for kinds in (("Car", "Pedestrian"), ("Pedestrian", "Rickshaw", "Car")):
-        path = tmp_path / "-".join(kinds)
-        path.write_text("\n".join(lines[kind] for kind in kinds))
-        found = read_labels(path)
-        assert found.boxes.classes == found.detections.classes == list(kinds)
-        numbers.append(dict(zip(kinds, found.boxes.label.tolist(), strict=True)))
-    assert numbers[0]["Car"] == numbers[1]["Car"]
-    assert numbers[0]["Pedestrian"] == numbers[1]["Pedestrian"]
