@@ -6,7 +6,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-import torch
 
 from eldenet.config import compose, config_folder
 from eldenet.simulation.robot import ROBOT
@@ -108,16 +107,6 @@ def test_the_readme_snippet_runs():
     names: dict = {}
     exec(block, names)
     assert names["depth"].shape == (1, 1, 480, 640)
-
-
-def test_the_backbone_of_contributing_works():
-    block = next(text for text in python_blocks("CONTRIBUTING.md") if "class Mine" in text)
-    names: dict = {"__name__": "mine"}
-    exec(block, names)
-    backbone = names["Mine"]()
-    features = backbone(torch.rand(1, 3, 64, 96))
-    for feature, info in zip(features, backbone.feature_info, strict=True):
-        assert feature.shape[1:] == (info.channels, 64 // info.stride, 96 // info.stride)
 
 
 def test_sharing_as_documented(tmp_path, monkeypatch):
