@@ -6,6 +6,7 @@ Public names load when they are first used, so that importing the package stays 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
     from eldenet.zoo import list_models, list_weights, load
@@ -19,6 +20,7 @@ __all__ = [
     "list_models",
     "list_weights",
     "load",
+    "runtimes",
 ]
 
 _HOME_OF = {
@@ -28,6 +30,7 @@ _HOME_OF = {
     "list_models": "eldenet.zoo",
     "list_weights": "eldenet.zoo",
     "load": "eldenet.zoo",
+    "runtimes": "eldenet.deploy.runtimes",
 }
 
 
@@ -36,7 +39,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'eldenet' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME_OF[name]), name)
+    home = import_module(_HOME_OF[name])
+    return home if _HOME_OF[name].endswith(f".{name}") else getattr(home, name)
 
 
 def __dir__() -> list[str]:

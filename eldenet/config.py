@@ -1,12 +1,15 @@
 """The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
 
+import functools
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from eldenet.system.resources import prepare_environment
+from eldenet.data.paths import one_of
+from eldenet.system.resources import choose_resources, prepare_environment
 
 prepare_environment()
 
@@ -18,6 +21,9 @@ from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+
+if TYPE_CHECKING:
+    from eldenet.deploy.prediction import PredictionSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
@@ -218,3 +224,134 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+# --- predict, export, benchmark -----------------------------------------------------------------------------
+
+
+def build_prediction(config: DictConfig) -> "PredictionSetup":
+    """What ``configs/predict.yaml`` asks for; torch is not loaded before everything else is checked.
+
+    Raises:
+        ValueError: a setting or the source is wrong.
+        FileNotFoundError: there is no such source.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.outputs import ENDING, Results
+    from eldenet.deploy.prediction import PredictionSetup, find_source
+    from eldenet.geometry import pinhole
+
+    checkpoint, engine = str(config.checkpoint), str(config.engine)
+    one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
+    one_of("on_error", str(config.on_error), ("stop", "skip"))
+    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
+        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    if camera and not (camera[0] > 0 and camera[1] > 0):
+        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    span = _numbers(config, "depth_range", "[near, far] in meters")
+    if span and not 0 <= span[0] < span[1]:
+        raise ValueError(f"depth_range={list(span)}: give [near, far] in meters, 0 <= near < far")
+    size = _size(config, "input_size")
+    output = Path(config.output).expanduser()
+    source = find_source(str(config.source), output, config.frames)
+    formats = (
+        ["color"] if source.is_video else ["depth", "color", *["ply"] * bool(camera and not config.boxes)]
+    )
+    if config.formats is not None:
+        formats = [str(name) for name in listed(config.formats)]
+    for name in formats:
+        if name == "colour":
+            raise ValueError("formats: colour is called color now")
+        one_of("formats", name, tuple(ENDING))
+    if not formats:
+        raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
+    if "ply" in formats and not camera:
+        raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if camera and "ply" not in formats and not config.boxes:
+        raise ValueError(f"formats={formats} does not use intrinsics: add ply for point clouds")
+    results = Results(
+        output,
+        tuple(formats),
+        pinhole(*camera) if camera else None,
+        (span[0], span[1]) if span else None,
+        bool(config.overwrite),
+    )
+    files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
+    results.refuse_to_overwrite(list(map(Path, source.names)), files)
+    boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
+    by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
+    return PredictionSetup(
+        source,
+        checkpoint,
+        results,
+        choose_resources(**plain(config.runtime), for_torch=by_torch),
+        engine=engine,
+        input_size=size,
+        max_side=int(config.max_side),
+        frames=config.frames,
+        skip_unreadable=config.on_error == "skip",
+        boxes=boxes,
+        trusted_modules=tuple(plain(config.trusted_modules)),
+    )
+
+
+def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video: bool) -> Callable[..., Any]:
+    """What adds 3D boxes to the results of ``predict``: detector, lifter and, of a video, tracker.
+
+    Raises:
+        ValueError: no intrinsics or no detector were given.
+    """
+    from eldenet.geometry import PinholeCamera, pinhole
+    from eldenet.perception.predict_boxes import box_results
+    from eldenet.perception.scene import Perception
+
+    if camera is None:
+        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = instantiate(config.perception.detector)
+    lifter = instantiate(config.perception.lifter)
+    tracker = instantiate(config.perception.tracker) if is_video else None
+
+    def no_model(frame: Any) -> Any:
+        raise AssertionError("depth comes with each picture")
+
+    perception = Perception(no_model, detector, lifter, PinholeCamera(pinhole(*camera)), tracker=tracker)
+    return functools.partial(box_results, perception, is_video=is_video)
+
+
+def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
+    """A setting such as ``[near, far] in meters``; None where it is null.
+
+    Raises:
+        ValueError: it is no list of as many finite numbers.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    count = meaning.count(",") + 1
+    try:
+        numbers = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name}={given}: give {meaning}, {count} numbers, or null")
+    return numbers
+
+
+def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
+    """A setting ``[height, width]`` [px]; None where it is null.
+
+    Raises:
+        ValueError: it is no such pair.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
+    if not pair or min(given) < 1:
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+    return given[0], given[1]

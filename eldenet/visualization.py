@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from torch import Tensor
 
 from eldenet.geometry import resize_sparse
+from eldenet.system.files import part_file
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 UNKNOWN = (0, 0, 0)
 PANEL_WIDTH = 256  # [px], about
@@ -43,7 +47,7 @@ def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) ->
     return colors
 
 
-def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) -> np.ndarray:
+def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Tensor") -> np.ndarray:
     """One picture ``(H, 4 W, 3)`` uint8: image, ground truth, prediction, relative error, side by side.
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
@@ -87,14 +91,15 @@ def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.nda
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write ``(H, W, 3)`` uint8 RGB as PNG.
+    """Write ``(H, W, 3)`` uint8 RGB, or ``(H, W)`` uint8 or uint16, as PNG.
 
     Raises:
         OSError: the file could not be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise OSError(f"could not write {path}")
+    pixels = picture[..., ::-1] if picture.ndim == 3 else picture
+    with part_file(path) as unfinished:
+        if not cv2.imwrite(str(unfinished), np.ascontiguousarray(pixels)):
+            raise OSError(f"could not write {path}: no permission, or the disk is full")
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:

@@ -1,6 +1,5 @@
 """What ``boxes=true`` adds to ``eldenet.predict``: pictures with 3D boxes, and KITTI result files."""
 
-import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -8,11 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldenet import config as cfg
-
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from eldenet.deploy.outputs import Results
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
@@ -26,15 +21,15 @@ Add = Callable[[str, np.ndarray, np.ndarray, float | None], None]
 
 @contextmanager
 def box_results(
-    config: "DictConfig",
+    perception: "Perception",
     results: "Results",
     names: Sequence[str],
     log: "RunLog",
     depth_seconds: Collection[float] = (),
     *,
     is_video: bool = False,
-) -> Iterator[Add | None]:
-    """Give a function that takes ``(name, photo, depth, time)`` of each picture; None without ``boxes=true``.
+) -> Iterator[Add]:
+    """Give a function that takes ``(name, photo, depth, time)`` of each picture.
 
     Pictures become ``<name>_boxes.png`` and ``<name>_boxes.txt``, a video ``<name>_boxes.mp4`` and one text
     file per frame. At the end the time that each stage took is said; ``depth_seconds`` are those that depth
@@ -42,16 +37,12 @@ def box_results(
     whatever was dropped between them.
 
     Raises:
-        ValueError: no intrinsics or no detector were given, or a result is there already.
+        ValueError: a result is there already.
     """
     from eldenet.deploy.outputs import in_time, open_video
     from eldenet.perception.drawing import bev_reach
     from eldenet.visualization import write_picture
 
-    if not config.boxes:
-        yield None
-        return
-    perception = build_perception(config, results.intrinsics, tracked=is_video)
     endings = ("_boxes.mp4", "") if is_video else ("_boxes.png", "_boxes.txt")  # "": the folder of its frames
     results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])
     spent: dict[str, deque[float]] = {}
@@ -71,8 +62,7 @@ def box_results(
             if taken is not None:
                 if show is None:  # a camera's rate is known by now
                     path = results.folder / f"{names[0]}_boxes.mp4"
-                    film = open_video(path, rate, lambda path: results.note(path, name))
-                    show = in_time(stack.enter_context(film), rate)
+                    show = in_time(stack.enter_context(open_video(path, rate)), rate)
                 wanted = bev_reach(scene.boxes, scene.bev_size)
                 # a video's view from above follows slowly: a grid that jumps can't be read
                 reach = wanted if reach is None else max(reach + (wanted - reach) / FOLLOWED, wanted / 2)
@@ -80,10 +70,7 @@ def box_results(
             else:
                 path = results.folder / f"{name}_boxes.png"
                 write_picture(path, scene.picture())
-                results.note(path, name)
-            path = results.folder / f"{name}_boxes.txt"
-            scene.write_kitti(path)
-            results.note(path, name)
+            scene.write_kitti(results.folder / f"{name}_boxes.txt")
 
         yield add
     spent["depth"] = deque(depth_seconds)  # it came with each picture
@@ -94,47 +81,3 @@ def box_results(
     ]
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
-
-
-class Timed:
-    """A depth predictor that notes how long each picture took.
-
-    Attributes:
-        seconds: of each of the last pictures.
-    """
-
-    def __init__(self, predictor: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.predictor = predictor
-        self.seconds: deque[float] = deque(maxlen=REMEMBERED)
-
-    def __call__(self, frame: np.ndarray) -> np.ndarray:
-        """Depth ``(H, W)`` [m] of a frame."""
-        start = time.perf_counter()
-        depth = self.predictor(frame)
-        self.seconds.append(time.perf_counter() - start)
-        return depth
-
-
-def build_perception(config: "DictConfig", intrinsics: np.ndarray | None, *, tracked: bool) -> "Perception":
-    """Detector, lifter and tracker of the ``perception`` node.
-
-    Raises:
-        ValueError: no intrinsics or no detector were given.
-    """
-    from eldenet.geometry import PinholeCamera
-    from eldenet.perception.scene import Perception
-
-    if intrinsics is None:
-        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
-    if config.perception.detector.get("path", "") is None:
-        raise ValueError(
-            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
-        )
-    detector = cfg.instantiate(config.perception.detector)
-    lifter = cfg.instantiate(config.perception.lifter)
-    tracker = cfg.instantiate(config.perception.tracker) if tracked else None
-
-    def no_model(frame: np.ndarray) -> np.ndarray:
-        raise AssertionError("depth comes with each picture")
-
-    return Perception(no_model, detector, lifter, PinholeCamera(intrinsics), tracker=tracker)

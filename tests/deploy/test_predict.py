@@ -8,12 +8,12 @@ import pytest
 from support.predicting import listed, photo, read_ply, run, save
 
 import eldenet
-from eldenet.config import compose
+from eldenet.config import build_prediction, compose
 from eldenet.data.io import read_depth
 from eldenet.deploy.outputs import Results, name_results
+from eldenet.deploy.prediction import open_predictor, predict
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
-from eldenet.predict import open_predictor, predict
 from eldenet.results.run_log import RunLog
 from eldenet.system.resources import Resources
 
@@ -54,7 +54,11 @@ def test_what_makes_depth_doubtful_is_said(tmp_path: Path, capsys: pytest.Captur
     assert "does not say at which size it was trained" in capsys.readouterr().out
     run(tmp_path / "model", source, tmp_path / "given", "formats=depth", "input_size=[32,64]")
     assert "note:" not in capsys.readouterr().out
-    predict(compose("predict", ["checkpoint=eldenet_s", f"source={source}", f"output={tmp_path / 'new'}"]))
+    predict(
+        build_prediction(
+            compose("predict", ["checkpoint=eldenet_s", f"source={source}", f"output={tmp_path / 'new'}"])
+        )
+    )
     assert "freshly initialized" in capsys.readouterr().out
 
 

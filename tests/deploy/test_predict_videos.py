@@ -11,10 +11,10 @@ from support.predicting import listed, photo, run, save
 
 from eldenet.config import compose
 from eldenet.deploy.outputs import in_time, open_video
+from eldenet.deploy.prediction import predict
 from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.stream import DepthStream, StreamFrame, without_password
 from eldenet.model import DepthNet
-from eldenet.predict import predict
 from eldenet.results.run_log import RunLog
 from eldenet.visualization import photo_beside_depth, visible_range
 

@@ -10,7 +10,7 @@ import torch
 from support.predicting import photo, read_ply
 
 import eldenet
-from eldenet.deploy.pointcloud import write_ply
+from eldenet.deploy.outputs import write_ply
 from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.model import DepthNet

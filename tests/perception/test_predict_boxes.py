@@ -10,12 +10,12 @@ from support.detector_files import FILES, save
 from support.standing_boxes import BLANK, CAMERA, boxes
 
 from eldenet.boxes import Detections2D
-from eldenet.config import compose
+from eldenet.config import build_prediction, compose
+from eldenet.deploy.prediction import predict
 from eldenet.perception.kitti_object import read_labels
 from eldenet.perception.predict_boxes import Timed
 from eldenet.perception.scene import Scene
 from eldenet.perception.tracking import BoxTracker
-from eldenet.predict import predict
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def detector(tmp_path) -> Path:
 
 def run(model_folder: Path, source: Path, output: Path, *overrides: str):
     quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'", "boxes=true"]
-    return predict(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+    return predict(build_prediction(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides])))
 
 
 CAMERA_OPTION = "intrinsics=[200,200,128,64]"

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet.config import compose
+from eldenet.config import build_prediction, compose
 from eldenet.deploy.outputs import Results
-from eldenet.predict import predict
+from eldenet.deploy.prediction import predict
 
 
 def photo(height: int = 48, width: int = 64) -> np.ndarray:
@@ -36,7 +36,8 @@ def small_model(folder: Path) -> Path:
 
 def run(model_folder: Path, source: Path, output: Path, *overrides: str) -> Results:
     quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'"]
-    return predict(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+    words = [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]
+    return predict(build_prediction(compose("predict", words)))
 
 
 def read_ply(path: Path) -> np.ndarray:
