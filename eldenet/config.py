@@ -23,6 +23,8 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
@@ -292,7 +294,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         frames=config.frames,
         skip_unreadable=config.on_error == "skip",
         boxes=boxes,
-        trusted_modules=tuple(plain(config.trusted_modules)),
+        trusted_modules=_words(config.trusted_modules),
     )
 
 
@@ -321,6 +323,92 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
 
     perception = Perception(no_model, detector, lifter, PinholeCamera(pinhole(*camera)), tracker=tracker)
     return functools.partial(box_results, perception, is_video=is_video)
+
+
+def build_export(config: DictConfig) -> "ExportSetup":
+    """What ``configs/export.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.exporting import ENDINGS, PRECISIONS, ExportSetup
+
+    kind, precision = str(config.format), str(config.precision)
+    one_of("format", kind, tuple(ENDINGS))
+    if precision not in PRECISIONS[kind]:
+        raise ValueError(
+            f"precision={precision}: format={kind} has {', '.join(PRECISIONS[kind])}"
+            + ("; for bf16 give format=openvino" if precision == "bf16" else "")
+        )
+    output = None if config.output is None else Path(config.output).expanduser()
+    if output is not None and output.suffix != ENDINGS[kind]:
+        raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
+    return ExportSetup(
+        str(config.checkpoint),
+        kind,
+        precision,
+        size=_size(config, "size"),
+        camera_size=_size(config, "camera"),
+        batch=config.batch,
+        opset=int(config.opset),
+        output=output,
+        overwrite=bool(config.overwrite),
+        pictures=config.pictures,
+        calibration=int(config.calibration),
+        checks=int(config.checks),
+        license=config.license,
+        trusted_modules=_words(config.trusted_modules),
+    )
+
+
+def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
+    """What ``configs/benchmark.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.zoo import list_models
+
+    runtimes, precisions = _words(config.runtimes), _words(config.precisions)
+    for runtime in runtimes:
+        one_of("runtimes", runtime, RUNTIMES)
+    for precision in precisions:
+        one_of("precisions", precision, PRECISIONS)
+    if config.rounds < 1:
+        raise ValueError(f"rounds={config.rounds}: give 1 or more")
+    sizes = plain(config.sizes)
+    if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
+        raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.evaluation.metrics import METRICS
+
+    one_of("accuracy", str(config.accuracy), METRICS)
+    return BenchmarkSetup(
+        models=tuple(list_models()) if config.models is None else _words(config.models),
+        study=config.study,
+        sizes=tuple((height, width) for height, width in sizes),
+        batches=tuple(map(int, listed(config.batches))),
+        runtimes=runtimes,
+        precisions=precisions,
+        threads=tuple(map(int, listed(config.threads))),
+        device=str(config.device),
+        reference=str(config.reference),
+        rounds=config.rounds,
+        seconds=config.seconds,
+        memory=bool(config.memory),
+        calibration=int(config.calibration),
+        pictures=config.pictures,
+        accuracies=_words(config.accuracies),
+        accuracy=str(config.accuracy),
+        trusted_modules=_words(config.trusted_modules),
+        overwrite=bool(config.overwrite),
+        output=Path(config.output).expanduser(),
+    )
+
+
+def _words(setting: Any) -> tuple[str, ...]:
+    return tuple(map(str, listed(setting)))
 
 
 def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:

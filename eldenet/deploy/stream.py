@@ -79,16 +79,16 @@ class DepthStream:
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
         self._fault: Callable[[int], str] = lambda frames: ""
-        is_path = isinstance(source, str | Path)
-        live = is_path and is_live(source)
+        live = isinstance(source, str | Path) and is_live(source)
         self.drop = live if drop is None else drop
-        self._by_clock = live or (self.drop and not is_path)  # a file is read at another pace than it plays
+        self._by_clock = live  # a file is not read at the pace at which it plays
         if live:
             frames = self._open_live(str(source))
-        elif is_path:
+        elif isinstance(source, str | Path):
             frames = self._open_file(str(source))
         else:
-            frames = _timed(source, self.frames_per_second)  # type: ignore[arg-type]
+            self._by_clock = self.drop
+            frames = _timed(source, self.frames_per_second)
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False

@@ -3,7 +3,7 @@
 from collections.abc import Generator, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class VideoFile:
                     if packet.stream is not self._stream:
                         continue
                     try:
-                        yield from packet.decode()
+                        yield from cast("list[av.VideoFrame]", packet.decode())
                     except av.error.InvalidDataError:
                         self._broken += 1
             except av.error.FFmpegError:

@@ -13,7 +13,6 @@ from eldenet.boxes import Detections2D
 from eldenet.config import build_prediction, compose
 from eldenet.deploy.prediction import predict
 from eldenet.perception.kitti_object import read_labels
-from eldenet.perception.predict_boxes import Timed
 from eldenet.perception.scene import Scene
 from eldenet.perception.tracking import BoxTracker
 
@@ -25,7 +24,9 @@ def detector(tmp_path) -> Path:
 
 def run(model_folder: Path, source: Path, output: Path, *overrides: str):
     quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'", "boxes=true"]
-    return predict(build_prediction(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides])))
+    return predict(
+        build_prediction(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+    )
 
 
 CAMERA_OPTION = "intrinsics=[200,200,128,64]"
@@ -80,10 +81,8 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'")
 
 
-def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, monkeypatch):
+def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path):
     """One meter per second, of 30 frames a second every sixth: the rest were dropped."""
-    from types import SimpleNamespace
-
     from eldenet.deploy.outputs import Results
     from eldenet.perception import predict_boxes
 
@@ -95,10 +94,8 @@ def test_speeds_of_a_live_camera_follow_from_the_times_of_its_frames(tmp_path, m
         depth, none = np.ones(BLANK.shape[:2], np.float32), Detections2D.empty(("car",))
         return Scene(BLANK, depth, none, seen[-1], CAMERA, {})
 
-    monkeypatch.setattr(predict_boxes, "build_perception", lambda *args, **more: perceive)
     results = Results(tmp_path, ())
-    config = SimpleNamespace(boxes=True)
-    with predict_boxes.box_results(config, results, ["cam"], None, is_video=True) as results.also:
+    with predict_boxes.box_results(perceive, results, ["cam"], None, is_video=True) as results.also:
         results.frames_per_second = 15.0  # that the camera says once it is open
         for number, time in enumerate(frames):
             results.write(f"cam/{number}", BLANK, np.ones((120, 320)), (), time=time)
@@ -137,11 +134,3 @@ def test_the_config_shows_every_option(part):
     node = compose("predict", ["checkpoint=x", "source=y"]).perception[part]
     options = set(inspect.signature(get_object(node["_target_"])).parameters)
     assert options - {"priors"} == {name for name in node if name != "_target_"}
-
-
-def test_times_of_a_camera_that_runs_for_days_are_not_all_kept(monkeypatch):
-    monkeypatch.setattr("eldenet.perception.predict_boxes.REMEMBERED", 3)
-    timed = Timed(lambda frame: frame)
-    for _ in range(5):
-        timed(BLANK)
-    assert len(timed.seconds) == 3
