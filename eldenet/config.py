@@ -5,6 +5,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -283,18 +284,15 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
     boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
     by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
-    return PredictionSetup(
-        source,
-        checkpoint,
-        results,
-        choose_resources(**plain(config.runtime), for_torch=by_torch),
-        engine=engine,
+    return _filled(
+        PredictionSetup,
+        config,
+        source=source,
+        results=results,
+        resources=choose_resources(**plain(config.runtime), for_torch=by_torch),
         input_size=size,
-        max_side=int(config.max_side),
-        frames=config.frames,
-        skip_unreadable=config.on_error == "skip",
         boxes=boxes,
-        trusted_modules=_words(config.trusted_modules),
+        skip_unreadable=config.on_error == "skip",
     )
 
 
@@ -343,21 +341,8 @@ def build_export(config: DictConfig) -> "ExportSetup":
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
-    return ExportSetup(
-        str(config.checkpoint),
-        kind,
-        precision,
-        size=_size(config, "size"),
-        camera_size=_size(config, "camera"),
-        batch=config.batch,
-        opset=int(config.opset),
-        output=output,
-        overwrite=bool(config.overwrite),
-        pictures=config.pictures,
-        calibration=int(config.calibration),
-        checks=int(config.checks),
-        license=config.license,
-        trusted_modules=_words(config.trusted_modules),
+    return _filled(
+        ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
     )
 
 
@@ -370,10 +355,11 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
     from eldenet.zoo import list_models
 
-    runtimes, precisions = _words(config.runtimes), _words(config.precisions)
-    for runtime in runtimes:
+    several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
+    lists = {name: tuple(listed(config[name])) for name in several}
+    for runtime in lists["runtimes"]:
         one_of("runtimes", runtime, RUNTIMES)
-    for precision in precisions:
+    for precision in lists["precisions"]:
         one_of("precisions", precision, PRECISIONS)
     if config.rounds < 1:
         raise ValueError(f"rounds={config.rounds}: give 1 or more")
@@ -384,31 +370,21 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     from eldenet.evaluation.metrics import METRICS
 
     one_of("accuracy", str(config.accuracy), METRICS)
-    return BenchmarkSetup(
-        models=tuple(list_models()) if config.models is None else _words(config.models),
-        study=config.study,
-        sizes=tuple((height, width) for height, width in sizes),
-        batches=tuple(map(int, listed(config.batches))),
-        runtimes=runtimes,
-        precisions=precisions,
-        threads=tuple(map(int, listed(config.threads))),
-        device=str(config.device),
-        reference=str(config.reference),
-        rounds=config.rounds,
-        seconds=config.seconds,
-        memory=bool(config.memory),
-        calibration=int(config.calibration),
-        pictures=config.pictures,
-        accuracies=_words(config.accuracies),
-        accuracy=str(config.accuracy),
-        trusted_modules=_words(config.trusted_modules),
-        overwrite=bool(config.overwrite),
+    models = list_models() if config.models is None else listed(config.models)
+    return _filled(
+        BenchmarkSetup,
+        config,
+        **lists,
+        models=tuple(map(str, models)),
+        sizes=tuple(map(tuple, sizes)),
         output=Path(config.output).expanduser(),
     )
 
 
-def _words(setting: Any) -> tuple[str, ...]:
-    return tuple(map(str, listed(setting)))
+def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
+    """A dataclass with the settings that its fields name; ``given`` ones are checked already."""
+    names = [field.name for field in fields(setup) if field.name not in given]
+    return setup(**{name: plain(config[name]) for name in names}, **given)
 
 
 def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:

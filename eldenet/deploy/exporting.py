@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,41 +25,32 @@ FP32_TOLERANCE = 1e-3  # an fp32 file with a larger median relative difference i
 
 @dataclass(frozen=True)
 class ExportSetup:
-    """What ``eldenet.export`` is asked for, checked.
-
-    Attributes:
-        checkpoint: a run or model folder, a Hub id, or a name.
-        format: "onnx" or "openvino".
-        precision: "fp32", "int8" or "bf16".
-        size: ``(height, width)`` that the network sees [px]; None: the model's.
-        camera_size: ``(height, width)`` of the frames that the file takes [px]; None: it takes images.
-        batch: fixed number of images; None: any number.
-        opset: of ONNX.
-        output: the file; None: ``exports/<name>-<size>-<precision>``.
-        overwrite: replace the file.
-        pictures: folder or pattern; None: the built-in rooms.
-        calibration: pictures that give int8 its scales.
-        checks: pictures that the file is compared on.
-        license: of the weights; None: the model's.
-        name: of the model; None: its own.
-        trusted_modules: packages whose classes a folder's config may name.
-    """
+    """The settings of ``configs/export.yaml``, checked; it explains each."""
 
     checkpoint: str
-    format: str = "onnx"
-    precision: str = "fp32"
-    size: tuple[int, int] | None = None
-    camera_size: tuple[int, int] | None = None
-    batch: int | None = None
-    opset: int = 18
-    output: Path | None = None
-    overwrite: bool = False
-    pictures: str | None = None
-    calibration: int = 128
-    checks: int = 8
-    license: str | None = None
-    name: str | None = None
-    trusted_modules: tuple[str, ...] = ()
+    format: str
+    precision: str
+    size: tuple[int, int] | None
+    camera: tuple[int, int] | None
+    batch: int | None
+    opset: int
+    output: Path | None
+    overwrite: bool
+    pictures: str | None
+    calibration: int
+    checks: int
+    license: str | None
+    trusted_modules: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is written: the settings, and what the model decides where they leave it open."""
+
+    setup: ExportSetup
+    name: str
+    size: tuple[int, int]
+    output: Path
 
 
 def export(setup: ExportSetup) -> Path:
@@ -74,12 +65,12 @@ def export(setup: ExportSetup) -> Path:
     from eldenet.zoo import load, note_if_untrained
 
     model = load(setup.checkpoint, trusted_modules=setup.trusted_modules)
-    setup, size, output = completed(setup, model)
-    log = RunLog(output.parent)
+    target = target_of(setup, model)
+    size, output, log = target.size, target.output, RunLog(target.output.parent)
     if note := note_if_untrained(setup.checkpoint):
         log.say(note)
     pictures = read_pictures(setup.pictures, max(setup.checks, 1), "test")
-    metadata = describe(model, str(setup.name), size, camera_size=setup.camera_size, license=setup.license)
+    metadata = describe(model, target.name, size, camera_size=setup.camera, license=setup.license)
     metadata["precision"] = setup.precision
     with tempfile.TemporaryDirectory() as temporary:
         is_graph = setup.format == "onnx" and setup.precision == "fp32"  # all other files are made from it
@@ -89,12 +80,12 @@ def export(setup: ExportSetup) -> Path:
             size,
             batch=setup.batch,
             opset=setup.opset,
-            camera_size=setup.camera_size,
+            camera_size=setup.camera,
             metadata=metadata,
         )
         if setup.precision == "int8":
             frames = read_pictures(setup.pictures, setup.calibration, "train")
-            inputs = batches(frames, setup)
+            inputs = batches(frames, target)
             log.say(f"int8: scales from {len(frames)} pictures")
             if setup.format == "onnx":
                 quantize_onnx(graph, output, inputs)
@@ -102,13 +93,13 @@ def export(setup: ExportSetup) -> Path:
                 quantize_openvino(graph, output, inputs, metadata)
         elif setup.format == "openvino":
             write_openvino(graph, output, metadata)
-    compare_with_torch(setup, model, pictures, log)
+    compare_with_torch(target, model, pictures, log)
     say_contents(output, log)
     return output
 
 
-def completed(setup: ExportSetup, model: "DepthNet") -> tuple[ExportSetup, tuple[int, int], Path]:
-    """Fill in what the model decides: name, size and output file; the latter two are returned too.
+def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
+    """Name, size and output file of an export.
 
     Raises:
         ValueError: the output exists already.
@@ -117,24 +108,24 @@ def completed(setup: ExportSetup, model: "DepthNet") -> tuple[ExportSetup, tuple
 
     height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
     size = (int(height), int(width))
-    name = setup.name or str(model.info.get("model_name", Path(setup.checkpoint).name))
+    name = str(model.info.get("model_name", Path(setup.checkpoint).name))
     default = f"exports/{name}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
         raise ValueError(f"{output} is there already: give another output=, or overwrite=true")
-    return replace(setup, name=name, size=size, output=output), size, output
+    return Target(setup, name, size, output)
 
 
-def batches(frames: Sequence[np.ndarray], setup: ExportSetup) -> list[np.ndarray]:
+def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
     """Pictures as the file takes them: one array each, repeated to a fixed batch."""
-    size = setup.camera_size or setup.size or UNTRAINED_SIZE
-    resized = [resize_image(frame, size) for frame in frames]
-    inputs = [frame[None] if setup.camera_size else as_image(frame) for frame in resized]
-    return [np.repeat(each, setup.batch or 1, axis=0) for each in inputs]
+    camera = target.setup.camera
+    resized = [resize_image(frame, camera or target.size) for frame in frames]
+    inputs = [frame[None] if camera else as_image(frame) for frame in resized]
+    return [np.repeat(each, target.setup.batch or 1, axis=0) for each in inputs]
 
 
 def compare_with_torch(
-    setup: ExportSetup, model: "DepthNet", pictures: Sequence[np.ndarray], log: "RunLog"
+    target: Target, model: "DepthNet", pictures: Sequence[np.ndarray], log: "RunLog"
 ) -> None:
     """Print the differences between torch and the file under each installed runtime.
 
@@ -143,11 +134,11 @@ def compare_with_torch(
     """
     from eldenet.deploy.files import differences
 
-    output, size = setup.output or Path(), setup.camera_size or setup.size or UNTRAINED_SIZE
-    seen = [resize_image(picture, size) for picture in pictures]
-    predictor = DepthPredictor(model, setup.size)
+    setup, output = target.setup, target.output
+    seen = [resize_image(picture, setup.camera or target.size) for picture in pictures]
+    predictor = DepthPredictor(model, target.size)
     reference = np.stack([predictor(frame) for frame in seen])
-    rows, inputs = [], batches(seen, setup)
+    rows, inputs = [], batches(seen, target)
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
         try:
             network = runtimes.load(output, name, threads=1)
@@ -158,7 +149,7 @@ def compare_with_torch(
         rows.append([name, *(f"{value:.2g}" for value in found.values())])
         if setup.precision == "fp32" and not found["median_relative"] < FP32_TOLERANCE:
             raise ValueError(f"{output} under {name} differs from torch: {found}; do not use it")
-    title = f"{setup.name}, {setup.precision}: depth beside torch's on {len(seen)} pictures"
+    title = f"{target.name}, {setup.precision}: depth beside torch's on {len(seen)} pictures"
     log.table(title, ["runtime", "max [m]", "median [m]", "max, relative", "median, relative"], rows)
 
 

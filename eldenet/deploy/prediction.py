@@ -3,7 +3,7 @@
 import re
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import islice
@@ -42,34 +42,28 @@ class Source:
 
 @dataclass(frozen=True)
 class PredictionSetup:
-    """What ``eldenet.predict`` is asked for, checked.
+    """The settings of ``configs/predict.yaml``, checked; it explains those that are not listed here.
 
     Attributes:
         source: pictures or video.
-        checkpoint: a run or model folder, a name, or an exported file.
         results: writes the results.
         resources: threads and device.
-        engine: "auto" or a runtime of :mod:`eldenet.deploy.runtimes`.
-        input_size: ``(height, width)`` that the network sees [px]; None: the model's.
-        max_side: longest side of pictures for a network without an input size [px].
-        frames: number of pictures or frames; None: all.
         skip_unreadable: list pictures that cannot be read instead of stopping.
         boxes: ``boxes(results, names, log, seconds)`` is entered before the pictures are predicted, and gives
             what :attr:`Results.also` calls; None: no 3D boxes.
-        trusted_modules: packages whose classes a folder's config may name.
     """
 
     source: Source
-    checkpoint: str
     results: Results
     resources: "Resources"
-    engine: str = "auto"
-    input_size: tuple[int, int] | None = None
-    max_side: int = 640
-    frames: int | None = None
-    skip_unreadable: bool = False
-    boxes: Callable[..., AbstractContextManager[Any]] | None = None
-    trusted_modules: tuple[str, ...] = ()
+    skip_unreadable: bool
+    boxes: Callable[..., AbstractContextManager[Any]] | None
+    checkpoint: str
+    engine: str
+    input_size: tuple[int, int] | None
+    max_side: int
+    frames: int | None
+    trusted_modules: Sequence[str]
 
 
 def predict(setup: PredictionSetup) -> Results:

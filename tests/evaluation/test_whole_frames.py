@@ -9,7 +9,7 @@ from support.networks import small_net
 
 from eldenet.config import build_export, build_protocol, build_split, compose
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import completed
+from eldenet.deploy.exporting import target_of
 from eldenet.deploy.files import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
@@ -107,7 +107,7 @@ def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> Non
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
         config = compose("export", ["checkpoint=x", f"output='{tmp_path / 'm.onnx'}'", *overrides])
-        assert list(completed(build_export(config), model)[1]) == size
+        assert list(target_of(build_export(config), model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)
     assert DepthPredictor(network).size_for(120, 152) == tuple(WHOLE)

@@ -37,29 +37,7 @@ DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml; it may be ab
 
 @dataclass(frozen=True)
 class BenchmarkSetup:
-    """What ``eldenet.benchmark`` is asked for, checked; each attribute is the setting of that name.
-
-    Attributes:
-        models: names, run folders, model folders or Hub ids.
-        study: folder of a study whose networks are measured instead.
-        sizes: ``(height, width)`` of the inputs [px]; a study's networks have their own.
-        batches: numbers of images.
-        runtimes: of :data:`eldenet.deploy.runtimes.RUNTIMES`.
-        precisions: of :data:`eldenet.deploy.runtimes.PRECISIONS`.
-        threads: numbers of threads.
-        device: "cpu" or an accelerator.
-        reference: model whose fp32 row has ``ratio_latency`` 1.
-        rounds: turns of each row.
-        seconds: of each turn.
-        memory: measure memory too.
-        calibration: pictures that give int8 its scales.
-        pictures: folder or pattern; None: the built-in rooms.
-        accuracies: ``run.json`` files, or folders that hold some.
-        accuracy: the metric in the picture.
-        trusted_modules: packages whose classes a folder's config may name.
-        overwrite: measure rows again.
-        output: folder.
-    """
+    """The settings of ``configs/benchmark.yaml``, checked; it explains each."""
 
     models: tuple[str, ...]
     study: str | None
