@@ -11,7 +11,7 @@ from support.rooms_network import ROUNDING, SIZE
 
 import eldenet
 from eldenet.deploy import runtimes
-from eldenet.deploy.camera import CameraNet, area_weights
+from eldenet.deploy.camera import CameraNet
 from eldenet.deploy.files import describe, differences, write_onnx, write_openvino
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
@@ -47,12 +47,6 @@ def test_a_graph_shrinks_frames_as_the_data_sets_do(trained_model, camera: tuple
     image = torch.from_numpy(frame).permute(2, 0, 1)[None].float()
     ours = CameraNet(trained_model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()
     np.testing.assert_allclose(ours, resize_image(frame, SIZE), atol=0.51)
-
-
-def test_area_weights_equal_opencv() -> None:
-    picture = np.random.default_rng(3).random((48, 70)).astype(np.float32)
-    ours = area_weights(48, 21).numpy() @ picture @ area_weights(70, 32).numpy().T
-    np.testing.assert_allclose(ours, cv2.resize(picture, (32, 21), interpolation=cv2.INTER_AREA), atol=1e-6)
 
 
 def test_a_file_of_an_old_opset_runs(trained_model, images, reference, tmp_path: Path) -> None:

@@ -147,13 +147,3 @@ def test_a_live_source_that_breaks_off_is_reported(
         list(stream)
         assert stream.ended_too_soon.startswith(said)
         assert bool(stream.ended_too_soon) == bool(said)
-
-
-def test_the_rate_counts_predicted_frames() -> None:
-    def paced(frame: np.ndarray) -> np.ndarray:
-        time.sleep(0.02)
-        return depth_of(frame)
-
-    with runtimes.DepthStream(numbered(8), paced) as stream:
-        list(stream)
-    assert 0 < stream.fps <= 50
