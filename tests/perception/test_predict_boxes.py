@@ -77,7 +77,7 @@ def test_predict_follows_boxes_through_a_video(model_folder, detector, tmp_path)
     assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
     for name in ("walk_boxes.mp4", "walk_depth.mp4"):
         (tmp_path / "out" / name).rename(tmp_path / name)
-    with pytest.raises(ValueError, match=r"there already .*out/walk\)"):  # the text files
+    with pytest.raises(ValueError, match=r"there already, such as .*out/walk:"):  # the text files
         run(model_folder, source, tmp_path / "out", CAMERA_OPTION, f"perception.detector.path='{detector}'")
 
 
