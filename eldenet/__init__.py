@@ -6,6 +6,7 @@ Public names load at their first use, which keeps ``import eldenet`` fast.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
     from eldenet.weights import list_weights
@@ -20,6 +21,7 @@ __all__ = [
     "list_models",
     "list_weights",
     "load",
+    "runtimes",
 ]
 
 _MODULE_OF = {
@@ -29,6 +31,7 @@ _MODULE_OF = {
     "list_models": "eldenet.zoo",
     "list_weights": "eldenet.weights",
     "load": "eldenet.zoo",
+    "runtimes": "eldenet.deploy.runtimes",
 }
 
 
@@ -37,7 +40,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'eldenet' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_MODULE_OF[name]), name)
+    home = import_module(_MODULE_OF[name])
+    return home if _MODULE_OF[name].endswith(f".{name}") else getattr(home, name)
 
 
 def __dir__() -> list[str]:
