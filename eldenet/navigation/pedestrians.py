@@ -54,7 +54,7 @@ class Walkers:
     def __init__(self) -> None:
         self.tracks: list[Track] = []
 
-    def look(self, points: np.ndarray, ranges: np.ndarray) -> list[Track]:
+    def scan(self, points: np.ndarray, ranges: np.ndarray) -> list[Track]:
         """Take a look over; returns the tracks that move.
 
         Args:
@@ -65,7 +65,7 @@ class Walkers:
             track.position = track.position + track.velocity * ROBOT.period
             track.missed += 1
             track.columns = slice(0)
-        for columns in slim_things(points, ranges):
+        for columns in slim_segments(points, ranges):
             middle = points[columns].mean(axis=0)
             free = [track for track in self.tracks if track.missed]
             away = [float(np.hypot(*(middle - track.position))) for track in free]
@@ -87,7 +87,7 @@ def _correct(track: Track, middle: np.ndarray, columns: slice) -> None:
     track.moving = track.looks >= SEEN_OFTEN and fast and (track.moving or gone)
 
 
-def slim_things(points: np.ndarray, ranges: np.ndarray) -> list[slice]:
+def slim_segments(points: np.ndarray, ranges: np.ndarray) -> list[slice]:
     """Columns of everything in view that is at most :data:`WIDEST` wide and wholly in view."""
     nearer = np.minimum(ranges[1:], ranges[:-1])
     steps = np.flatnonzero(np.abs(np.diff(ranges)) > np.maximum(DEPTH_STEP, 0.1 * nearer)) + 1

@@ -3,11 +3,10 @@
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
-from eldenet.navigation.evaluation import Crossing
-from eldenet.navigation.statistics import mcnemar
+from eldenet.navigation.evaluation import Episode, mcnemar
 
-# physics, sensor, method, course -> crossings of every training
-Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]
+# physics, sensor, method, course -> episodes of every training
+Tables = dict[tuple[str, str, str, str], list[list[Episode]]]
 #: A sensor's loss is against true ranges: of the method itself, and of the default for one trained for it.
 ALSO_AGAINST = {"dqn_mixed": ("dqn",)}
 OURS = ("dqn_ensemble", "dqn")  # the first of them that a table has is compared with all others
@@ -18,9 +17,9 @@ def courses_of(tables: Tables) -> list[str]:
     return list(dict.fromkeys(key[3] for key in tables))
 
 
-def solved(trainings: list[list[Crossing]]) -> np.ndarray:
+def solved(trainings: list[list[Episode]]) -> np.ndarray:
     """``(trainings, worlds)`` bool."""
-    return np.array([[crossing.outcome == "success" for crossing in rows] for rows in trainings])
+    return np.array([[episode.outcome == "success" for episode in rows] for rows in trainings])
 
 
 def paired(tables: Tables, physics: str, sensor: str) -> list[str]:

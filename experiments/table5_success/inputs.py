@@ -15,10 +15,10 @@ from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
+from eldenet.navigation.provenance import training_hash
 from eldenet.navigation.training import PROGRESS
-from eldenet.navigation.versions import training_hash
 from eldenet.results.fingerprints import located
-from eldenet.results.run_record import write_json
+from eldenet.results.run_record import read_record, write_json
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
@@ -42,7 +42,7 @@ def check_inputs(given: Namespace, sensors: Sequence[str]) -> None:
         if kind == "objects":
             detector_files(given.detector)
         if kind == "noisy" and not errors_file(given.errors).is_file():
-            raise ValueError(f"--errors {given.errors}: no such file; give one of mode=measure, or packaged")
+            raise ValueError(f"--errors {given.errors}: no such file; give one of mode=fit_noise, or packaged")
 
 
 def depth_files(source: str | None) -> list[Path]:
@@ -144,7 +144,7 @@ def training_of(
         subprocess.run(command, check=True)
     if not note.is_file():
         raise ValueError(f"{folder} holds a policy without training.json: nobody knows how it was trained")
-    made = json.loads(note.read_text())
+    made = read_record(note)
     config = compose("navigate", ["mode=train", *options])
     asked = {name: plain(config[name]) for name in SETTINGS} | {"goal": str(config.goal)}
     asked = json.loads(json.dumps(asked))

@@ -41,7 +41,7 @@ LEARNT = {
     "dqn_as_trained": Learnt(drivers="dqn", slows_within=None),  # 3 m
     "dqn_follows": Learnt(drivers="dqn", follows=True),
     "dqn_ensemble_follows": Learnt(packaged=True, follows=True),
-    "dqn_walkers": Learnt(("movers=10", "observer.walkers=true")),
+    "dqn_walkers": Learnt(("pedestrians=10", "observer.walkers=true")),
     "dqn_mixed": Learnt(("sensor=mixed",)),  # half of the crossings with a depth network's measured errors
     "dqn_by_age": Learnt(("observer.seen_through=0",)),  # remembered points are forgotten with age alone
     # beside the five turns: on the spot to either side, and straight back

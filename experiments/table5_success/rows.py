@@ -14,10 +14,11 @@ from typing import Any
 from inputs import CAMERAS, digest, input_hashes, make_sensor, training_of
 from methods import LEARNT, PLANNERS
 
-from eldenet.navigation.evaluation import Crossing, Policy, as_rows, cross
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import Episode, Policy, as_rows, run_episodes
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
+from eldenet.navigation.provenance import episode_hash
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import crossing_hash
 from eldenet.results.run_record import environment, write_json, write_rows
 from eldenet.simulation.arenas import Arena, arenas_hash
 
@@ -94,7 +95,7 @@ def policy_file(row: Row, given: Namespace) -> Path | None:
 @functools.cache
 def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str]:
     """Test arenas, the same for every method and sensor, and their hash."""
-    arenas = frozen_arenas(density, worlds, movers=movers)
+    arenas = frozen_arenas(density, worlds, pedestrians=movers)
     return arenas, arenas_hash(arenas)
 
 
@@ -103,7 +104,7 @@ def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dic
     versions = environment()["versions"]
     return {
         "arenas": arenas,
-        "sources": crossing_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
+        "sources": episode_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
         "drives": None if row.seed is None else LEARNT[row.method].drives,
@@ -111,7 +112,7 @@ def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dic
     }
 
 
-def measure(row: Row, given: Namespace) -> list[Crossing]:
+def measure(row: Row, given: Namespace) -> list[Episode]:
     """The crossings of a row: read, if nothing that they depend on has changed since, or made now.
 
     With ``--recheck`` a row that differs by its sources alone is read too, if some of it comes out the same.
@@ -146,7 +147,7 @@ def measure(row: Row, given: Namespace) -> list[Crossing]:
 
 def make_crossings(
     row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
-) -> list[Crossing]:
+) -> list[Episode]:
     """Cross arenas as the row says; an outcome does not depend on the other arenas."""
 
     def driver(robots: int) -> Policy:
@@ -154,14 +155,15 @@ def make_crossings(
             return PLANNERS[row.method](robots)
         return Navigator.load(weights, **LEARNT[row.method].drives, robots=robots)
 
-    return cross(arenas, driver, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
+    settings = EpisodeSettings(row.physics, row.goal)
+    return run_episodes(arenas, driver, make_sensor(row.sensor, given), settings)
 
 
-def read_rows(path: Path) -> list[Crossing]:
+def read_rows(path: Path) -> list[Episode]:
     """The crossings of a CSV."""
     with path.open() as file:
         return [
-            Crossing(
+            Episode(
                 line["world"],
                 int(line["density"]),
                 line["outcome"],

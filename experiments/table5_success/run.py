@@ -21,7 +21,7 @@ from methods import LEARNT
 from panels import draw_panels
 from rows import measure
 
-from eldenet.navigation.evaluation import Crossing, summarize
+from eldenet.navigation.evaluation import Episode, summarize
 from eldenet.results.run_record import environment, write_rows
 from eldenet.simulation.robot import ROBOT
 
@@ -86,7 +86,7 @@ def write_results(tables: Tables, given: Namespace) -> None:
     plot(cells, HERE / f"{name}.png")
 
 
-def cell(seeds: list[list[Crossing]]) -> str:
+def cell(seeds: list[list[Episode]]) -> str:
     if not seeds:
         return "-"
     parts = [summarize(crossings) for crossings in seeds]

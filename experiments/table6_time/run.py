@@ -25,11 +25,11 @@ from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
-from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
+from eldenet.navigation.evaluation import Episode, solved_by_all  # noqa: E402
 from eldenet.results.run_record import environment, write_rows  # noqa: E402
 
 # physics, sensor, course -> method -> crossings of every training
-Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]
+Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Episode]]]]
 
 REFERENCE = "astar_dwa"
 # straight solves so few that it would leave nothing to compare; so would weak learnt methods, at 80
@@ -95,7 +95,7 @@ def write_results(tables: Tables, given: Namespace) -> None:
     print("\n".join(lines))
 
 
-def times(trainings: list[list[Crossing]]) -> np.ndarray:
+def times(trainings: list[list[Episode]]) -> np.ndarray:
     """``(trainings, worlds)`` [s]."""
     return np.array([[crossing.seconds for crossing in rows] for rows in trainings])
 
@@ -107,7 +107,7 @@ def cell(mean: float, ratio: float, low: float, high: float) -> str:
 
 
 def ratio_to_reference(
-    rows: Mapping[str, list[list[Crossing]]], method: str
+    rows: Mapping[str, list[list[Episode]]], method: str
 ) -> tuple[float, float, float, int]:
     """Mean time over the reference's on the worlds that both solved, mean over trainings.
 
