@@ -28,7 +28,8 @@ def main() -> None:
     for mode in ",".join(words).split(",") if words else []:
         if mode not in MODES:
             renamed = f"; {mode} is now {VALUES['mode', mode]}" if ("mode", mode) in VALUES else ""
-            sys.exit(f"error: mode={mode}: choose one of {', '.join(MODES)}{renamed}")
+            print(f"error: mode={mode}: choose one of {', '.join(MODES)}{renamed}", file=sys.stderr)  # noqa: T201
+            sys.exit(1)
     run()
 
 

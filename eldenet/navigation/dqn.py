@@ -72,14 +72,8 @@ class DQNSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        names = [
-            "total_timesteps",
-            "n_step",
-            "batch_size",
-            "buffer_size",
-            "train_freq",
-            "checkpoint_interval",
-        ]
+        names = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
+        names = (*names, "checkpoint_interval")
         wrong = [f"{name}={getattr(self, name)}" for name in names if getattr(self, name) < 1]
         if wrong or not 0 < self.gamma < 1:
             wrong.append(f"gamma={self.gamma}")

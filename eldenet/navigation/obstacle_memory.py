@@ -103,7 +103,7 @@ class Memory:
 
     def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, eye: np.ndarray) -> None:
         """Forget the trails of what moves, also in this frame, and mark where it will be."""
-        moving = self._walkers[robot].scan(frame, ranges)
+        moving = self._walkers[robot].update(frame, ranges)
         self._marks[robot] = _NOWHERE
         if not moving:
             return

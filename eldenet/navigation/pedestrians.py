@@ -54,7 +54,7 @@ class Walkers:
     def __init__(self) -> None:
         self.tracks: list[Track] = []
 
-    def scan(self, points: np.ndarray, ranges: np.ndarray) -> list[Track]:
+    def update(self, points: np.ndarray, ranges: np.ndarray) -> list[Track]:
         """Take a look over; returns the tracks that move.
 
         Args:

@@ -14,8 +14,8 @@ from typing import Any
 from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
-from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.provenance import training_hash
+from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.training import PROGRESS
 from eldenet.results.fingerprints import located
 from eldenet.results.run_record import read_record, write_json
@@ -42,7 +42,9 @@ def check_inputs(given: Namespace, sensors: Sequence[str]) -> None:
         if kind == "objects":
             detector_files(given.detector)
         if kind == "noisy" and not errors_file(given.errors).is_file():
-            raise ValueError(f"--errors {given.errors}: no such file; give one of mode=fit_noise, or packaged")
+            raise ValueError(
+                f"--errors {given.errors}: no such file; give one of mode=fit_noise, or packaged"
+            )
 
 
 def depth_files(source: str | None) -> list[Path]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.pedestrians import AHEAD, KEPT, RADIUS, Walkers, marks, slim_things
+from eldenet.navigation.pedestrians import AHEAD, KEPT, RADIUS, Walkers, marks, slim_segments
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, Obstacle
@@ -34,7 +34,7 @@ def points_of(world: ArenaWorld) -> tuple[np.ndarray, np.ndarray]:
 def drive(world: ArenaWorld, steps: int, speed: float = 0.0, turn: float = 0.0) -> tuple[Walkers, list]:
     walkers, moving = Walkers(), []
     for _ in range(steps):
-        moving = walkers.look(*points_of(world))
+        moving = walkers.update(*points_of(world))
         world.advance(speed, turn, ROBOT.period)
     return walkers, moving
 
@@ -60,18 +60,18 @@ def test_walkers_out_of_view_are_kept_for_a_while():
     there = track.position.copy()
     far = np.full((ROBOT.columns, 2), 50.0), np.full(ROBOT.columns, ROBOT.far)
     for _ in range(KEPT):
-        assert walkers.look(*far) == [track]
+        assert walkers.update(*far) == [track]
     assert track.position[1] - there[1] == pytest.approx(0.8 * KEPT * ROBOT.period, rel=0.25)
-    assert walkers.look(*far) == []
+    assert walkers.update(*far) == []
 
 
 def test_slim_things_are_those_of_a_walker_s_width():
     points, ranges = points_of(world_of(*STANDING, Obstacle("box", 6.0, 0.0, 0.0, (0.2, 0.7), 1.0)))
-    found = slim_things(points, ranges)
+    found = slim_segments(points, ranges)
     middles = [points[columns].mean(axis=0) for columns in found]
     assert any(math.dist(middle, (2.8, -0.75)) < 0.2 for middle in middles)
     assert not any(math.dist(middle, (5.8, 0.0)) < 0.5 for middle in middles)
-    assert slim_things(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
+    assert slim_segments(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
 
 
 def test_marks_go_where_a_walker_goes():
@@ -85,10 +85,10 @@ def test_marks_go_where_a_walker_goes():
 
 
 def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
-    crossing = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
+    episode = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
     seen = {}
     for follow in (False, True):
-        observer, world = Observer(walkers=follow, seen_through=0), world_of(crossing)
+        observer, world = Observer(walkers=follow, seen_through=0), world_of(episode)
         for _ in range(12):
             senses = Senses(world.ranges()[None], np.array([world.pose]), np.array([[8.0, 0.0]]))
             observer.observe(senses)
@@ -97,7 +97,7 @@ def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
         seen[follow] = np.stack([x, y], axis=1)
         observer.reset()
         assert len(observer.memory.near(np.array([world.pose]))[0]) == 0
-    now = crossing.position(2.2)[1]
+    now = episode.position(2.2)[1]
     trail = {follow: (points[:, 1] < now - 0.6).sum() for follow, points in seen.items()}
     ahead = {follow: (points[:, 1] > now + 0.6).sum() for follow, points in seen.items()}
     assert trail[False] > 10

@@ -41,7 +41,7 @@ def test_rows_are_read_until_something_changes(rows, command, tmp_path, monkeypa
     assert capsys.readouterr().out.count("of 2") == 2
     assert [rows.measure(row, options) for row in command.all_rows(options)] == first
     assert capsys.readouterr().out == ""
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "another version")
+    monkeypatch.setattr(rows, "episode_hash", lambda camera: "another version")
     (row, _) = command.all_rows(options)
     rows.measure(row, options)
     assert "of 2" in capsys.readouterr().out
@@ -53,14 +53,14 @@ def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same
     options = given(tmp_path, courses="5", recheck=1)
     (row,) = command.all_rows(options)
     first = rows.measure(row, options)
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after a change")
+    monkeypatch.setattr(rows, "episode_hash", lambda camera: "after a change")
     assert rows.measure(row, options) == first
     assert rows.measure(row, options) == first
     assert capsys.readouterr().out.count("the first 1 came out the same, kept") == 1
     note, table = (options.rows / f"{row.name}.{ending}" for ending in ("json", "csv"))
     assert json.loads(note.read_text())["rechecked"][0]["worlds"] == 1
     table.write_text(table.read_text().replace(str(first[0].seconds), "1.0"))
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after another")
+    monkeypatch.setattr(rows, "episode_hash", lambda camera: "after another")
     assert rows.measure(row, options) == first
     assert "of 2" in capsys.readouterr().out
     assert "rechecked" not in json.loads(note.read_text())
@@ -143,7 +143,7 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
 def test_the_moving_arenas_are_frozen_too():
     frozen = json.loads((FOLDER / "arenas.json").read_text())
     assert set(frozen["100"]) == set(frozen["300"]) == set(frozen["500"]) == {"5", "20", "40", "80", "20+10"}
-    assert arenas_hash(frozen_arenas(20, 100, movers=10)) == frozen["100"]["20+10"]
+    assert arenas_hash(frozen_arenas(20, 100, pedestrians=10)) == frozen["100"]["20+10"]
 
 
 def policy_folder(tmp_path: Path, config: dict, sources_hash: str) -> Path:

@@ -10,7 +10,15 @@ import pytest
 import torch
 
 from eldenet.navigate import refuse_to_replace
-from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarize
+from eldenet.navigation.evaluation import (
+    Episode,
+    mcnemar,
+    run_episodes,
+    solved_by_all,
+    spl,
+    summarize,
+    wilson_interval,
+)
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
@@ -18,7 +26,6 @@ from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, export_onnx
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
-from eldenet.navigation.statistics import mcnemar, spl, wilson_interval
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arena_world import arc
 from eldenet.simulation.arenas import Arena, Obstacle
@@ -27,15 +34,17 @@ from eldenet.simulation.robot import ROBOT
 
 def test_the_packaged_policy_is_small_and_drives():
     assert DEFAULT_WEIGHTS.stat().st_size < 200_000
-    rows = cross(frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges())
+    rows = run_episodes(
+        frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges()
+    )
     assert summarize(rows)["success"] >= 90
 
 
 def test_a_world_ends_alike_alone_and_among_others():
     arenas = frozen_arenas(80, 5, split="val")
     make = lambda robots: Navigator.load(robots=robots)  # noqa: E731
-    together = cross(arenas, make, NoisyRanges(), robots=5)
-    by_two = cross(arenas, make, NoisyRanges(), robots=2)
+    together = run_episodes(arenas, make, NoisyRanges(), robots=5)
+    by_two = run_episodes(arenas, make, NoisyRanges(), robots=2)
     assert together == by_two
 
 
@@ -136,7 +145,7 @@ def test_onnx_gives_the_same_values(tmp_path):
 
 @pytest.mark.parametrize("make", [AStarDWA, AStarOnlineDWA, LocalDWA], ids=lambda make: make.name)
 def test_planners_cross_an_open_arena(make):
-    rows = cross(frozen_arenas(5, 3, split="val"), lambda robots: make(robots=robots), Ranges())
+    rows = run_episodes(frozen_arenas(5, 3, split="val"), lambda robots: make(robots=robots), Ranges())
     assert [row.outcome for row in rows] == ["success"] * 3
     assert all(row.travelled >= 0.9 * row.shortest for row in rows)
 
@@ -144,9 +153,9 @@ def test_planners_cross_an_open_arena(make):
 def test_a_star_goes_round_a_wall_that_a_local_planner_does_not():
     fence = [Obstacle("box", 0.0, y, 0.0, (0.2, 0.5), 1.0) for y in np.arange(-7.5, 6.0, 1.0)]
     arena = Arena("", 14, 0, tuple(fence), (-4.0, -1.0, 0.0), ((4.0, -1.0),))
-    (row,) = cross([arena], lambda robots: AStarDWA(robots=robots), Ranges())
+    (row,) = run_episodes([arena], lambda robots: AStarDWA(robots=robots), Ranges())
     assert row.outcome == "success"
-    (row,) = cross([arena], lambda robots: LocalDWA(robots=robots), Ranges())
+    (row,) = run_episodes([arena], lambda robots: LocalDWA(robots=robots), Ranges())
     assert row.outcome != "success"
 
 
@@ -193,7 +202,7 @@ def test_intervals_and_tests_agree_with_scipy():
 
 def test_times_are_compared_on_worlds_that_all_solved():
     def table(*outcomes):
-        return [Crossing(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
+        return [Episode(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
 
     both = solved_by_all([table("success", "success", "timeout"), table("success", "collision", "success")])
     assert both.tolist() == [True, False, False]
@@ -208,7 +217,7 @@ def test_times_are_compared_on_worlds_that_all_solved():
 
 def test_evaluate_writes_rows_and_a_record(run_command, tmp_path):
     finished = run_command(
-        "navigate", "mode=evaluate", "density=[5,20]", "worlds=3", "physics=kinematic", "run_dir=run"
+        "navigate", "mode=evaluate", "density=[5,20]", "episodes=3", "physics=kinematic", "run_dir=run"
     )
     assert finished.returncode == 0, finished.stderr
     run = json.loads((tmp_path / "run" / "run.json").read_text())
@@ -223,7 +232,7 @@ def test_watch_films_without_a_display(run_command, tmp_path):
     from PIL import Image
 
     finished = run_command(
-        "navigate", "density=5", "time_limit=2", "film=gif", "physics=kinematic", "run_dir=run", DISPLAY=""
+        "navigate", "density=5", "time_limit=2", "video=gif", "physics=kinematic", "run_dir=run", DISPLAY=""
     )
     assert finished.returncode == 0, finished.stderr
     (film,) = (tmp_path / "run").glob("*.gif")
@@ -235,7 +244,7 @@ def test_watch_films_without_a_display(run_command, tmp_path):
     assert run["outcome"] in ("goal", "collision", "timeout")
     assert run["policy"] == "dqn"
     assert len(run["driver"]["files"][0]["sha256"]) == 64
-    assert "film=gif" in run["command"]
+    assert "video=gif" in run["command"]
     assert run["versions"]["torch"]
 
 
@@ -265,7 +274,7 @@ def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
     assert finished.returncode == 1
     assert "other settings" in finished.stderr
     both = ("checkpoint=[run/policy.safetensors,run/policy.safetensors]", "run_dir=both")
-    finished = run_command("navigate", "mode=evaluate", *both, "density=5", "worlds=1", "physics=kinematic")
+    finished = run_command("navigate", "mode=evaluate", *both, "density=5", "episodes=1", "physics=kinematic")
     assert finished.returncode == 0, finished.stderr
     assert json.loads((tmp_path / "both" / "run.json").read_text())["metrics"]["5"]["worlds"] == 1
 
@@ -274,7 +283,7 @@ def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
     (["mode=fly"], "mode='fly'"),
     (["density=500"], "density=500"),
     (["density=[5,20]"], "films one arena"),
-    (["mode=evaluate", "worlds=0"], "worlds=0: give at least one"),
+    (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
     (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
     (["policy=dqn", "checkpoint=none.safetensors"], "no policy at none.safetensors"),
 ])  # fmt: skip

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.navigation.dqn import CHECKPOINT, DQN, quantile_loss
+from eldenet.navigation.dqn import CHECKPOINT, DQN, NStepWindows, ReplayBuffer, quantile_loss
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.navigation.replay import Replay, Windows
 from eldenet.navigation.tasks import TrainingArenas
 
 gym = pytest.importorskip("gymnasium")
@@ -17,8 +16,8 @@ from eldenet.navigation.env import ArenaNavVectorEnv  # noqa: E402
 
 def test_windows_are_n_step_returns_that_end_with_the_episode():
     rng = np.random.default_rng(0)
-    replay = Replay(10_000, 1)
-    windows = Windows(3, 2, 0.9, replay)
+    replay = ReplayBuffer(10_000, 1)
+    windows = NStepWindows(3, 2, 0.9, replay)
     episodes: list[list[list[tuple]]] = [[[]], [[]]]
     for step in range(60):
         obs = np.array([[step / 100], [step / 100 + 0.5]], np.float32)

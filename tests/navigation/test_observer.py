@@ -194,10 +194,10 @@ def test_wrong_observers_are_refused(options, message):
 def test_noise_has_the_deviations_it_was_given():
     arena = generate_arena("val", 40, 5)
     world = ArenaWorld(arena)
-    eye = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
+    instance = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
     true = world.ranges()
     inside = (true > 0.6) & (true < 7)
-    error = np.log(np.array([eye.look().ranges[inside] for _ in range(3000)]) / true[inside])
+    error = np.log(np.array([instance.scan().ranges[inside] for _ in range(3000)]) / true[inside])
     # of a sum of independent errors; the interpolated one loses up to half of its variance between knots
     assert (
         math.sqrt(0.1**2 + 0.5 * 0.05**2 + 0.03**2) * 0.93
@@ -212,7 +212,7 @@ def test_a_share_of_the_crossings_has_true_ranges():
     world = ArenaWorld(generate_arena("val", 40, 5))
     sensor = NoisyRanges(share=0.25)
     exact = [
-        (sensor.begin(world, np.random.default_rng(seed)).look().ranges == world.ranges()).all()
+        (sensor.begin(world, np.random.default_rng(seed)).scan().ranges == world.ranges()).all()
         for seed in range(200)
     ]
     assert 0.65 < np.mean(exact) < 0.85
