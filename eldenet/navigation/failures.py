@@ -146,8 +146,8 @@ def _witness(policy: Policy) -> Observer:
 
 def _points(ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
     angles = np.array(ROBOT.column_angles) + pose[2]
-    eye = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
-    points = eye + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    camera = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
+    points = camera + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return np.asarray(points[ranges < ROBOT.far])
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.provenance import EPISODE_VERSION
@@ -22,9 +23,8 @@ def episodes() -> list[dict[str, object]]:
     for physics in ("kinematic", "wheels"):
         for density, movers in ((5, 0), (20, 0), (20, 10)):
             arenas = frozen_arenas(density, 2, split="val", pedestrians=movers)
-            found = run_episodes(
-                arenas, lambda robots: Navigator.load(robots=robots), Ranges(), physics=physics
-            )
+            settings = EpisodeSettings(physics)
+            found = run_episodes(arenas, lambda robots: Navigator.load(robots=robots), Ranges(), settings)
             rows += [{"physics": physics, "density": density, "movers": movers, "outcome": row.outcome,
                       "seconds": round(row.seconds, 2), "travelled": round(row.travelled, 3)}
                      for row in found]  # fmt: skip

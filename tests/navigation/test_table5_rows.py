@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.table5 import FOLDER, given, modules_of_table5
 
-from eldenet.navigation import versions as sources
+from eldenet.navigation import provenance
 from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash
@@ -126,12 +126,12 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
         name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNT.items()
     }
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
-    assert configs["paper_literal"].learner.target_every > 0
-    assert configs["paper_literal"].learner.steps == configs["dqn"].learner.steps
-    assert configs["paper_literal"].learner.gradient_clip == 0
+    assert configs["paper_literal"].learner.target_update_interval > 0
+    assert configs["paper_literal"].learner.total_timesteps == configs["dqn"].learner.total_timesteps
+    assert configs["paper_literal"].learner.max_grad_norm == 0
     assert configs["paper_literal"].learner.learning_rate_end == 1
     assert (configs["paper_state"].observer.memory, configs["paper_state"].learner.n_step) == (0, 5)
-    assert configs["dqn_walkers"].training.arenas.movers == 10
+    assert configs["dqn_walkers"].training.arenas.pedestrians == 10
     assert plain(configs["dqn"].observer)["memory"] == 60
     assert (configs["dqn"].observer.seen_through, configs["dqn_by_age"].observer.seen_through) == (2, 0)
     assert (configs["dqn_mixed"].sensor.share, configs["dqn_mixed"].sensor.errors) == (0.5, "packaged")
@@ -160,9 +160,11 @@ def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
     row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
     options = given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
-    folder = policy_folder(tmp_path, config, sources.training_hash())
+    folder = policy_folder(tmp_path, config, provenance.training_hash())
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
-    policy_folder(tmp_path, config | {"learner": config["learner"] | {"steps": 7}}, sources.training_hash())
+    policy_folder(
+        tmp_path, config | {"learner": config["learner"] | {"total_timesteps": 7}}, provenance.training_hash()
+    )
     with pytest.raises(ValueError, match="trained with another learner"):
         rows.policy_file(row, options)
     policy_folder(tmp_path, config, "of another day")
@@ -179,7 +181,7 @@ def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
 
     row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
-    trained = policy_folder(tmp_path, config, sources.training_hash())
+    trained = policy_folder(tmp_path, config, provenance.training_hash())
     rows.policy_file(row, options)
     shutil.rmtree(trained)
     kept = rows.policy_file(row, options)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.pedestrians import AHEAD, KEPT, RADIUS, Walkers, marks, slim_segments
+from eldenet.navigation.pedestrians import AHEAD, MAX_AGE, RADIUS, Walkers, marks, slim_segments
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, Obstacle
@@ -59,9 +59,9 @@ def test_walkers_out_of_view_are_kept_for_a_while():
     (track,) = (track for track in walkers.tracks if track.moving)
     there = track.position.copy()
     far = np.full((ROBOT.columns, 2), 50.0), np.full(ROBOT.columns, ROBOT.far)
-    for _ in range(KEPT):
+    for _ in range(MAX_AGE):
         assert walkers.update(*far) == [track]
-    assert track.position[1] - there[1] == pytest.approx(0.8 * KEPT * ROBOT.period, rel=0.25)
+    assert track.position[1] - there[1] == pytest.approx(0.8 * MAX_AGE * ROBOT.period, rel=0.25)
     assert walkers.update(*far) == []
 
 
