@@ -2,7 +2,6 @@
 
 import functools
 import logging
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,9 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
+    from eldenet.deploy.scoring import EvaluationSetup
     from eldenet.navigation.modes import ModeSetup
+    from eldenet.training.setup import TrainingSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
@@ -102,11 +103,6 @@ def read_yaml(path: Path) -> Any:
         raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
-def is_main_process() -> bool:
-    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
-    return os.environ.get("RANK", "0") == "0"
-
-
 def plain(config: Any) -> Any:
     """Resolved dicts, lists and values; what ``run.json`` stores."""
     return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
@@ -133,6 +129,72 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         if isinstance(cause, USER_ERRORS):
             raise cause from None
         raise ValueError(str(error)) from error
+
+
+# --- what commands are built from
+
+
+def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
+    """What ``python -m eldenet.train`` trains in ``folder``."""
+    from eldenet.training.setup import TrainingSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return TrainingSetup(
+        folder=folder,
+        name=config.model_name,
+        seed=config.seed,
+        data=config.data.name,
+        input_size=settings["data"]["input_size"],
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        make_model=functools.partial(instantiate, config.model),
+        own_normalization=bool({"mean", "std"} & config.model.keys()),
+        make_loss=functools.partial(instantiate, config.loss),
+        make_trainer=functools.partial(_build_trainer, config),
+        resources=settings["runtime"],
+        normalization=settings["normalization"],
+        weights=config.weights,
+        teacher=config.teacher,
+        ckpt_path=config.ckpt_path,
+        trusted_modules=_named_modules(settings["model"]),
+        settings=settings,
+    )
+
+
+def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
+    """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
+    from eldenet.deploy.scoring import EvaluationSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return EvaluationSetup(
+        folder=folder,
+        checkpoint=str(config.checkpoint),
+        data=config.data.name,
+        split=config.split,
+        input_size=settings["input_size"],
+        data_input_size=settings["data"]["input_size"],
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        engine=config.engine,
+        precision=config.precision,
+        resources=settings["runtime"],
+        batch_size=config.batch_size,
+        trusted_modules=settings["trusted_modules"],
+        settings=settings,
+    )
+
+
+def _build_trainer(config: DictConfig) -> Any:
+    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
+    return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed)
+
+
+def _named_modules(settings: Any) -> list[str]:
+    """Modules that the user's own settings name: these are trusted, a downloaded config's are not."""
+    if not isinstance(settings, dict):
+        return []
+    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
+    return named + [module for value in settings.values() for module in _named_modules(value)]
 
 
 def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
@@ -233,6 +295,8 @@ def build_split(
     augment: bool = False,
     score: bool = False,
     seed: int = 0,
+    input_size: Sequence[int] | None = None,
+    frames: int | None = None,
 ) -> Any:
     """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
 
@@ -243,6 +307,8 @@ def build_split(
         augment: for training.
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
+        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
+        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
     """
     from eldenet.data.base import Chain
     from eldenet.data.resize_crop import ResizeCrop
@@ -253,8 +319,12 @@ def build_split(
         whole = protocol.paste and (score or split != "train")
         steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
     changes: dict[str, Any] = {}
+    if input_size is not None:
+        changes["input_size"] = list(input_size)
+    if frames is not None:
+        changes["frames"] = frames
     if node.get("load_size") is not None and (score or protocol.changes_frames):
-        changes = {"load_size": None, "cache": "none"}
+        changes |= {"load_size": None, "cache": "none"}
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
@@ -277,7 +347,7 @@ def build_split(
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     places = config.data.get("subset", {}).get(split)
-    if places is not None:
+    if places is not None and frames is None:
         dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
         logging.getLogger("eldenet").warning(

@@ -32,6 +32,14 @@ OPTIONS: dict[str, dict[str, str]] = {
         "target_every": "target_update_interval",
         "warmup": "learning_starts",
     },
+    "eldenet.training.optim.constant": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.cosine": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.one_cycle": {"peak": "max_lr_factor", "warmup": "warmup_fraction"},
+    "eldenet.training.trainer.Trainer": {
+        "accumulate": "accumulate_grad_batches",
+        "backbone_lr": "backbone_lr_factor",
+        "gradient_clip": "max_grad_norm",
+    },
 }
 #: Sections and entries that were renamed, wherever they stand: old name -> new name.
 KEYS = {
@@ -62,9 +70,9 @@ def renamed(content: Any) -> Any:
     target = content.get("_target_")
     target = TARGETS.get(str(target), target)
     options = KEYS | OPTIONS.get(str(target), {})
-    found = {}
+    found: dict[str, Any] = {}
     for key, value in content.items():
-        new = options.get(key, key)
+        new = str(options.get(key, key))
         found[new] = target if key == "_target_" else renamed(value)
         if isinstance(value, str) and (new, value) in VALUES:
             found[new] = VALUES[new, value]

@@ -15,7 +15,7 @@ from eldenet.backbones.mobilenet import MobileNetV2, MobileNetV3
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.vgg import VGG16
-from eldenet.config import compose
+from eldenet.config import build_training, compose
 from eldenet.configurable import build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
@@ -25,7 +25,7 @@ from eldenet.heads import InverseHead, LinearHead, LogHead
 from eldenet.model import DepthNet, EncoderDecoder
 from eldenet.refinement import JointBilateral
 from eldenet.results.run_log import RunLog
-from eldenet.train import build_seeded_model
+from eldenet.training.initialization import initial_model
 
 
 def timm_backbone() -> nn.Module:
@@ -164,11 +164,12 @@ def test_saved_files_are_as_readable_as_any_other(tmp_path):
 
 def test_weights_of_another_network_are_no_start(tmp_path: Path) -> None:
     """What the two happen to share is not worth the name: the training would be one from scratch."""
-    config = compose("train", ["model=eldenet", "weights=eldenet_rooms"])
+    config = compose("train", ["model=eldenet", "model_name=e", "weights=eldenet_rooms"])
     log = RunLog(tmp_path, quiet=True)
-    ours = build_seeded_model(config, log).state_dict()
+    ours = initial_model(build_training(config, tmp_path), log).state_dict()
     assert all(
         torch.equal(ours[name], value) for name, value in eldenet.load("eldenet_rooms").state_dict().items()
     )
+    other = compose("train", ["model=resnet18_upconv", "model_name=r", "weights=eldenet_rooms"])
     with pytest.raises(ValueError, match=r"eldenet_rooms: they fit \d % of this network"):
-        build_seeded_model(compose("train", ["model=resnet18_upconv", "weights=eldenet_rooms"]), log)
+        initial_model(build_training(other, tmp_path), log)

@@ -67,7 +67,7 @@ def fingerprint(source: str) -> str | None:
     return None if found is None else found[:16]
 
 
-def fingerprints(config: Any) -> dict[str, str | None]:
+def fingerprints(config: Mapping[str, Any]) -> dict[str, str | None]:
     """Setting -> fingerprint, for ``run.json``."""
     return {name: fingerprint(source) for name, source in sources_of(config).items()}
 

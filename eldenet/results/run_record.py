@@ -53,6 +53,29 @@ def _without_nan(value: Any) -> Any:
     return value
 
 
+def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
+    """Write plain values as YAML at once."""
+    import yaml
+
+    unfinished = path.with_name(f".{path.name}.part")
+    unfinished.write_text(yaml.safe_dump(dict(content), sort_keys=False))
+    unfinished.replace(path)
+
+
+def read_yaml(path: Path) -> Any:
+    """Plain values of a YAML file.
+
+    Raises:
+        ValueError: it is no YAML.
+    """
+    import yaml
+
+    try:
+        return yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, OSError) as error:
+        raise ValueError(f"{path} can't be read as YAML: {error}") from error
+
+
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file at once."""
     path.parent.mkdir(parents=True, exist_ok=True)

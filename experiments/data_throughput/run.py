@@ -145,7 +145,7 @@ def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
     from eldenet.losses.pointwise import L1Loss
     from eldenet.losses.ssim import SSIMLoss
     from eldenet.training.optim import constant
-    from eldenet.training.trainer import Trainer
+    from eldenet.training.trainer import Trainer, TrainingData
 
     marks = [(0.0, 0.0)]
 
@@ -171,7 +171,7 @@ def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
     model = eldenet.load("eldenet").train()
     resources = choose_resources(device="cpu")
     with tempfile.TemporaryDirectory() as folder:
-        trainer.fit(model, train, val, loss, protocol, Path(folder), resources)
+        trainer.fit(model, loss, TrainingData(train, val, protocol), Path(folder), resources)
     return [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(marks)]
 
 

@@ -17,7 +17,7 @@ CHANGES = {  # what the columns of the design switch on; "nothing" shows how lar
     "BerHu in place of L1": "loss.terms.l1.loss._target_=eldenet.losses.pointwise.BerHuLoss",
     "trainer.batch_size=8": "trainer.batch_size=8",
     "trainer.ema_decay=0.99": "trainer.ema_decay=0.99",
-    "trainer.gradient_clip=1": "trainer.gradient_clip=1.0",
+    "trainer.max_grad_norm=1": "trainer.max_grad_norm=1.0",
     "optimizer.lr=2e-3": "optimizer.lr=2.0e-3",
     "AdamW, weight decay 0.05": "optimizer=adamw",
     "zoom up to 1.6": "augmentation.scale=[1.0,1.6]",

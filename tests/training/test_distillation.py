@@ -10,17 +10,17 @@ from support.synthetic import SyntheticDepth
 
 import eldenet
 from eldenet import zoo
-from eldenet.config import compose, instantiate
+from eldenet.config import build_training, compose, instantiate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.system.resources import Resources, seed_everything
-from eldenet.train import train
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import cosine
-from eldenet.training.trainer import Trainer
+from eldenet.training.run import train
+from eldenet.training.trainer import Trainer, TrainingData
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
 ONE_THREAD = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
@@ -139,7 +139,7 @@ def test_a_teacher_that_nobody_asks_is_refused(tmp_path):
         "train", ["teacher=runs/big", "model_name=a", f"run_dir={tmp_path}", "runtime.threads=1"]
     )
     with pytest.raises(ValueError, match="teacher=runs/big: no term of this loss"):
-        train(config, tmp_path)
+        train(build_training(config, tmp_path))
 
 
 def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | None = None, ckpt_path=None):
@@ -171,10 +171,8 @@ def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | 
     try:
         trainer.fit(
             student,
-            SyntheticDepth(12),
-            SyntheticDepth(4),
             loss,
-            PROTOCOL,
+            TrainingData(SyntheticDepth(12), SyntheticDepth(4), PROTOCOL),
             folder,
             ONE_THREAD,
             ckpt_path=ckpt_path,
