@@ -32,7 +32,7 @@ GROUPS = [
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 
 # Groups of other commands than train.
-COMMAND_OF = dict.fromkeys(("policy", "sensor", "observer", "learner"), "navigate")
+COMMAND_OF = dict.fromkeys(("mode", "policy", "sensor", "observer", "learner"), "navigate")
 
 # Arguments that are no user's choice: the code that builds the object supplies them.
 SUPPLIED: dict[str, set[str]] = {

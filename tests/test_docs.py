@@ -14,7 +14,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [
     *REPOSITORY.glob("*.md"),
     *(REPOSITORY / "docs").rglob("*.md"),
-    *(REPOSITORY / "experiments").glob("*/README.md"),
+    *(REPOSITORY / "experiments").rglob("README.md"),
 ]
 CONFIGS = sorted(config_folder().rglob("*.yaml"))
 
@@ -50,6 +50,12 @@ def test_a_documented_command_composes(page, line):
         overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
     config = compose(name, overrides)
     assert config is not None
+
+
+def test_documented_scripts_exist():
+    for page in PAGES:
+        for script in re.findall(r"python (experiments/\S+\.py)", page.read_text()):
+            assert (REPOSITORY / script).is_file(), f"{page}: {script}"
 
 
 def test_links_lead_somewhere():

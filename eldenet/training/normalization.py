@@ -74,8 +74,10 @@ def keep_normalization(model: "DepthNet", start: "DepthNet", *, chosen: bool) ->
     for name in ("mean", "std"):
         getattr(model, name).copy_(getattr(start, name))
         model.config[name] = list(start.config[name])
-    return f"weights: images are normalized as in their training, {theirs}; normalization={{mean, std}} "
+    return (
+        f"weights: images are normalized as in their training, {theirs}; normalization={{mean, std}} "
         "overrides it"
+    )
 
 
 def write_normalization(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Parameters and multiply-adds of every named network, at 224 x 224 and at the size its paper speaks of.
+"""Count parameters and multiply-adds of every named network, at 224 x 224 and at the size of its paper.
 
 python experiments/networks/run.py
 """
@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "networks.md"
 MARK = "<!-- table: experiments/networks/run.py -->"
 SIZE = (224, 224)
-# (height, width) of the paper's or the public code's own figures; everything else at SIZE
+# (height, width) of the figures in the paper or the public code; other networks: SIZE
 REFERENCE_SIZES = {
     "guidedepth": (240, 320),
     "lite_mono": (192, 640),
