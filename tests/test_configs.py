@@ -45,7 +45,7 @@ SUPPLIED: dict[str, set[str]] = {
     "torch.optim.": {"params"},
     "eldenet.navigation.policy.": {"robots"},
     "eldenet.navigation.planners.": {"robots"},
-    "eldenet.navigation.dqn.DQN": {"env", "seed"},
+    "eldenet.navigation.dqn.DQNSettings": {"seed"},
 }
 # Options that a YAML leaves out on purpose.
 HIDDEN: dict[str, set[str]] = {
@@ -88,7 +88,11 @@ GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw"
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *GIVEN.get(choice, [])])
+    given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["run_dir=x"]}.get(group, [])
+    given = given or GIVEN.get(choice, [])
+    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
+    if group == "mode":  # written over the whole config
+        return plain(config)
     if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config

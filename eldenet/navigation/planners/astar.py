@@ -143,7 +143,7 @@ class AStarOnlineDWA(_PathFollower):
     """A* on a map built from the robot's own ranges and odometry, then the dynamic window.
 
     A cell is occupied if more rays ended in it than passed through it recently; unseen cells are free. The
-    path is searched anew every second. Without one at full inflation, the search may pass closer to obstacles.
+    path is searched anew every second; without one at full inflation, it may pass closer to obstacles.
     """
 
     name = "astar_online_dwa"
