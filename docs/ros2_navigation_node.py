@@ -1,9 +1,9 @@
 """A ROS 2 node that drives to a goal with the packaged policy: an example, not tested on hardware.
 
 It subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
-odometry, and to a goal in the odometry's frame. It publishes velocity commands five times per second. It stops
-the robot at the goal, without a goal, and when depth or odometry are older than half a second, and logs what is
-missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame", so set that to the
+odometry, and to a goal in the odometry's frame. It publishes velocity commands five times per second. It
+stops the robot at the goal, without a goal, and when depth or odometry are older than half a second, and logs
+what is missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame", so set that to the
 odometry's. After an error, Ctrl-C or SIGTERM a last command stops the robot. Keep a hardware emergency stop
 within reach, and let the base limit speed and acceleration.
 
@@ -16,9 +16,9 @@ The camera must cover 69.4 degrees with at least 46 pixels. With a narrower one 
 empty, and the node ends with an error.
 
 The goal's distance and bearing come from odometry, so they drift with it. This is goal=odometry of
-python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the default
-of the simulation. On a robot with localization (a map, beacons), publish the corrected pose as odometry, or
-fuse positions with wheel odometry by eldenet.navigation.localization.Localizer, as goal=fixes does.
+python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the
+default of the simulation. On a robot with localization (a map, beacons), publish the corrected pose as
+odometry, or fuse positions with wheel odometry by eldenet.navigation.localization.Localizer, as goal=fixes does.
 
 ros2 run needs a package around this file; to try it: python3 ros2_navigation_node.py
 """
@@ -38,9 +38,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 
-CAMERA_HEIGHT = (
-    0.40  # of the optical center above the floor, as in the simulation: set it to your robot's [m]
-)
+CAMERA_HEIGHT = 0.40  # of the optical center, as in the simulation: set it to your robot's [m]
 PERIOD = 0.2  # as in training [s]
 GOAL_RADIUS = 0.5  # [m]
 STALE = 0.5  # older data stop the robot [s]

@@ -1,4 +1,4 @@
-"""Navigation: the Gymnasium environment."""
+"""The Gymnasium environment."""
 
 import importlib
 import subprocess
@@ -20,14 +20,14 @@ from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, make_sensor, 
 NAME = "eldenet.navigation.registration:eldenet/ArenaNav-v0"
 
 
-def test_reward_is_algorithm_1():
+def test_the_reward_is_that_of_algorithm_1():
     values = reward(
         np.array([0.2, 0.0, -0.1, 0.1]), np.array([Event.NONE, Event.GOAL, Event.COLLISION, Event.TIMEOUT])
     )
     assert values == pytest.approx([0.09, 4.99, -5.06, 0.04])
 
 
-def test_check_env_of_gymnasium_and_of_stable_baselines3():
+def test_gymnasium_and_stable_baselines3_accept_the_environment():
     from gymnasium.utils.env_checker import check_env
 
     env = gym.make(NAME, render_mode="rgb_array")
@@ -40,7 +40,7 @@ def test_check_env_of_gymnasium_and_of_stable_baselines3():
     checker.check_env(ArenaNavEnv())
 
 
-def test_make_vec_finds_the_vector_environment():
+def test_make_vec_returns_the_vector_environment():
     env = gym.make_vec(NAME, num_envs=3, vectorization_mode="vector_entry_point")
     observation, _ = env.reset(seed=1)
     assert observation.shape == (3, 39)
@@ -53,7 +53,7 @@ def test_observer_options_are_options_of_the_environment():
         ArenaNavVectorEnv(2, density=80)
 
 
-def test_gymnasium_finds_the_environment_by_its_module_and_loads_no_simulator_before():
+def test_registration_loads_no_simulator():
     code = (
         "import gymnasium, sys; import eldenet.navigation.registration; print('mujoco' in sys.modules); "
         f"gymnasium.registry.clear(); del sys.modules['eldenet.navigation.registration']; "
@@ -65,7 +65,7 @@ def test_gymnasium_finds_the_environment_by_its_module_and_loads_no_simulator_be
     assert shown.stdout.splitlines() == ["False", "(39,)"]
 
 
-def test_the_entry_point_names_what_registers():
+def test_the_entry_point_registers_the_environment():
     import tomllib
 
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
@@ -75,7 +75,7 @@ def test_the_entry_point_names_what_registers():
     assert "eldenet/ArenaNav-v0" in gym.registry
 
 
-def test_noisy_is_the_same_here_as_in_the_command():
+def test_noisy_is_the_same_as_in_the_command():
     from eldenet.config import compose, instantiate
 
     assert make_sensor("noisy").errors == instantiate(compose("navigate", ["sensor=noisy"]).sensor).errors
@@ -83,7 +83,7 @@ def test_noisy_is_the_same_here_as_in_the_command():
         make_sensor("camera")
 
 
-def test_same_seed_same_episodes_and_autoreset_within_the_step():
+def test_equal_seeds_give_equal_episodes_and_a_reset_within_the_step():
     runs = []
     for _ in range(2):
         env = ArenaNavVectorEnv(4, arenas=TrainingArenas((60, 80)), sensor="noisy")
@@ -134,7 +134,7 @@ def test_a_collision_at_the_goal_is_a_collision():
     assert first == "collision"
 
 
-def test_way_points_are_driven_one_after_the_other():
+def test_way_points_are_reached_in_order():
     episodes = Episodes(1, Ranges())
     arena = triangle_course()
     episodes.start(0, arena, (0,))

@@ -1,4 +1,4 @@
-"""Sensors with a camera: what feeds each sector, boxes of objects, measured errors and noise made of them."""
+"""Camera sensors: source of each sector, boxes of objects, measured errors and noise drawn from them."""
 
 import json
 
@@ -54,13 +54,13 @@ def instance_of(sensor: Camera, arena: Arena = ARENA) -> CameraInstance:
 # --- boxes ---
 
 
-def test_each_sector_says_what_fed_it():
+def test_each_sector_names_its_source():
     arena = generate_arena("val", 20, 0)
     seen = instance_of(objects(size=(60, 80)), arena).scan()
     assert set(seen.sectors_fed_by) <= {"box", "depth"}
     assert seen.image.shape == (60, 80, 3)
     seen = instance_of(objects()).scan()
-    # right to left: pillar, pillar, between the two, box, nothing but the wall
+    # right to left: pillar, pillar, gap, box, wall
     assert seen.sectors_fed_by[0] == seen.sectors_fed_by[3] == "box"
     assert seen.sectors_fed_by[4] == "depth"
     assert seen.sectors[4] == ROBOT.far or seen.sectors[4] > 8
@@ -76,7 +76,7 @@ def test_near_faces_agree_with_rays():
     assert np.abs(np.log(seen.ranges[shows] / true[shows])).mean() < 0.06
 
 
-def test_the_simulator_s_detections_go_round_what_shows():
+def test_the_simulator_s_detections_enclose_visible_pixels():
     view = ArenaView(ARENA, (120, 160))
     photo = view.photo(ARENA.start)
     found = simulated_detections(photo, ARENA)
@@ -101,7 +101,7 @@ def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
     return pillar, true
 
 
-def test_what_no_detector_finds_comes_from_depth():
+def test_undetected_obstacles_come_from_depth():
     pillar, true = pillar_columns()
     found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
     box = found.xyxy[found.classes.index("box")]
@@ -114,7 +114,7 @@ def test_what_no_detector_finds_comes_from_depth():
         Camera(detector=detector)
 
 
-def test_a_box_hides_nothing_that_stands_before_it():
+def test_a_box_does_not_hide_an_obstacle_in_front_of_it():
     pillar, true = pillar_columns()
     behind = Boxes3D(
         np.array([[0.8, -0.1, 6.0]]), np.array([[4.0, 1.0, 1.0]]), np.zeros(1), np.ones(1),
@@ -128,7 +128,7 @@ def test_a_box_hides_nothing_that_stands_before_it():
     assert seen.ranges[seen.fed_by == 2] == pytest.approx(5.5, rel=0.15)
 
 
-def test_a_box_counts_only_where_its_detection_is():
+def test_a_box_only_counts_where_its_detection_is():
     instance = instance_of(objects())
     instance.scan()
     found = simulated_detections(instance.photo, ARENA)
@@ -154,13 +154,13 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
 
 
 @pytest.mark.parametrize("sensor", ["ranges", "noisy", "camera", "objects"])
-def test_sensors_of_the_configs_look(sensor):
+def test_sensors_of_the_configs_scan(sensor):
     config = compose("navigate", [f"sensor={sensor}"])
     instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
 
 
-def test_the_environment_s_info_says_what_fed_each_sector():
+def test_the_environment_s_info_names_each_sector_s_source():
     pytest.importorskip("gymnasium")
     from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
 
@@ -200,7 +200,7 @@ def measured(put_in) -> RangeErrors:
     return fit_errors(drawn(put_in), note="a test")
 
 
-def test_errors_that_were_put_in_are_measured(put_in, measured):
+def test_fitted_errors_are_the_drawn_ones(put_in, measured):
     assert measured.bias[1:5] == pytest.approx(np.interp(measured.middles[1:5], put_in.middles, put_in.bias),
                                                abs=0.04)  # fmt: skip
     assert measured.spread[1:5] == pytest.approx(put_in.spread[1:5], rel=0.25)
@@ -209,7 +209,7 @@ def test_errors_that_were_put_in_are_measured(put_in, measured):
     assert measured.column == pytest.approx(put_in.column, abs=0.15)
     assert measured.memory == pytest.approx(put_in.memory, abs=0.25)
     assert measured.far == pytest.approx(put_in.far, abs=0.04)
-    # what stands before the wall, or before something near, cannot read half as far again: fewer show
+    # near the wall or another obstacle a miss is less than 1.5 times as far: fewer count
     assert measured.miss[0] == 0
     assert 0.02 < measured.miss[2] < 0.25
     assert measured.measured["note"] == "a test"
@@ -219,7 +219,7 @@ def test_errors_that_were_put_in_are_measured(put_in, measured):
     assert sum(row["count"] for row in measured.sectors) > 1000
 
 
-def test_scans_from_places_close_to_obstacles(put_in):
+def test_scans_near_obstacles_are_near(put_in):
     arenas = list(frozen_arenas(80, 3, split="val"))
     scans = scan_near(arenas, NoisyRanges(errors=put_in), scans=20)
     assert scans.ranges.shape == scans.true.shape == (60, 40)
@@ -232,7 +232,7 @@ def test_scans_from_places_close_to_obstacles(put_in):
         scan_near(arenas, NoisyRanges(errors=put_in), scans=0)
 
 
-def test_no_errors_measure_as_none():
+def test_exact_ranges_have_no_errors():
     true = np.clip(np.random.default_rng(0).uniform(0.5, 10, (200, 5)).repeat(8, axis=1), 0.3, 9.5)
     errors = fit_errors(Scans(true, true, np.zeros(200, int)))
     assert errors.bias == errors.spread == errors.miss == (0.0,) * 6
@@ -240,7 +240,7 @@ def test_no_errors_measure_as_none():
         fit_errors(Scans(true[:3], true[:3], np.zeros(3, int)))
 
 
-def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_that_has_enough():
+def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_filled_one():
     rng = np.random.default_rng(0)
     true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
     true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
@@ -252,7 +252,7 @@ def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_that_has_en
     assert errors.scale < 0.3
 
 
-def test_errors_are_kept_in_a_small_file(tmp_path, measured):
+def test_errors_are_stored_in_a_small_file(tmp_path, measured):
     path = tmp_path / "errors.json"
     measured.write(path)
     assert path.stat().st_size < 4000
@@ -269,7 +269,7 @@ def test_errors_are_kept_in_a_small_file(tmp_path, measured):
         RangeErrors.read(path)
 
 
-def test_the_packaged_errors_say_where_they_come_from():
+def test_the_packaged_errors_have_notes_on_their_origin():
     errors = NoisyRanges(errors="packaged").errors
     assert "data=arenas" in errors.measured["training"]
     assert {"training", "command", "date", "versions"} <= set(errors.measured)
@@ -277,7 +277,7 @@ def test_the_packaged_errors_say_where_they_come_from():
     assert all(0.02 < spread < 0.3 for spread in errors.spread)
 
 
-def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
+def test_a_missed_segment_is_replaced_by_its_farther_neighbor(put_in):
     ranges = np.concatenate([np.full(10, 5.0), np.full(6, 2.5), np.full(24, ROBOT.far)])
     assert segments(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
     rng, outcomes = np.random.default_rng(0), []

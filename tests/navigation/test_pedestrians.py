@@ -1,4 +1,4 @@
-"""What moves is followed: positions and velocities of walkers, and what the driver's memory makes of them."""
+"""Tracking of pedestrians, and its effect on the driver's memory."""
 
 import math
 
@@ -40,7 +40,7 @@ def drive(world: ArenaWorld, steps: int, speed: float = 0.0, turn: float = 0.0) 
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.0), (0.5, 0.0), (0.3, 0.2)])
-def test_a_walker_s_place_and_velocity_are_found(speed, turn):
+def test_position_and_velocity_of_a_pedestrian_are_found(speed, turn):
     world = world_of(WALKER, *STANDING)
     _, moving = drive(world, 11, speed, turn)
     (track,) = moving
@@ -49,12 +49,12 @@ def test_a_walker_s_place_and_velocity_are_found(speed, turn):
     assert math.dist(track.position, (x, y)) < 2 * RADIUS
 
 
-def test_what_stands_does_not_move_when_the_robot_does():
+def test_standing_obstacles_do_not_move_when_the_robot_does():
     _, moving = drive(world_of(*STANDING), 20, 0.4, 0.1)
     assert moving == []
 
 
-def test_walkers_out_of_view_are_kept_for_a_while():
+def test_pedestrians_out_of_view_are_kept_for_a_while():
     walkers, _ = drive(world_of(WALKER), 11)
     (track,) = (track for track in walkers.tracks if track.moving)
     there = track.position.copy()
@@ -65,7 +65,7 @@ def test_walkers_out_of_view_are_kept_for_a_while():
     assert walkers.update(*far) == []
 
 
-def test_slim_things_are_those_of_a_walker_s_width():
+def test_slim_segments_have_a_pedestrian_s_width():
     points, ranges = points_of(world_of(*STANDING, Obstacle("box", 6.0, 0.0, 0.0, (0.2, 0.7), 1.0)))
     found = slim_segments(points, ranges)
     middles = [points[columns].mean(axis=0) for columns in found]
@@ -74,7 +74,7 @@ def test_slim_things_are_those_of_a_walker_s_width():
     assert slim_segments(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
 
 
-def test_marks_go_where_a_walker_goes():
+def test_marks_lie_on_a_pedestrian_s_path():
     _, moving = drive(world_of(WALKER), 11)
     eye = np.array([ROBOT.camera_ahead, 0.0])
     around = marks(moving, eye).reshape(len(AHEAD), -1, 2).mean(axis=1)
@@ -84,7 +84,7 @@ def test_marks_go_where_a_walker_goes():
     assert marks([], eye).shape == (0, 2)
 
 
-def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
+def test_the_memory_forgets_a_pedestrian_s_trail_and_marks_its_path():
     episode = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
     seen = {}
     for follow in (False, True):
@@ -106,7 +106,7 @@ def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
     assert ahead[True] > 10
 
 
-def test_a_still_world_looks_alike():
+def test_tracking_changes_nothing_without_pedestrians():
     world = world_of(*STANDING)
     observers = [Observer(walkers=follow) for follow in (False, True)]
     for _ in range(10):
@@ -116,7 +116,7 @@ def test_a_still_world_looks_alike():
         world.advance(0.3, 0.1, ROBOT.period)
 
 
-def test_any_driver_can_be_told_to_follow():
+def test_any_driver_can_track_pedestrians():
     assert Navigator.load().observer.options["walkers"] is False
     assert Navigator.load(walkers=True, robots=2).observer.options["walkers"] is True
     with pytest.raises(ValueError, match="was trained with the observer"):
