@@ -60,7 +60,12 @@ def help_text(config_name: str, about: str) -> str:
     """What the command does, its YAML file with the comments, and the choices of its groups."""
     folder = config_folder()
     settings = (folder / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
-    groups = re.findall(r"^  - (?:optional )?(\w+): ", settings, re.MULTILINE)
+    if "\n  - mode: " in settings:  # each mode adds settings of its own
+        files = sorted((folder / "mode").glob("*.yaml"))
+        settings = "\n\n".join(
+            [settings, *(f"mode={path.stem}\n{path.read_text().strip()}" for path in files)]
+        )
+    groups = list(dict.fromkeys(re.findall(r"^  - (?:optional )?/?(\w+): ", settings, re.MULTILINE)))
     groups += dict.fromkeys(re.findall(r"\+(\w+)=", settings))  # such as +experiment=...
     inner = [f"{group}/{part.name}" for group in groups for part in sorted((folder / group).glob("*/"))]
     choices = [

@@ -12,6 +12,7 @@ from eldenet.simulation.robot import ROBOT
 
 #: Errors of the packaged network eldenet_arenas; the file says how they were measured.
 PACKAGED_ERRORS = Path(__file__).resolve().parent.parent / "weights" / "arena_range_errors.json"
+_DEFAULTS = (0.08, 0.05, 0.03, 0.8)  # scale, smooth, column, memory
 
 
 def errors_file(name: str) -> Path:
@@ -42,10 +43,10 @@ class NoisyRanges:
 
     def __init__(
         self,
-        scale: float = 0.08,
-        smooth: float = 0.05,
-        column: float = 0.03,
-        memory: float = 0.8,
+        scale: float = _DEFAULTS[0],
+        smooth: float = _DEFAULTS[1],
+        column: float = _DEFAULTS[2],
+        memory: float = _DEFAULTS[3],
         errors: str | RangeErrors | None = None,
         share: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
@@ -59,6 +60,11 @@ class NoisyRanges:
         self.sources = {"errors": (errors, errors_file(errors))} if isinstance(errors, str) else {}
         self.errors = RangeErrors.read(errors_file(errors)) if isinstance(errors, str) else errors
         if self.errors is not None:
+            if (scale, smooth, column, memory) != _DEFAULTS:
+                raise ValueError(
+                    f"scale={scale}, smooth={smooth}, column={column}, memory={memory}: measured errors "
+                    "replace these four; leave them out, or give errors=null"
+                )
             e = self.errors
             scale, smooth, column, memory = e.scale, e.smooth, e.column, e.memory
         self.scale, self.smooth, self.column, self.memory = scale, smooth, column, memory
