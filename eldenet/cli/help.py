@@ -62,9 +62,8 @@ def help_text(config_name: str, about: str) -> str:
     settings = (folder / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
     if "\n  - mode: " in settings:  # each mode adds settings of its own
         files = sorted((folder / "mode").glob("*.yaml"))
-        settings = "\n\n".join(
-            [settings, *(f"mode={path.stem}\n{path.read_text().strip()}" for path in files)]
-        )
+        of_modes = [f"mode={path.stem}\n{path.read_text().strip()}" for path in files]
+        settings = "\n\n".join([settings, *of_modes])
     groups = list(dict.fromkeys(re.findall(r"^  - (?:optional )?/?(\w+): ", settings, re.MULTILINE)))
     groups += dict.fromkeys(re.findall(r"\+(\w+)=", settings))  # such as +experiment=...
     inner = [f"{group}/{part.name}" for group in groups for part in sorted((folder / group).glob("*/"))]

@@ -72,11 +72,10 @@ class DQNSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        names = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
-        names = (*names, "checkpoint_interval")
-        wrong = [f"{name}={getattr(self, name)}" for name in names if getattr(self, name) < 1]
-        if wrong or not 0 < self.gamma < 1:
-            wrong.append(f"gamma={self.gamma}")
+        counts = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
+        wrong = [f"{name}={getattr(self, name)}" for name in counts if getattr(self, name) < 1]
+        if wrong or self.checkpoint_interval < 1 or not 0 < self.gamma < 1:
+            wrong += [f"checkpoint_interval={self.checkpoint_interval}", f"gamma={self.gamma}"]
             raise ValueError(f"{', '.join(wrong)}: give 1 or more, and gamma in (0, 1)")
 
 

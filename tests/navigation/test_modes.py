@@ -99,7 +99,7 @@ def test_settings_of_earlier_versions_are_renamed():
     (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["checkpoint=[]"], "give at least one run folder or policy file"),
-    (["sensor=noisy", "sensor.scale=0.2"], "scale=0.2, smooth=0.05, column=0.03, memory=0.8: measured errors"),
+    (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),
     (["mode=train", "policy=dqn", "checkpoint=a"], "mode=train trains a new driver"),
 ])  # fmt: skip
