@@ -173,6 +173,7 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
         split=config.split,
         input_size=settings["input_size"],
         data_input_size=settings["data"]["input_size"],
+        training_frames=(settings["data"].get("train") or {}).get("frames"),
         protocol=build_protocol(config),
         make_split=functools.partial(build_split, config),
         engine=config.engine,

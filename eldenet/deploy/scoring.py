@@ -29,6 +29,7 @@ class EvaluationSetup:
         input_size: ``(height, width)`` [px] that the network sees; "model": what it was trained at; "data":
             ``data_input_size``.
         data_input_size: the data set's own.
+        training_frames: of a rendered training split; None: the data set is not rendered.
         protocol: the rules.
         make_split: as :func:`eldenet.config.build_split` without its config.
         engine: runtime of an exported file.
@@ -45,6 +46,7 @@ class EvaluationSetup:
     split: str
     input_size: str | Sequence[int] | None
     data_input_size: Sequence[int] | None
+    training_frames: int | None
     protocol: "EvalProtocol"
     make_split: Callable[..., "DepthDataset"]
     engine: str
@@ -92,6 +94,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
         split=setup.split,
         batch_size=setup.batch_size,
         measure=_measure,
+        training_frames=setup.training_frames,
     )
     record = score_and_record(scoring, model, log)
     closing_table(log, record)

@@ -45,6 +45,7 @@ class ScoreSetup:
         split: "train", "val" or "test".
         batch_size: of the evaluation.
         measure: network and ``(height, width)`` [px] -> its cost.
+        training_frames: of a rendered training split that may not be rendered yet; None: it is all there.
     """
 
     folder: Path
@@ -58,6 +59,7 @@ class ScoreSetup:
     split: str = "test"
     batch_size: int = 16
     measure: Callable[[Any, tuple[int, int]], CostReport] = measure_cost
+    training_frames: int | None = None
 
 
 def score_and_record(
@@ -78,7 +80,7 @@ def score_and_record(
     """
     facts = dict(facts or {})
     dataset = setup.make_split(setup.split, setup.protocol, score=True)
-    train_set = _training_frames(setup, dataset, log, trained="training" in facts)
+    train_set = _training_set(setup, dataset, log)
     result = _score(setup, model, dataset, f"evaluating on {setup.split}", log)
     write_rows(setup.folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
     log.picture("predictions", step, sample_rows(model, dataset, setup.protocol))
@@ -126,23 +128,25 @@ def _score(
         )
 
 
-def _training_frames(
-    setup: ScoreSetup, scored: "DepthDataset", log: RunLog, *, trained: bool
-) -> "DepthDataset | None":
+def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "DepthDataset | None":
     """Frames whose mean depth map is the constant predictor; None where only the scored split is on disk.
 
     An evaluation does not render thousands of frames for their mean depth: it takes the first 512 of them.
     """
     try:
         few: dict[str, Any] = {}
-        if isinstance(scored, RenderedScenes) and not trained:
-            wanted = setup.settings["data"]["train"]["frames"]
-            if wanted > RENDERED_FOR_A_CONSTANT and scored.missing_shards("train", wanted):
-                log.say(
-                    f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames "
-                    f"alone: not all of data.train.frames={wanted} are rendered yet"
-                )
-                few = {"frames": RENDERED_FOR_A_CONSTANT}
+        wanted = setup.training_frames
+        if (
+            isinstance(scored, RenderedScenes)
+            and wanted is not None
+            and wanted > RENDERED_FOR_A_CONSTANT
+            and scored.missing_shards("train", wanted)
+        ):
+            log.say(
+                f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames: not all "
+                f"of data.train.frames={wanted} are rendered yet"
+            )
+            few = {"frames": RENDERED_FOR_A_CONSTANT}
         train_set = setup.make_split("train", setup.protocol, **few)
     except (FileNotFoundError, ValueError) as error:
         log.say(f"no constant predictor beside the result, the training frames are missing: {error}")

@@ -50,7 +50,7 @@ def test_an_evaluation_renders_few_training_frames(
     few = score(tmp_path, frames, "data.subset.train=550")
     assert asked == [("test", [0]), ("train", list(range(8)))]
     assert few["constant_predictor"] is not None
-    assert "of the first 512 training frames alone: not all of data.train.frames=576" in words_of(capsys)
+    assert "of the first 512 training frames: not all of data.train.frames=576" in words_of(capsys)
     again = score(tmp_path, frames)
     assert len(asked) == 2
     assert again["train_split_hash"] == few["train_split_hash"]

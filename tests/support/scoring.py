@@ -56,5 +56,6 @@ def score_small(config, folder: Path, split: str) -> dict:
         resources=ONE_THREAD,
         settings=setup.settings,
         split=split,
+        training_frames=setup.settings["data"]["train"].get("frames"),
     )
     return score_and_record(scoring, small_net(), RunLog(folder))

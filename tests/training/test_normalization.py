@@ -121,7 +121,7 @@ def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
         model = seeded(tmp_path, *overrides, **arguments)
         assert model.config["mean"] == mine["mean"]
         assert model.std.flatten().tolist() == mine["std"]
-        assert "the chosen mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25] stays" in capsys.readouterr().out
+        assert "you chose mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25]" in capsys.readouterr().out
         with torch.inference_mode():
             assert not torch.equal(model.eval()(image), start.eval()(image))
 
