@@ -1,6 +1,7 @@
 """``python -m eldenet.navigate``: record, evaluate or train a driver; analyze failures; fit range noise."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,23 +16,24 @@ MODES = ("record", "evaluate", "analyze_failures", "fit_noise", "train")
 
 
 @entry_point("navigate")
-def run(config: "DictConfig", folder: Path) -> None:
+def main(config: "DictConfig", folder: Path) -> None:
     """Run the mode that the config was composed for; results go to ``folder``."""
     from eldenet.navigation.modes import run_mode
 
     run_mode(build_navigation(config, folder))
 
 
-def main() -> None:
-    """Run the command; an unknown mode ends in one line."""
-    words = [word.removeprefix("mode=") for word in sys.argv[1:] if word.startswith("mode=")]
-    for mode in ",".join(words).split(",") if words else []:
-        if mode not in MODES:
-            renamed = f"; {mode} is now {VALUES['mode', mode]}" if ("mode", mode) in VALUES else ""
-            print(f"error: mode={mode}: choose one of {', '.join(MODES)}{renamed}", file=sys.stderr)  # noqa: T201
-            sys.exit(1)
-    run()
+def check_mode(words: Sequence[str]) -> None:
+    """End the command in one line if its words name an unknown mode; an old name is answered with the new."""
+    for word in words:
+        for mode in word.removeprefix("mode=").split(",") if word.startswith("mode=") else []:
+            if mode not in MODES:
+                renamed = f"; {mode} is now {VALUES['mode', mode]}" if ("mode", mode) in VALUES else ""
+                line = f"error: mode={mode}: choose one of {', '.join(MODES)}{renamed}"
+                print(line, file=sys.stderr)  # noqa: T201
+                sys.exit(1)
 
 
 if __name__ == "__main__":
+    check_mode(sys.argv[1:])
     main()
