@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.navigation.modes import ModeSetup
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.training.setup import TrainingSetup
 
@@ -232,6 +233,72 @@ def _named_modules(settings: Any) -> list[str]:
         return []
     named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
     return named + [module for value in settings.values() for module in _named_modules(value)]
+
+
+def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
+    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
+    from eldenet.navigation import modes
+    from eldenet.navigation.episodes import EpisodeSettings
+
+    settings = plain(config)
+    names = ("physics", "goal", "time_limit", "seed")
+    common: dict[str, Any] = {
+        "mode": config.mode,
+        "folder": folder,
+        "threads": config.runtime.threads,
+        "make_sensor": functools.partial(instantiate, config.sensor),
+        "episode": EpisodeSettings(**{name: settings[name] for name in names if name in settings}),
+        "settings": settings,
+    }
+    if config.mode == "train":
+        return modes.TrainSetup(**common, make_training=functools.partial(_build_driver_training, config))
+    densities = [int(density) for density in listed(config.density)]
+    if config.mode == "fit_noise":
+        return modes.NoiseSetup(
+            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
+        )
+    policy = instantiate(config.policy)
+    common |= {
+        "make_policy": lambda robots: policy(robots=robots),
+        "split": config.split,
+        "pedestrians": config.pedestrians,
+    }
+    if config.mode == "record":
+        if len(densities) != 1:
+            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
+        extra = {name: settings[name] for name in ("world", "course", "video")}
+        return modes.RecordSetup(**common, density=densities[0], **extra)
+    return modes.EvaluationSetup(
+        **common, densities=densities, episodes=config.episodes, robots=config.robots
+    )
+
+
+def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
+    from eldenet.navigation.dqn import DQN
+    from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.training import TrainingSetup
+
+    settings = plain(config)
+    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
+        raise ValueError(
+            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
+        )
+
+    def make_learner() -> DQN:
+        env = ArenaNavVectorEnv(
+            config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
+            time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+        )  # fmt: skip
+        return DQN(env, instantiate(config.learner)(seed=config.seed))
+
+    compared = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
+    return TrainingSetup(
+        make_learner,
+        sensor,
+        config.training.validate,
+        {name: settings[name] for name in compared},
+        settings,
+    )
 
 
 def build_model(config: DictConfig, **arguments: Any) -> Any:

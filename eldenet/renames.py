@@ -11,6 +11,7 @@ from typing import Any
 TARGETS = {
     "eldenet.config.build_teacher": "eldenet.zoo.build_teacher",
     "eldenet.metrics.EvalProtocol": "eldenet.evaluation.protocol.EvalProtocol",
+    "eldenet.navigation.dqn.DQN": "eldenet.navigation.dqn.DQNSettings",
     "eldenet.navigation.noise.NoisyRanges": "eldenet.navigation.noisy_ranges.NoisyRanges",
     "eldenet.schedules.constant": "eldenet.training.optim.constant",
     "eldenet.schedules.cosine": "eldenet.training.optim.cosine",
@@ -22,6 +23,17 @@ TARGETS = {
 OPTIONS: dict[str, dict[str, str]] = {
     "eldenet.losses.pointwise.BerHuLoss": {"share": "threshold_ratio"},
     "eldenet.losses.silog.SILogLoss": {"balance": "variance_focus"},
+    "eldenet.navigation.dqn.DQNSettings": {
+        "exploration": "exploration_fraction",
+        "exploration_end": "exploration_final_eps",
+        "gradient_clip": "max_grad_norm",
+        "gradient_every": "train_freq",
+        "leg": "checkpoint_interval",
+        "replay": "buffer_size",
+        "steps": "total_timesteps",
+        "target_every": "target_update_interval",
+        "warmup": "learning_starts",
+    },
     "eldenet.perception.tracking.BoxTracker": {
         "births": "min_hits",
         "deaths": "max_age",
@@ -37,9 +49,23 @@ OPTIONS: dict[str, dict[str, str]] = {
     },
 }
 #: Renamed keys, at any depth: old name -> new name.
-KEYS = {"normalisation": "normalization"}
+KEYS = {
+    "film": "video",
+    "looks": "scans",
+    "measure": "fit_noise",
+    "movers": "pedestrians",
+    "normalisation": "normalization",
+    "worlds": "episodes",
+}
 #: Values that were renamed: (key, old value) -> new value.
-VALUES: dict[tuple[str, Any], str] = {("encoding", "metres"): "meters", ("space", "metres"): "meters"}
+VALUES: dict[tuple[str, Any], str] = {
+    ("encoding", "metres"): "meters",
+    ("mode", "diagnose"): "analyze_failures",
+    ("mode", "measure"): "fit_noise",
+    ("mode", "watch"): "record",
+    ("places", "crossings"): "episodes",
+    ("space", "metres"): "meters",
+}
 
 
 def renamed(content: Any) -> Any:

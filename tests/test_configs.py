@@ -31,8 +31,8 @@ GROUPS = [
 ]
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 
-# Groups that belong to another command than train.
-COMMAND_OF = dict.fromkeys(("policy", "sensor", "observer", "learner"), "navigate")
+# Groups of other commands than train.
+COMMAND_OF = dict.fromkeys(("mode", "policy", "sensor", "observer", "learner"), "navigate")
 
 # Arguments that the calling code supplies, not the user.
 SUPPLIED: dict[str, set[str]] = {
@@ -45,7 +45,7 @@ SUPPLIED: dict[str, set[str]] = {
     "torch.optim.": {"params"},
     "eldenet.navigation.policy.": {"robots"},
     "eldenet.navigation.planners.": {"robots"},
-    "eldenet.navigation.dqn.DQN": {"env", "seed"},
+    "eldenet.navigation.dqn.DQNSettings": {"seed"},
 }
 # Options that YAML files leave out on purpose.
 HIDDEN: dict[str, set[str]] = {
@@ -87,9 +87,13 @@ GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw"
 
 @functools.cache
 def section(group: str, choice: str) -> Any:
-    """The part of a composed config that ``group=choice`` fills, resolved."""
-    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *GIVEN.get(choice, [])])
-    if group == "debug":  # changes the whole config
+    """The part of a composed training config that ``group=choice`` put there, resolved."""
+    given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["run_dir=x"]}.get(group, [])
+    given = given or GIVEN.get(choice, [])
+    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
+    if group == "mode":  # written over the whole config
+        return plain(config)
+    if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config
     for name in group.split("/"):

@@ -149,7 +149,7 @@ class OnnxDetector:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         if threads < 0:
             raise ValueError(f"threads={threads}: give a number above 0, or 0 for ONNX Runtime's own choice")
-        path = Path(path).expanduser()
+        self.path = path = Path(path).expanduser()
         self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
         _warn_of_license(path, metadata)

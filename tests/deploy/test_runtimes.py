@@ -163,7 +163,7 @@ def test_fp32_on_cuda_is_not_tf32() -> None:
     assert OPTIONS[cuda] == {"use_tf32": "0"}  # ONNX Runtime's own default is TF32
 
 
-def test_evaluate_runs_a_file_where_it_is_asked_to(files) -> None:
+def test_evaluate_runs_a_file_where_it_is_asked_to(files, tmp_path) -> None:
     """Not on the CPU without a word: here no runtime has CUDA, and that is said."""
     import onnxruntime
 

@@ -32,7 +32,7 @@ def hall(
 
 @pytest.mark.parametrize("size", [(96, 128), (480, 640)])
 @pytest.mark.parametrize("unknown", [0.0, np.nan, -1.0])
-def test_holes_in_a_depth_map_are_no_obstacles(size, unknown):
+def test_small_holes_in_a_depth_map_are_no_obstacles(size, unknown):
     depth, intrinsics = hall((3.0, -0.4, 0.4, 0.6), size=size)
     true = depth_to_ranges(depth, intrinsics)
     assert true.min() == pytest.approx(3.0, abs=0.01)
@@ -55,7 +55,7 @@ def test_an_unknown_patch_is_an_obstacle_where_it_meets_the_floor(at, top):
     assert got.min() < at * 1.06
 
 
-def test_what_is_out_of_reach_is_far_and_what_is_too_close_is_near():
+def test_infinite_depth_is_far_and_missing_depth_is_near():
     depth, intrinsics = hall()
     assert (depth_to_ranges(np.where(depth > 5, np.inf, depth), intrinsics) == ROBOT.far).all()
     assert (depth_to_ranges(np.full_like(depth, -np.inf), intrinsics) == ROBOT.near).all()
@@ -72,7 +72,7 @@ def test_a_camera_at_another_height_sees_the_same_wall():
     assert depth_to_ranges(depth, intrinsics, camera_height=0.2).min() == pytest.approx(8.0, abs=0.01)
 
 
-def test_depth_becomes_the_ranges_that_rays_give():
+def test_ranges_from_depth_agree_with_rays():
     arena = generate_arena("val", 40, 5)
     world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
     depth = view.photo(arena.start).depth
@@ -96,7 +96,7 @@ def test_blindness_reads_as_near():
         as_ranges(np.ones(7), None)
 
 
-def test_boxes_become_the_ranges_of_their_near_faces():
+def test_ranges_from_boxes_agree_with_rays():
     box = Obstacle("box", 3.0, 0.7, 0.4, (0.5, 0.3), 1.0)
     arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
     true = ArenaWorld(arena).ranges()

@@ -9,8 +9,8 @@ import pytest
 from support.table5 import FOLDER, given, modules_of_table5
 
 from eldenet.navigation.policy import DEFAULT_WEIGHTS
+from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.simulation.arenas import arenas_hash
 
 
@@ -130,12 +130,12 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
         name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNED.items()
     }
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
-    assert configs["paper_literal"].learner.target_every > 0
-    assert configs["paper_literal"].learner.steps == configs["dqn"].learner.steps
-    assert configs["paper_literal"].learner.gradient_clip == 0
+    assert configs["paper_literal"].learner.target_update_interval > 0
+    assert configs["paper_literal"].learner.total_timesteps == configs["dqn"].learner.total_timesteps
+    assert configs["paper_literal"].learner.max_grad_norm == 0
     assert configs["paper_literal"].learner.learning_rate_end == 1
     assert (configs["paper_state"].observer.memory, configs["paper_state"].learner.n_step) == (0, 5)
-    assert configs["dqn_walkers"].training.arenas.movers == 10
+    assert configs["dqn_walkers"].training.arenas.pedestrians == 10
     assert plain(configs["dqn"].observer)["memory"] == 60
     assert (configs["dqn"].observer.seen_through, configs["dqn_by_age"].observer.seen_through) == (2, 0)
     assert (configs["dqn_mixed"].sensor.share, configs["dqn_mixed"].sensor.errors) == (0.5, "packaged")
@@ -147,7 +147,7 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
 def test_the_moving_arenas_are_frozen_too():
     frozen = json.loads((FOLDER / "arenas.json").read_text())
     assert set(frozen["100"]) == set(frozen["300"]) == set(frozen["500"]) == {"5", "20", "40", "80", "20+10"}
-    assert arenas_hash(frozen_arenas(20, 100, movers=10)) == frozen["100"]["20+10"]
+    assert arenas_hash(frozen_arenas(20, 100, pedestrians=10)) == frozen["100"]["20+10"]
 
 
 def policy_folder(tmp_path: Path, config: dict, version: int = TRAINING_VERSION) -> Path:
@@ -166,7 +166,7 @@ def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
     folder = policy_folder(tmp_path, config)
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
-    policy_folder(tmp_path, config | {"learner": config["learner"] | {"steps": 7}})
+    policy_folder(tmp_path, config | {"learner": config["learner"] | {"total_timesteps": 7}})
     with pytest.raises(ValueError, match="trained with another learner"):
         rows.policy_file(row, options)
     policy_folder(tmp_path, config, TRAINING_VERSION + 1)

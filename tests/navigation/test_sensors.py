@@ -1,4 +1,4 @@
-"""Sensors with a camera: what feeds each sector, boxes of objects, measured errors and noise made of them."""
+"""Camera sensors: source of each sector, boxes of objects, measured errors and noise drawn from them."""
 
 import json
 
@@ -12,11 +12,25 @@ from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
-from eldenet.navigation.cameras import Camera, CameraEye, camera, near_faces, objects, simulated_detections
-from eldenet.navigation.looks import Looks, look_along, look_near
+from eldenet.navigation.cameras import (
+    Camera,
+    CameraInstance,
+    camera,
+    near_faces,
+    objects,
+    simulated_detections,
+)
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.policy import Navigator
-from eldenet.navigation.range_errors import EDGES, RangeErrors, fit_errors, things
+from eldenet.navigation.range_errors import (
+    EDGES,
+    RangeErrors,
+    Scans,
+    fit_errors,
+    scan_along,
+    scan_near,
+    segments,
+)
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.perception.detectors import CallableDetector
@@ -31,38 +45,38 @@ PILLAR = Obstacle("cylinder", 2.5, -0.9, 0.0, (0.25, 0.25), 1.2)
 ARENA = Arena("", 2, 0, (BOX, PILLAR), (0.0, 0.0, 0.0), ((5.0, 0.0),))
 
 
-def eye_of(sensor: Camera, arena: Arena = ARENA) -> CameraEye:
-    eye = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
-    assert isinstance(eye, CameraEye)
-    return eye
+def instance_of(sensor: Camera, arena: Arena = ARENA) -> CameraInstance:
+    instance = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
+    assert isinstance(instance, CameraInstance)
+    return instance
 
 
 # --- boxes ---
 
 
-def test_each_sector_says_what_fed_it():
+def test_each_sector_names_its_source():
     arena = generate_arena("val", 20, 0)
-    sight = eye_of(objects(size=(60, 80)), arena).look()
-    assert set(sight.sectors_fed_by) <= {"box", "depth"}
-    assert sight.image.shape == (60, 80, 3)
-    sight = eye_of(objects()).look()
-    # right to left: pillar, pillar, between the two, box, nothing but the wall
-    assert sight.sectors_fed_by[0] == sight.sectors_fed_by[3] == "box"
-    assert sight.sectors_fed_by[4] == "depth"
-    assert sight.sectors[4] == ROBOT.far or sight.sectors[4] > 8
-    assert eye_of(camera()).look().sectors_fed_by == ("depth",) * 5
+    seen = instance_of(objects(size=(60, 80)), arena).scan()
+    assert set(seen.sectors_fed_by) <= {"box", "depth"}
+    assert seen.image.shape == (60, 80, 3)
+    seen = instance_of(objects()).scan()
+    # right to left: pillar, pillar, gap, box, wall
+    assert seen.sectors_fed_by[0] == seen.sectors_fed_by[3] == "box"
+    assert seen.sectors_fed_by[4] == "depth"
+    assert seen.sectors[4] == ROBOT.far or seen.sectors[4] > 8
+    assert instance_of(camera()).scan().sectors_fed_by == ("depth",) * 5
 
 
 def test_near_faces_agree_with_rays():
-    eye = eye_of(objects())
-    sight, true = eye.look(), ArenaWorld(ARENA).ranges()
-    by_box = sight.fed_by == 2
+    instance = instance_of(objects())
+    seen, true = instance.scan(), ArenaWorld(ARENA).ranges()
+    by_box = seen.fed_by == 2
     shows = (true < 4) & by_box
     assert shows.sum() > 12
-    assert np.abs(np.log(sight.ranges[shows] / true[shows])).mean() < 0.06
+    assert np.abs(np.log(seen.ranges[shows] / true[shows])).mean() < 0.06
 
 
-def test_the_simulator_s_detections_go_round_what_shows():
+def test_the_simulator_s_detections_enclose_visible_pixels():
     view = ArenaView(ARENA, (120, 160))
     photo = view.photo(ARENA.start)
     found = simulated_detections(photo, ARENA)
@@ -77,7 +91,7 @@ def test_the_simulator_s_detections_go_round_what_shows():
         assert mine[:, right - 1].any()
     empty = Arena("", 0, 0, (), ARENA.start, ARENA.waypoints)
     assert len(simulated_detections(ArenaView(empty, (60, 80)).photo(ARENA.start), empty)) == 0
-    assert set(eye_of(objects(size=(60, 80)), empty).look().sectors_fed_by) == {"depth"}
+    assert set(instance_of(objects(size=(60, 80)), empty).scan().sectors_fed_by) == {"depth"}
 
 
 def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
@@ -87,20 +101,20 @@ def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
     return pillar, true
 
 
-def test_what_no_detector_finds_comes_from_depth():
+def test_undetected_obstacles_come_from_depth():
     pillar, true = pillar_columns()
     found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
     box = found.xyxy[found.classes.index("box")]
     detector = CallableDetector(lambda frame: (to_corner(box[None]), [0.9], [0]), ("box",))
-    sight = eye_of(objects(detector=detector)).look()
-    assert (sight.fed_by[pillar] == 1).all()
-    assert np.abs(sight.ranges[pillar] / true[pillar] - 1).max() < 0.1
-    assert sight.sectors_fed_by[3] == "box"
+    seen = instance_of(objects(detector=detector)).scan()
+    assert (seen.fed_by[pillar] == 1).all()
+    assert np.abs(seen.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert seen.sectors_fed_by[3] == "box"
     with pytest.raises(ValueError, match="needs a lifter"):
         Camera(detector=detector)
 
 
-def test_a_box_hides_nothing_that_stands_before_it():
+def test_a_box_does_not_hide_an_obstacle_in_front_of_it():
     pillar, true = pillar_columns()
     behind = Boxes3D(
         np.array([[0.8, -0.1, 6.0]]), np.array([[4.0, 1.0, 1.0]]), np.zeros(1), np.ones(1),
@@ -108,21 +122,21 @@ def test_a_box_hides_nothing_that_stands_before_it():
     )  # fmt: skip
     wide = CallableDetector(lambda frame: (np.array([[0.0, 0.0, 160.0, 120.0]]), [0.9], [0]), ("box",))
     sensor = Camera(None, lambda depth, detections, camera: behind, wide)
-    sight = eye_of(sensor).look()
-    assert (sight.fed_by[pillar] == 1).all()
-    assert np.abs(sight.ranges[pillar] / true[pillar] - 1).max() < 0.1
-    assert sight.ranges[sight.fed_by == 2] == pytest.approx(5.5, rel=0.15)
+    seen = instance_of(sensor).scan()
+    assert (seen.fed_by[pillar] == 1).all()
+    assert np.abs(seen.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert seen.ranges[seen.fed_by == 2] == pytest.approx(5.5, rel=0.15)
 
 
-def test_a_box_counts_only_where_its_detection_is():
-    eye = eye_of(objects())
-    eye.look()
-    found = simulated_detections(eye.photo, ARENA)
-    boxes = BoxLifter("lshape", ground=None)(eye.photo.depth, found, eye.camera)
-    whole = near_faces(boxes, found, eye.camera)
+def test_a_box_only_counts_where_its_detection_is():
+    instance = instance_of(objects())
+    instance.scan()
+    found = simulated_detections(instance.photo, ARENA)
+    boxes = BoxLifter("lshape", ground=None)(instance.photo.depth, found, instance.camera)
+    whole = near_faces(boxes, found, instance.camera)
     half = Detections2D(found.xyxy.copy(), found.score, found.label, found.names)
     half.xyxy[:, 2] = half.xyxy[:, [0, 2]].mean(axis=1)
-    fewer = near_faces(boxes, half, eye.camera)
+    fewer = near_faces(boxes, half, instance.camera)
     assert 0 < (fewer < ROBOT.far).sum() < (whole < ROBOT.far).sum()
 
 
@@ -131,22 +145,22 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
     model.save_pretrained(tmp_path / "run" / "model", info={"input_size": [48, 64]})
     for source in (tmp_path / "run", tmp_path / "run" / "model"):
         sensor = camera(str(source), size=(60, 80))
-        sight = eye_of(sensor).look()
-        assert sight.depth.shape == (60, 80)
+        seen = instance_of(sensor).scan()
+        assert seen.depth.shape == (60, 80)
         intrinsics = ArenaView(ARENA, (60, 80)).intrinsics
-        np.testing.assert_allclose(sight.ranges, depth_to_ranges(sight.depth, intrinsics))
+        np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
     with pytest.raises(FileNotFoundError, match="neither a folder"):
         camera("no-such-run")
 
 
 @pytest.mark.parametrize("sensor", ["ranges", "noisy", "camera", "objects"])
-def test_sensors_of_the_configs_look(sensor):
+def test_sensors_of_the_configs_scan(sensor):
     config = compose("navigate", [f"sensor={sensor}"])
-    eye = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
-    assert eye.look().ranges.shape == (ROBOT.columns,)
+    instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
+    assert instance.scan().ranges.shape == (ROBOT.columns,)
 
 
-def test_the_environment_s_info_says_what_fed_each_sector():
+def test_the_environment_s_info_names_each_sector_s_source():
     pytest.importorskip("gymnasium")
     from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
 
@@ -165,9 +179,9 @@ def test_the_environment_s_info_says_what_fed_each_sector():
 # --- errors ---
 
 
-def drawn(errors: RangeErrors) -> Looks:
+def drawn(errors: RangeErrors) -> Scans:
     arenas = [arena for density in (20, 60) for arena in frozen_arenas(density, 8, split="val")]
-    return look_along(arenas, NoisyRanges(errors=errors), Navigator.load())
+    return scan_along(arenas, NoisyRanges(errors=errors), Navigator.load())
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +200,7 @@ def measured(put_in) -> RangeErrors:
     return fit_errors(drawn(put_in), note="a test")
 
 
-def test_errors_that_were_put_in_are_measured(put_in, measured):
+def test_fitted_errors_are_the_drawn_ones(put_in, measured):
     assert measured.bias[1:5] == pytest.approx(np.interp(measured.middles[1:5], put_in.middles, put_in.bias),
                                                abs=0.04)  # fmt: skip
     assert measured.spread[1:5] == pytest.approx(put_in.spread[1:5], rel=0.25)
@@ -195,7 +209,7 @@ def test_errors_that_were_put_in_are_measured(put_in, measured):
     assert measured.column == pytest.approx(put_in.column, abs=0.15)
     assert measured.memory == pytest.approx(put_in.memory, abs=0.25)
     assert measured.far == pytest.approx(put_in.far, abs=0.04)
-    # what stands before the wall, or before something near, cannot read half as far again: fewer show
+    # near the wall or another obstacle a miss is less than 1.5 times as far: fewer count
     assert measured.miss[0] == 0
     assert 0.02 < measured.miss[2] < 0.25
     assert measured.measured["note"] == "a test"
@@ -205,51 +219,49 @@ def test_errors_that_were_put_in_are_measured(put_in, measured):
     assert sum(row["count"] for row in measured.sectors) > 1000
 
 
-def test_looks_from_places_close_to_obstacles(put_in):
+def test_scans_near_obstacles_are_near(put_in):
     arenas = list(frozen_arenas(80, 3, split="val"))
-    looks = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
-    assert looks.ranges.shape == looks.true.shape == (60, 40)
-    assert len(np.unique(looks.crossing)) == 60
-    close, along = looks.true < 0.8, drawn(put_in).true < 0.8
+    scans = scan_near(arenas, NoisyRanges(errors=put_in), scans=20)
+    assert scans.ranges.shape == scans.true.shape == (60, 40)
+    assert len(np.unique(scans.episode)) == 60
+    close, along = scans.true < 0.8, drawn(put_in).true < 0.8
     assert close.mean() > 0.05 > 0.02 > along.mean()
-    again = look_near(arenas, NoisyRanges(errors=put_in), looks=20)
-    np.testing.assert_array_equal(again.ranges, looks.ranges)
-    with pytest.raises(ValueError, match="looks=0"):
-        look_near(arenas, NoisyRanges(errors=put_in), looks=0)
-    with pytest.raises(ValueError, match="people who walk"):
-        look_near(list(frozen_arenas(5, 1, split="val", movers=2)), NoisyRanges(errors=put_in))
+    again = scan_near(arenas, NoisyRanges(errors=put_in), scans=20)
+    np.testing.assert_array_equal(again.ranges, scans.ranges)
+    with pytest.raises(ValueError, match="scans=0"):
+        scan_near(arenas, NoisyRanges(errors=put_in), scans=0)
 
 
-def test_no_errors_measure_as_none():
+def test_exact_ranges_have_no_errors():
     true = np.clip(np.random.default_rng(0).uniform(0.5, 10, (200, 5)).repeat(8, axis=1), 0.3, 9.5)
-    errors = fit_errors(Looks(true, true, np.zeros(200, int)))
+    errors = fit_errors(Scans(true, true, np.zeros(200, int)))
     assert errors.bias == errors.spread == errors.miss == (0.0,) * 6
-    with pytest.raises(ValueError, match="look in more arenas"):
-        fit_errors(Looks(true[:3], true[:3], np.zeros(3, int)))
+    with pytest.raises(ValueError, match="scan in more arenas"):
+        fit_errors(Scans(true[:3], true[:3], np.zeros(3, int)))
 
 
-def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_that_has_enough():
+def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_filled_one():
     rng = np.random.default_rng(0)
     true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
     true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
-    looks = Looks(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
-    errors = fit_errors(looks)
+    scans = Scans(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
+    errors = fit_errors(scans)
     assert errors.bias == pytest.approx([errors.bias[2]] * 6)
     assert errors.spread == pytest.approx([0.05] * 6, abs=0.01)
     assert errors.column == pytest.approx(1.0, abs=0.1)
     assert errors.scale < 0.3
 
 
-def test_errors_are_kept_in_a_small_file(tmp_path, measured):
+def test_errors_are_stored_in_a_small_file(tmp_path, measured):
     path = tmp_path / "errors.json"
     measured.write(path)
     assert path.stat().st_size < 4000
     assert RangeErrors.read(path) == measured
     assert NoisyRanges(errors=str(path)).errors == measured
-    with pytest.raises(FileNotFoundError, match="mode=measure"):
+    with pytest.raises(FileNotFoundError, match="mode=fit_noise"):
         RangeErrors.read(tmp_path / "none.json")
     path.write_text(json.dumps({"edges": [1]}))
-    with pytest.raises(ValueError, match="holds no range errors"):
+    with pytest.raises(ValueError, match="contains no range errors"):
         RangeErrors.read(path)
     measured.write(path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"bias": [0.1]}))
@@ -257,7 +269,7 @@ def test_errors_are_kept_in_a_small_file(tmp_path, measured):
         RangeErrors.read(path)
 
 
-def test_the_packaged_errors_say_where_they_come_from():
+def test_the_packaged_errors_have_notes_on_their_origin():
     errors = NoisyRanges(errors="packaged").errors
     assert "data=arenas" in errors.measured["training"]
     assert {"training", "command", "date", "versions"} <= set(errors.measured)
@@ -265,9 +277,9 @@ def test_the_packaged_errors_say_where_they_come_from():
     assert all(0.02 < spread < 0.3 for spread in errors.spread)
 
 
-def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
+def test_a_missed_segment_is_replaced_by_its_farther_neighbor(put_in):
     ranges = np.concatenate([np.full(10, 5.0), np.full(6, 2.5), np.full(24, ROBOT.far)])
-    assert things(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
+    assert segments(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
     rng, outcomes = np.random.default_rng(0), []
     for _ in range(600):
         out = without_missed(ranges, put_in, rng)
@@ -275,33 +287,3 @@ def test_what_is_missed_gives_way_to_what_lies_behind(put_in):
         assert (out >= ranges).all()
         outcomes.append(out[12] > 3)
     assert np.mean(outcomes) == pytest.approx(0.2, abs=0.04)
-
-
-def test_the_command_measures_and_noisy_reads_it(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "mode=measure", "sensor=camera", "sensor.checkpoint=null", "sensor.size=[60,80]",
-        "density=40", "worlds=2", "time_limit=6", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
-    assert errors.measured["split"] == "val"
-    assert errors.measured["sensor"]["size"] == [60, 80]
-    assert abs(errors.bias[2]) < 0.05  # of the renderer's own depth
-    assert max(errors.miss[:4]) < 0.02
-    assert "bias" in finished.stdout
-    run = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert (run["mode"], run["errors"], run["config"]["worlds"]) == ("measure", "range_errors.json", 2)
-    NoisyRanges(errors=str(tmp_path / "run" / "range_errors.json"))
-
-
-def test_the_packaged_network_measures_places_close_to_obstacles(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "mode=measure", "sensor=camera", "measure.places=near", "measure.looks=4",
-        "measure.edges=[0.3,1.0,3.0,10.0]", "density=80", "worlds=8", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
-    assert errors.measured["looks"] == 32
-    assert len(errors.bias) == 3
-    assert max(abs(bias) for bias in errors.bias) < 0.2
-    assert max(errors.spread) < 0.3

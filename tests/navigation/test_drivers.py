@@ -1,4 +1,4 @@
-"""Navigation: who drives, what is counted, and the command."""
+"""Drivers: the packaged policy, planners, and the statistics of their episodes."""
 
 import json
 import math
@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.navigate import refuse_to_replace
-from eldenet.navigation.evaluation import Crossing, cross, solved_by_all, summarize
+from eldenet.navigation.evaluation import (
+    Episode,
+    mcnemar,
+    run_episodes,
+    solved_by_all,
+    spl,
+    summarize,
+    wilson_interval,
+)
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
@@ -18,7 +25,6 @@ from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, export_onnx
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
-from eldenet.navigation.statistics import mcnemar, spl, wilson_interval
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arena_world import arc
 from eldenet.simulation.arenas import Arena, Obstacle
@@ -27,19 +33,21 @@ from eldenet.simulation.robot import ROBOT
 
 def test_the_packaged_policy_is_small_and_drives():
     assert DEFAULT_WEIGHTS.stat().st_size < 200_000
-    rows = cross(frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges())
+    rows = run_episodes(
+        frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges()
+    )
     assert summarize(rows)["success"] >= 90
 
 
-def test_a_world_ends_alike_alone_and_among_others():
+def test_an_episode_ends_the_same_alone_and_among_others():
     arenas = frozen_arenas(80, 5, split="val")
     make = lambda robots: Navigator.load(robots=robots)  # noqa: E731
-    together = cross(arenas, make, NoisyRanges(), robots=5)
-    by_two = cross(arenas, make, NoisyRanges(), robots=2)
+    together = run_episodes(arenas, make, NoisyRanges(), robots=5)
+    by_two = run_episodes(arenas, make, NoisyRanges(), robots=2)
     assert together == by_two
 
 
-def test_saved_and_loaded_it_decides_alike(tmp_path):
+def test_a_saved_policy_decides_the_same_once_loaded(tmp_path):
     torch.manual_seed(0)
     navigator = Navigator(QNetwork(39, 5, (16,)), {}, info={"note": "x"})
     navigator.save(tmp_path / "policy.safetensors")
@@ -47,23 +55,23 @@ def test_saved_and_loaded_it_decides_alike(tmp_path):
     assert loaded.info == {"note": "x"}
     rng = np.random.default_rng(0)
     for _ in range(20):
-        sight, goal = (
+        ranges, goal = (
             rng.uniform(0.3, 10, ROBOT.columns),
             (float(rng.uniform(1, 10)), float(rng.uniform(-3, 3))),
         )
-        assert navigator.step(sight, goal, (0.0, 0.0, 0.0)) == loaded.step(sight, goal, (0.0, 0.0, 0.0))
+        assert navigator.step(ranges, goal, (0.0, 0.0, 0.0)) == loaded.step(ranges, goal, (0.0, 0.0, 0.0))
     with pytest.raises(FileNotFoundError, match="no policy"):
         Navigator.load(tmp_path / "none.safetensors")
     from safetensors.torch import save_file
 
     save_file({"a": torch.zeros(1)}, str(tmp_path / "other.safetensors"))
-    with pytest.raises(ValueError, match="holds no navigation policy"):
+    with pytest.raises(ValueError, match="is not a navigation policy"):
         Navigator.load(tmp_path / "other.safetensors")
     with pytest.raises(ValueError, match="not trained together"):
         Navigator(QNetwork(10, 5), {})
 
 
-def test_several_drive_together_by_the_mean_of_their_values(tmp_path):
+def test_several_networks_drive_together_by_the_mean_of_their_values(tmp_path):
     torch.manual_seed(0)
     files = [tmp_path / f"{number}.safetensors" for number in range(3)]
     for number, file in enumerate(files):
@@ -78,10 +86,10 @@ def test_several_drive_together_by_the_mean_of_their_values(tmp_path):
     torch.testing.assert_close(again.network(rows), together.network(rows), rtol=0, atol=2e-3)
     assert again.observer.options == together.observer.options
     assert again.observer.options["slows_within"] == 1.0
-    with pytest.raises(ValueError, match="an empty list was given"):
+    with pytest.raises(ValueError, match="give at least one run folder"):
         Navigator.load([])
     Navigator(QNetwork(39, 5, (8,)), {}).save(files[2])
-    with pytest.raises(ValueError, match=r"\(39, 5, \(8,\)\), \(39, 5, \(16,\)\).*give those of one shape"):
+    with pytest.raises(ValueError, match=r"\(39, 5, \(8,\)\), .*give networks of one shape"):
         Navigator.load(files)
     Navigator(QNetwork(39, 5, (16,)), {"memory": 30}).save(files[1])
     with pytest.raises(ValueError, match=r"1\.safetensors was trained with the observer .*'memory': 30"):
@@ -92,18 +100,18 @@ def test_several_drive_together_by_the_mean_of_their_values(tmp_path):
     ("within", "distance", "expected"),
     [(None, 5.0, 1.0), (None, 1.5, 0.5), (1.0, 1.5, 1.0), (1.0, 0.5, 0.5), (1.0, 0.1, 0.25)],
 )
-def test_it_slows_down_before_the_goal(within, distance, expected):
+def test_the_driver_slows_down_before_the_goal(within, distance, expected):
     torch.manual_seed(0)
     driver = Navigator(QNetwork(39, 5, (16,)), {} if within is None else {"slows_within": within}).observer
     driver.observe(
         Senses(np.full((1, ROBOT.columns), ROBOT.far), np.zeros((1, 3)), np.array([[distance, 0.0]]))
     )
     assert driver.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
-    with pytest.raises(ValueError, match=r"slows_within=0\.0: give meters"):
+    with pytest.raises(ValueError, match=r"slows_within=0\.0: give a distance"):
         Navigator(QNetwork(39, 5, (16,)), {"slows_within": 0.0})
 
 
-def test_the_robot_s_side_loads_no_simulator():
+def test_the_policy_loads_no_simulator():
     code = (
         "import numpy as np, sys; from eldenet.navigation.policy import Navigator; "
         "print(Navigator.load().step(np.full(5, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))); "
@@ -117,10 +125,12 @@ def test_the_robot_s_side_loads_no_simulator():
     assert abs(turn) <= 1.2
     modules = shown.stdout.splitlines()[1].split()
     assert not {"mujoco", "gymnasium", "cv2", "hydra"} & set(modules)
-    assert not [name for name in modules if name.startswith("eldenet.simulation")]
+    assert {name for name in modules if name.startswith("eldenet.simulation.")} == {
+        "eldenet.simulation.robot"
+    }
 
 
-def test_onnx_gives_the_same_values(tmp_path):
+def test_an_exported_onnx_file_gives_the_same_values(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
     navigator = Navigator.load()
@@ -135,18 +145,18 @@ def test_onnx_gives_the_same_values(tmp_path):
 
 
 @pytest.mark.parametrize("make", [AStarDWA, AStarOnlineDWA, LocalDWA], ids=lambda make: make.name)
-def test_planners_cross_an_open_arena(make):
-    rows = cross(frozen_arenas(5, 3, split="val"), lambda robots: make(robots=robots), Ranges())
+def test_planners_reach_the_goal_in_an_open_arena(make):
+    rows = run_episodes(frozen_arenas(5, 3, split="val"), lambda robots: make(robots=robots), Ranges())
     assert [row.outcome for row in rows] == ["success"] * 3
     assert all(row.travelled >= 0.9 * row.shortest for row in rows)
 
 
-def test_a_star_goes_round_a_wall_that_a_local_planner_does_not():
+def test_a_star_passes_a_wall_that_a_local_planner_does_not():
     fence = [Obstacle("box", 0.0, y, 0.0, (0.2, 0.5), 1.0) for y in np.arange(-7.5, 6.0, 1.0)]
     arena = Arena("", 14, 0, tuple(fence), (-4.0, -1.0, 0.0), ((4.0, -1.0),))
-    (row,) = cross([arena], lambda robots: AStarDWA(robots=robots), Ranges())
+    (row,) = run_episodes([arena], lambda robots: AStarDWA(robots=robots), Ranges())
     assert row.outcome == "success"
-    (row,) = cross([arena], lambda robots: LocalDWA(robots=robots), Ranges())
+    (row,) = run_episodes([arena], lambda robots: LocalDWA(robots=robots), Ranges())
     assert row.outcome != "success"
 
 
@@ -169,10 +179,10 @@ def test_the_dynamic_window_avoids_what_is_ahead():
     assert window.choose(np.empty((0, 2)), (2.0, 0.0), (1.0, 0.0)) == (1.0, 0.0)
 
 
-# --- what is counted ---
+# --- statistics
 
 
-def test_intervals_and_tests_agree_with_scipy():
+def test_intervals_and_paired_tests_agree_with_scipy():
     from scipy.stats import binomtest
 
     for successes, trials in ((0, 200), (443, 500), (200, 200), (1, 3)):
@@ -184,102 +194,33 @@ def test_intervals_and_tests_agree_with_scipy():
     assert (first, second) == (10, 2)
     assert p == pytest.approx(binomtest(10, 12).pvalue)
     assert mcnemar(a, a) == (0, 0, 1.0)
-    with pytest.raises(ValueError, match="same worlds"):
+    with pytest.raises(ValueError, match="same arenas"):
         mcnemar(a, b[:-1])
     assert spl(
         np.array([True, True, False]), np.array([10.0, 20.0, 5.0]), np.array([10.0, 10.0, 5.0])
     ) == pytest.approx(0.5)
 
 
-def test_times_are_compared_on_worlds_that_all_solved():
+def test_times_are_compared_on_arenas_that_all_methods_solved():
     def table(*outcomes):
-        return [Crossing(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
+        return [Episode(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
 
     both = solved_by_all([table("success", "success", "timeout"), table("success", "collision", "success")])
     assert both.tolist() == [True, False, False]
     summary = summarize(table("success", "collision", "timeout", "success"))
     assert summary["success"] + summary["collision"] + summary["timeout"] == 100
-    with pytest.raises(ValueError, match="different worlds"):
+    with pytest.raises(ValueError, match="different arenas"):
         solved_by_all([table("success"), table("success", "success")])
 
 
-# --- the command ---
-
-
-def test_evaluate_writes_rows_and_a_record(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "mode=evaluate", "density=[5,20]", "worlds=3", "physics=kinematic", "run_dir=run"
-    )
-    assert finished.returncode == 0, finished.stderr
-    run = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert run["metrics"]["5"]["worlds"] == 3
-    assert set(run["arenas"]) == {"5", "20"}
-    assert run["mode"] == "evaluate"
-    assert (tmp_path / "run" / "worlds_20.csv").read_text().count("\n") == 4
-    assert "success [%]" in finished.stdout
-
-
-def test_watch_films_without_a_display(run_command, tmp_path):
-    from PIL import Image
-
-    finished = run_command(
-        "navigate", "density=5", "time_limit=2", "film=gif", "physics=kinematic", "run_dir=run", DISPLAY=""
-    )
-    assert finished.returncode == 0, finished.stderr
-    (film,) = (tmp_path / "run").glob("*.gif")
-    with Image.open(film) as picture:
-        assert picture.n_frames >= 10
-        assert picture.size[1] == 500
-    run = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert (run["mode"], run["film"], run["config"]["time_limit"]) == ("watch", film.name, 2)
-    assert run["outcome"] in ("goal", "collision", "timeout")
-    assert run["policy"] == "dqn"
-    assert len(run["driver"]["files"][0]["sha256"]) == 64
-    assert "film=gif" in run["command"]
-    assert run["versions"]["torch"]
-
-
-@pytest.mark.parametrize("record", [{"mode": "evaluate"}, {"driver": None}, {"model": "eldenet"}])
-def test_no_mode_replaces_the_record_of_another(tmp_path, record):
-    refuse_to_replace(tmp_path, "watch")
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match=r"holds a run\.json of (evaluate|another command): give another"):
-        refuse_to_replace(tmp_path, "watch")
-    refuse_to_replace(tmp_path, "train")  # it writes none
-    (tmp_path / "run.json").write_text('{"mode": "watch"}')
-    refuse_to_replace(tmp_path, "watch")
-
-
-def test_train_goes_on_and_leaves_a_policy(run_command, tmp_path):
-    small = (
-        "mode=train", "learner.steps=600", "learner.leg=300", "learner.warmup=100", "learner.batch_size=16",
-        "training.robots=4", "training.validate=2", "training.arenas.densities=[0,5]", "run_dir=run",
-    )  # fmt: skip
-    finished = run_command("navigate", *small)
-    assert finished.returncode == 0, finished.stderr
-    policy = tmp_path / "run" / "policy.safetensors"
-    assert Navigator.load(policy).info == {"steps": 600, "seed": 0}
-    note = json.loads((tmp_path / "run" / "training.json").read_text())
-    assert [leg["steps"] for leg in note["legs"]] == [300, 600]
-    finished = run_command("navigate", *small, "seed=1")
-    assert finished.returncode == 1
-    assert "other settings" in finished.stderr
-    both = ("checkpoint=[run/policy.safetensors,run/policy.safetensors]", "run_dir=both")
-    finished = run_command("navigate", "mode=evaluate", *both, "density=5", "worlds=1", "physics=kinematic")
-    assert finished.returncode == 0, finished.stderr
-    assert json.loads((tmp_path / "both" / "run.json").read_text())["metrics"]["5"]["worlds"] == 1
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["mode=fly"], "mode='fly'"),
-    (["density=500"], "density=500"),
-    (["density=[5,20]"], "films one arena"),
-    (["mode=evaluate", "worlds=0"], "worlds=0: give at least one"),
-    (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
-    (["policy=dqn", "checkpoint=none.safetensors"], "no policy at none.safetensors"),
-])  # fmt: skip
-def test_a_mistake_is_one_clear_line(run_command, arguments, message):
-    finished = run_command("navigate", *arguments)
-    assert finished.returncode == 1
-    assert message in finished.stderr
-    assert "Traceback" not in finished.stderr
+def test_a_policy_is_a_file_or_its_run_folder(tmp_path):
+    folder = tmp_path / "run"
+    Navigator.load().save(folder / "policy.safetensors")
+    options = Navigator.load(folder).observer.options
+    assert options == Navigator.load(str(folder / "policy.safetensors")).observer.options
+    with pytest.raises(FileNotFoundError, match=r"no policy at .*policy\.safetensors: give a policy file"):
+        Navigator.load(tmp_path)
+    wrong = folder / "dqn.pt"
+    wrong.write_bytes(b"PK" * 100)
+    with pytest.raises(ValueError, match=r"dqn\.pt is not a \.safetensors file .*: give a training's run"):
+        Navigator.load(wrong)

@@ -1,4 +1,4 @@
-"""What moves is followed: positions and velocities of walkers, and what the driver's memory makes of them."""
+"""Tracking of pedestrians, and its effect on the driver's memory."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.pedestrians import AHEAD, KEPT, RADIUS, Walkers, marks, slim_things
+from eldenet.navigation.pedestrians import AHEAD, MAX_AGE, RADIUS, Walkers, marks, slim_segments
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, Obstacle
@@ -34,13 +34,13 @@ def points_of(world: ArenaWorld) -> tuple[np.ndarray, np.ndarray]:
 def drive(world: ArenaWorld, steps: int, speed: float = 0.0, turn: float = 0.0) -> tuple[Walkers, list]:
     walkers, moving = Walkers(), []
     for _ in range(steps):
-        moving = walkers.look(*points_of(world))
+        moving = walkers.update(*points_of(world))
         world.advance(speed, turn, ROBOT.period)
     return walkers, moving
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.0), (0.5, 0.0), (0.3, 0.2)])
-def test_a_walker_s_place_and_velocity_are_found(speed, turn):
+def test_position_and_velocity_of_a_pedestrian_are_found(speed, turn):
     world = world_of(WALKER, *STANDING)
     _, moving = drive(world, 11, speed, turn)
     (track,) = moving
@@ -49,32 +49,32 @@ def test_a_walker_s_place_and_velocity_are_found(speed, turn):
     assert math.dist(track.position, (x, y)) < 2 * RADIUS
 
 
-def test_what_stands_does_not_move_when_the_robot_does():
+def test_standing_obstacles_do_not_move_when_the_robot_does():
     _, moving = drive(world_of(*STANDING), 20, 0.4, 0.1)
     assert moving == []
 
 
-def test_walkers_out_of_view_are_kept_for_a_while():
+def test_pedestrians_out_of_view_are_kept_for_a_while():
     walkers, _ = drive(world_of(WALKER), 11)
     (track,) = (track for track in walkers.tracks if track.moving)
     there = track.position.copy()
     far = np.full((ROBOT.columns, 2), 50.0), np.full(ROBOT.columns, ROBOT.far)
-    for _ in range(KEPT):
-        assert walkers.look(*far) == [track]
-    assert track.position[1] - there[1] == pytest.approx(0.8 * KEPT * ROBOT.period, rel=0.25)
-    assert walkers.look(*far) == []
+    for _ in range(MAX_AGE):
+        assert walkers.update(*far) == [track]
+    assert track.position[1] - there[1] == pytest.approx(0.8 * MAX_AGE * ROBOT.period, rel=0.25)
+    assert walkers.update(*far) == []
 
 
-def test_slim_things_are_those_of_a_walker_s_width():
+def test_slim_segments_have_a_pedestrian_s_width():
     points, ranges = points_of(world_of(*STANDING, Obstacle("box", 6.0, 0.0, 0.0, (0.2, 0.7), 1.0)))
-    found = slim_things(points, ranges)
+    found = slim_segments(points, ranges)
     middles = [points[columns].mean(axis=0) for columns in found]
     assert any(math.dist(middle, (2.8, -0.75)) < 0.2 for middle in middles)
     assert not any(math.dist(middle, (5.8, 0.0)) < 0.5 for middle in middles)
-    assert slim_things(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
+    assert slim_segments(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
 
 
-def test_marks_go_where_a_walker_goes():
+def test_marks_lie_on_a_pedestrian_s_path():
     _, moving = drive(world_of(WALKER), 11)
     eye = np.array([ROBOT.camera_ahead, 0.0])
     around = marks(moving, eye).reshape(len(AHEAD), -1, 2).mean(axis=1)
@@ -84,11 +84,11 @@ def test_marks_go_where_a_walker_goes():
     assert marks([], eye).shape == (0, 2)
 
 
-def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
-    crossing = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
+def test_the_memory_forgets_a_pedestrian_s_trail_and_marks_its_path():
+    episode = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
     seen = {}
     for follow in (False, True):
-        observer, world = Observer(walkers=follow, seen_through=0), world_of(crossing)
+        observer, world = Observer(walkers=follow, seen_through=0), world_of(episode)
         for _ in range(12):
             senses = Senses(world.ranges()[None], np.array([world.pose]), np.array([[8.0, 0.0]]))
             observer.observe(senses)
@@ -97,7 +97,7 @@ def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
         seen[follow] = np.stack([x, y], axis=1)
         observer.reset()
         assert len(observer.memory.near(np.array([world.pose]))[0]) == 0
-    now = crossing.position(2.2)[1]
+    now = episode.position(2.2)[1]
     trail = {follow: (points[:, 1] < now - 0.6).sum() for follow, points in seen.items()}
     ahead = {follow: (points[:, 1] > now + 0.6).sum() for follow, points in seen.items()}
     assert trail[False] > 10
@@ -106,7 +106,7 @@ def test_the_memory_forgets_a_walker_s_trail_and_knows_its_way():
     assert ahead[True] > 10
 
 
-def test_a_still_world_looks_alike():
+def test_tracking_changes_nothing_without_pedestrians():
     world = world_of(*STANDING)
     observers = [Observer(walkers=follow) for follow in (False, True)]
     for _ in range(10):
@@ -116,7 +116,7 @@ def test_a_still_world_looks_alike():
         world.advance(0.3, 0.1, ROBOT.period)
 
 
-def test_any_driver_can_be_told_to_follow():
+def test_any_driver_can_track_pedestrians():
     assert Navigator.load().observer.options["walkers"] is False
     assert Navigator.load(walkers=True, robots=2).observer.options["walkers"] is True
     with pytest.raises(ValueError, match="was trained with the observer"):

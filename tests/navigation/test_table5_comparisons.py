@@ -5,7 +5,7 @@ import sys
 import pytest
 from support.table5 import FOLDER, modules_of_table5
 
-from eldenet.navigation.evaluation import Crossing
+from eldenet.navigation.evaluation import Episode
 
 
 @pytest.fixture
@@ -13,8 +13,8 @@ def study(monkeypatch):
     yield from modules_of_table5(monkeypatch)
 
 
-def crossings(solved: list[bool], seconds: float = 10.0) -> list[Crossing]:
-    return [Crossing(f"w{k}", 5, "success" if ok else "timeout", seconds + k, 9.0, 8.0)
+def episodes(solved: list[bool], seconds: float = 10.0) -> list[Episode]:
+    return [Episode(f"w{k}", 5, "success" if ok else "timeout", seconds + k, 9.0, 8.0)
             for k, ok in enumerate(solved)]  # fmt: skip
 
 
@@ -22,9 +22,9 @@ def test_a_sensor_s_loss_is_tested_in_pairs(study):
     comparisons = study("comparisons")
     true, seen = [True] * 90 + [False] * 10, [True] * 80 + [False] * 15 + [True] * 5
     tables = {
-        ("wheels", "ranges", "dqn", "5"): [crossings([True] * 100)],
-        ("wheels", "ranges", "dqn_mixed", "5"): [crossings(true)],
-        ("wheels", "noisy", "dqn_mixed", "5"): [crossings(seen)],
+        ("wheels", "ranges", "dqn", "5"): [episodes([True] * 100)],
+        ("wheels", "ranges", "dqn_mixed", "5"): [episodes(true)],
+        ("wheels", "noisy", "dqn_mixed", "5"): [episodes(seen)],
     }
     lines = comparisons.loss(tables, "wheels", "noisy")
     own, default = (line.split(" | ") for line in lines[2:])
@@ -43,14 +43,14 @@ def test_a_sensor_s_loss_is_tested_in_pairs(study):
 def test_the_default_is_compared_with_all_others(study):
     comparisons = study("comparisons")
     tables = {
-        ("wheels", "ranges", "dqn", "5"): [crossings([True] * 6 + [False] * 4)],
-        ("wheels", "ranges", "dwa", "5"): [crossings([False] * 10)],
+        ("wheels", "ranges", "dqn", "5"): [episodes([True] * 6 + [False] * 4)],
+        ("wheels", "ranges", "dwa", "5"): [episodes([False] * 10)],
     }
     assert comparisons.paired(tables, "wheels", "ranges")[0].startswith("| dqn against")
     assert [line[:19] for line in comparisons.paired(tables, "wheels", "ranges")[2:]] == [
         "| dwa | 5 | 6 | 0 |"
     ]
-    tables["wheels", "ranges", "dqn_ensemble", "5"] = [crossings([True] * 9 + [False])]
+    tables["wheels", "ranges", "dqn_ensemble", "5"] = [episodes([True] * 9 + [False])]
     lines = comparisons.paired(tables, "wheels", "ranges")
     assert [line.split(" | ")[:4] for line in lines[2:]] == [
         ["| dqn", "5", "3", "0"],
@@ -64,8 +64,8 @@ def test_time_is_compared_over_all_trainings_in_pairs(study, monkeypatch):
     run = study("run")
     ok = [True] * 40
     made = {
-        "astar_dwa": [crossings(ok)],
-        "dqn": [crossings(ok, 11.0), crossings([True] * 39 + [False], 13.0)],
+        "astar_dwa": [episodes(ok)],
+        "dqn": [episodes(ok, 11.0), episodes([True] * 39 + [False], 13.0)],
     }
     ratio, low, high, both = run.ratio_to_reference(made, "dqn")
     first = sum(11 + k for k in range(40)) / sum(10 + k for k in range(40))

@@ -1,24 +1,28 @@
-"""Navigation: how the driver learns."""
-
-from pathlib import Path
+"""Deep Q-learning: returns, updates, checkpoints, quantiles, curriculum."""
 
 import numpy as np
 import pytest
 import torch
 
-from eldenet.navigation.dqn import CHECKPOINT, DQN, quantile_loss
+from eldenet.navigation.dqn import (
+    CHECKPOINT,
+    DQN,
+    DQNSettings,
+    NStepWindows,
+    ReplayBuffer,
+    quantile_loss,
+)
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.navigation.replay import Replay, Windows
 from eldenet.navigation.tasks import TrainingArenas
 
 gym = pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavVectorEnv  # noqa: E402
 
 
-def test_windows_are_n_step_returns_that_end_with_the_episode():
+def test_windows_make_n_step_returns_within_an_episode():
     rng = np.random.default_rng(0)
-    replay = Replay(10_000, 1)
-    windows = Windows(3, 2, 0.9, replay)
+    replay = ReplayBuffer(10_000, 1)
+    windows = NStepWindows(3, 2, 0.9, replay)
     episodes: list[list[list[tuple]]] = [[[]], [[]]]
     for step in range(60):
         obs = np.array([[step / 100], [step / 100 + 0.5]], np.float32)
@@ -57,34 +61,30 @@ def test_windows_are_n_step_returns_that_end_with_the_episode():
     assert got == expected
 
 
-def tiny(folder: Path | None, steps: int, **options) -> DQN:
-    env = ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5)))
+def tiny(steps: int, **options) -> DQN:
     settings = {
-        "steps": steps,
-        "leg": 400,
-        "warmup": 100,
-        "batch_size": 16,
-        "hidden": (16,),
-        "seed": 3,
-    } | options
-    return DQN(env, **settings)
+        "total_timesteps": steps, "checkpoint_interval": 400, "learning_starts": 100, "batch_size": 16,
+        "hidden": (16,), "seed": 3,
+    } | options  # fmt: skip
+    return DQN(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), DQNSettings(**settings))
 
 
-def test_a_resumed_training_equals_one_that_never_stopped(tmp_path):
-    whole = tiny(None, 1200)
+@pytest.mark.parametrize("key", ["num_timesteps", "done"])  # the latter in checkpoints of earlier versions
+def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path, key):
+    whole, first, second = (tiny(1200) for _ in range(3))
     whole.learn()
-    first = tiny(None, 1200)
 
     def stop(dqn: DQN) -> None:
-        if dqn.done >= 800:
+        if dqn.num_timesteps >= 800:
             dqn.save(tmp_path / CHECKPOINT)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        first.learn(after_leg=stop)
-    second = tiny(None, 1200)
+        first.learn(at_checkpoint=stop)
+    state = torch.load(tmp_path / CHECKPOINT, weights_only=True)
+    torch.save(state | {key: state.pop("num_timesteps")}, tmp_path / CHECKPOINT)
     second.restore(tmp_path / CHECKPOINT)
-    assert second.done == 800
+    assert second.num_timesteps == 800
     second.learn()
     assert second.updates == whole.updates > 100
     for name, weights in whole.policy_dqn.state_dict().items():
@@ -94,28 +94,24 @@ def test_a_resumed_training_equals_one_that_never_stopped(tmp_path):
 
 
 def test_algorithm_2_copies_hard_and_the_default_softly():
-    hard = tiny(None, 400, n_step=1, double=False, target_every=10)
-    hard.learn()
+    def equal(dqn: DQN) -> bool:
+        pairs = zip(dqn.policy_dqn.parameters(), dqn.target_dqn.parameters(), strict=True)
+        return all(torch.equal(policy, target) for policy, target in pairs)
+
     rng = np.random.default_rng(0)
+    hard = tiny(400, n_step=1, double=False, target_update_interval=10)
+    hard.learn()
     while hard.updates % 10:
         hard.update(rng)
-    assert all(
-        torch.equal(a, b)
-        for a, b in zip(hard.policy_dqn.parameters(), hard.target_dqn.parameters(), strict=True)
-    )
+    assert equal(hard)
     hard.update(rng)
-    assert not all(
-        torch.equal(a, b)
-        for a, b in zip(hard.policy_dqn.parameters(), hard.target_dqn.parameters(), strict=True)
-    )
-    soft = tiny(None, 400, tau=0.25)
-    before = [p.clone() for p in soft.target_dqn.parameters()]
+    assert not equal(hard)
+    soft = tiny(400, tau=0.25)
     soft.learn()
-    rng, before = np.random.default_rng(0), [p.clone() for p in soft.target_dqn.parameters()]
+    before = [p.clone() for p in soft.target_dqn.parameters()]
     soft.update(rng)
-    for target, old, policy in zip(
-        soft.target_dqn.parameters(), before, soft.policy_dqn.parameters(), strict=True
-    ):
+    parameters = soft.target_dqn.parameters(), before, soft.policy_dqn.parameters()
+    for target, old, policy in zip(*parameters, strict=True):
         torch.testing.assert_close(target, 0.75 * old + 0.25 * policy, rtol=1e-5, atol=1e-7)
 
 
@@ -143,11 +139,13 @@ class Corridor:
 
 
 @pytest.mark.parametrize("quantiles", [0, 8])
-def test_it_learns_what_a_table_would(quantiles):
-    learner = DQN(
-        Corridor(), steps=12_000, leg=12_000, warmup=200, gamma=0.9, batch_size=64, hidden=(32,), replay=4000,
-        learning_rate=3e-3, tau=0.02, exploration_end=0.3, quantiles=quantiles,
+def test_the_network_learns_the_known_values_of_a_corridor(quantiles):
+    settings = DQNSettings(
+        total_timesteps=12_000, checkpoint_interval=12_000, learning_starts=200, gamma=0.9, batch_size=64,
+        hidden=(32,), buffer_size=4000, learning_rate=3e-3, tau=0.02, exploration_final_eps=0.3,
+        quantiles=quantiles,
     )  # fmt: skip
+    learner = DQN(Corridor(), settings)
     learner.learn()
     with torch.no_grad():
         values = learner.policy_dqn.plain()(torch.eye(10))[:9]
@@ -155,18 +153,18 @@ def test_it_learns_what_a_table_would(quantiles):
     assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
 
 
-def test_gradients_are_clipped_and_rates_fall_only_where_asked():
+def test_gradients_are_clipped_and_learning_rates_fall_as_set():
     rates = []
-    for options in ({}, {"learning_rate_end": 1.0, "gradient_clip": 0.0}, {"gradient_clip": 1e-6}):
-        learner = tiny(None, 400, **options)
+    for options in ({}, {"learning_rate_end": 1.0, "max_grad_norm": 0.0}, {"max_grad_norm": 1e-6}):
+        learner = tiny(400, **options)
         learner.learn()
         rates.append(learner.optimizer.param_groups[0]["lr"])
         norm = torch.cat([p.grad.flatten() for p in learner.policy_dqn.parameters()]).norm()
-        assert (norm <= 1.001e-6) == (options.get("gradient_clip") == 1e-6)
+        assert (norm <= 1.001e-6) == (options.get("max_grad_norm") == 1e-6)
     assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
 
 
-def test_the_quantile_loss_is_the_paper_s():
+def test_the_quantile_loss_is_that_of_the_paper():
     rng = np.random.default_rng(0)
     predicted, target = rng.normal(0, 2, (6, 4)), rng.normal(0, 2, (6, 3))
     expected = 0.0
@@ -179,24 +177,15 @@ def test_the_quantile_loss_is_the_paper_s():
     assert float(got) == pytest.approx(expected / 6)
 
 
-def test_quantiles_fit_a_spread_and_leave_as_a_plain_network():
+def test_a_network_with_quantiles_has_an_equal_plain_network():
     torch.manual_seed(0)
     network = QNetwork(3, 2, (8,), 16)
     rows = torch.rand(20, 3)
     torch.testing.assert_close(network.plain()(rows), network(rows))
     torch.testing.assert_close(network(rows), network.spread(rows).mean(2))
-    guess = torch.zeros(1, 16, requires_grad=True)
-    samples = torch.randn(1, 4000)
-    optimizer = torch.optim.Adam([guess], lr=0.05)
-    for _ in range(400):
-        optimizer.zero_grad()
-        quantile_loss(guess * 20, samples * 20).backward()  # Huber's rounding hardly counts
-        optimizer.step()
-    expected = torch.distributions.Normal(0, 1).icdf((torch.arange(16) + 0.5) / 16)
-    assert (guess.detach()[0] - expected).abs().max() < 0.15
 
 
-def test_a_curriculum_begins_with_few_obstacles():
+def test_a_curriculum_starts_with_few_obstacles():
     tasks, rng = TrainingArenas((0, 40), curriculum=0.5), np.random.default_rng(0)
     assert [tasks.fresh(progress).high for progress in (0.0, 0.25, 0.5, 1.0)] == [10, 25, 40, 40]
     assert tasks.fresh(0.0).fresh().high == 40
@@ -210,6 +199,8 @@ def test_a_curriculum_begins_with_few_obstacles():
         TrainingArenas(curriculum=2)
 
 
-def test_wrong_learners_are_refused():
-    with pytest.raises(ValueError, match="gamma"):
-        tiny(None, 100, gamma=1.0)
+@pytest.mark.parametrize("wrong", [{"gamma": 1.0}, {"total_timesteps": 0}, {"train_freq": 0}])
+def test_settings_out_of_range_are_refused(wrong):
+    ((name, value),) = wrong.items()
+    with pytest.raises(ValueError, match=f"{name}={value}"):
+        DQNSettings(**wrong)

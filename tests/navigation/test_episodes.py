@@ -1,4 +1,4 @@
-"""Crossings and what surrounds them: way-points, walkers, seeds, contacts, the field of view, the goal."""
+"""Episodes: way-points, pedestrians, seeds, contacts, the field of view, the goal, planning."""
 
 import math
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.cameras import camera
-from eldenet.navigation.episodes import Crossings, Event
-from eldenet.navigation.evaluation import cross
+from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
+from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.failures import trace
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
@@ -25,7 +25,7 @@ def empty(start=(0.0, 0.0, 0.0), *waypoints) -> Arena:
     return Arena("", 0, 0, (), start, waypoints or ((8.0, 0.0),))
 
 
-def test_a_star_s_window_knows_all_four_walls():
+def test_a_star_sees_all_four_walls():
     planner = AStarDWA()
     planner.reset(0, ArenaWorld(empty()))
     points = planner._points[0]
@@ -37,20 +37,20 @@ def test_a_star_s_window_knows_all_four_walls():
     assert not inside.any()
 
 
-def test_a_touch_is_a_collision_also_with_the_wheels_in_the_air():
+def test_a_touch_is_a_collision_even_with_the_wheels_in_the_air():
     pillar = Obstacle("cylinder", 1.0, 0.0, 0.0, (0.3, 0.3), 1.0)
     world = ArenaWorld(Arena("", 1, 0, (pillar,), (0.0, 0.0, 0.0), ((5.0, 0.0),)), "wheels")
     world.data.qpos[:3] = 0.405, 0.0, 0.05
     touched = world.advance(0.0, 0.0, 0.005)
-    assert 0 < world.data.ncon <= 3  # nothing of the floor's is among them
+    assert 0 < world.data.ncon <= 3  # none of them with the floor
     assert touched
 
 
-def test_a_wall_that_fills_the_view_is_not_missed():
+def test_a_wall_that_fills_the_view_is_never_missed():
     world = ArenaWorld(empty((9.0, 0.0, 0.0)))
-    eye = NoisyRanges(errors="packaged").begin(world, np.random.default_rng(0))
+    instance = NoisyRanges(errors="packaged").begin(world, np.random.default_rng(0))
     assert world.ranges().max() < 1.1
-    assert max(eye.look().ranges.min() for _ in range(500)) < 2.0
+    assert max(instance.scan().ranges.min() for _ in range(500)) < 2.0
     errors = NoisyRanges(errors="packaged").errors
     wall = np.full(ROBOT.columns, 0.6)
     for _ in range(200):
@@ -58,14 +58,14 @@ def test_a_wall_that_fills_the_view_is_not_missed():
 
 
 @pytest.mark.parametrize(("degrees", "width"), [(60.0, 640), (55.0, 640), (69.4, 32)])
-def test_a_camera_that_shows_too_little_is_refused(degrees, width):
+def test_a_camera_with_too_small_a_view_is_refused(degrees, width):
     focal = width / 2 / math.tan(math.radians(degrees / 2))
     intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
     with pytest.raises(ValueError, match=r"34\.7 degrees to each side, at least 46 px"):
         Navigator.load().step(np.full((120, width), 9.0), (8.0, 0.0), (0.0, 0.0, 0.0), intrinsics=intrinsics)
 
 
-def test_the_least_camera_is_enough():
+def test_the_smallest_allowed_camera_is_enough():
     for width in (46, 48, 160, 640):
         focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
         intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
@@ -74,25 +74,25 @@ def test_the_least_camera_is_enough():
         camera(size=(24, 32))
 
 
-def test_a_way_point_on_the_way_costs_no_time():
+def test_an_intermediate_way_point_costs_no_time():
     through, plain = empty((0.0, 0.0, 0.0), (1.55, 0.0), (6.0, 0.0)), empty((0.0, 0.0, 0.0), (6.0, 0.0))
     ends = []
     for arena in (through, plain):
-        crossings = Crossings(1, Ranges())
-        crossings.start(0, arena, (0,))
+        episodes = Episodes(1, Ranges())
+        episodes.start(0, arena, (0,))
         event = Event.NONE
         while event is Event.NONE:
-            _, events = crossings.step(np.array([[1.0, 0.0]]))
+            _, events = episodes.step(np.array([[1.0, 0.0]]))
             event = Event(int(events[0]))
             if event is Event.NONE:
-                assert crossings.worlds[0].time == pytest.approx(crossings.seconds[0])
-        ends.append((event, crossings.seconds[0], crossings.poses[0, 0]))
+                assert episodes.worlds[0].time == pytest.approx(episodes.seconds[0])
+        ends.append((event, episodes.seconds[0], episodes.poses[0, 0]))
     assert ends[0] == ends[1]
     assert ends[0][0] is Event.GOAL
 
 
-def test_training_crossings_begin_away_from_walkers():
-    arenas, rng = TrainingArenas((0, 20), movers=10, repeats=4), np.random.default_rng(1)
+def test_training_episodes_start_away_from_pedestrians():
+    arenas, rng = TrainingArenas((0, 20), pedestrians=10, repeats=4), np.random.default_rng(1)
     away = [
         math.dist((walker.x, walker.y), arena.start[:2])
         for arena in (arenas.draw(rng) for _ in range(40))
@@ -102,7 +102,7 @@ def test_training_crossings_begin_away_from_walkers():
     assert min(away) > 3.0
 
 
-def test_each_seed_of_a_list_is_its_own_slot_s():
+def test_each_seed_in_a_list_belongs_to_one_slot():
     pytest.importorskip("gymnasium")
     from eldenet.navigation.env import ArenaNavVectorEnv
 
@@ -116,34 +116,34 @@ def test_each_seed_of_a_list_is_its_own_slot_s():
         env.reset(seed=[1, 2, 3])
 
 
-def test_a_failure_finds_the_walker_where_it_was_hit():
-    """At the start of a period the robot stands before a walker that crosses fast."""
+def test_a_failure_finds_the_pedestrian_that_was_hit():
+    """A fast pedestrian crosses in front of the robot."""
     traced = 0
     for number in range(12):
         x = 1.5 + 0.05 * number
         walker = Obstacle("person", x, 2.0, 0.0, (0.25, 0.25), 1.7, ((x, 2.0), (x, -2.0)), 0.9)
         arena = Arena("", 0, number, (walker,), (0.0, 0.0, 0.0), ((6.0, 0.0),))
         make = lambda robots: Straight(robots=robots)  # noqa: E731
-        rows = cross([arena], make, Ranges(), physics="wheels")
+        rows = run_episodes([arena], make, Ranges(), EpisodeSettings("wheels"))
         if rows[0].outcome == "collision":
-            (failure,) = trace([arena], rows, make, Ranges(), physics="wheels")
+            (failure,) = trace([arena], rows, make, Ranges(), EpisodeSettings("wheels"))
             assert (failure.kind, failure.touched) == ("walker", "person")
             assert failure.seconds == pytest.approx(rows[0].seconds)
             traced += 1
     assert traced > 3
 
 
-def test_a_goal_by_odometry_is_where_the_robot_believes_it_is():
+def test_a_goal_by_odometry_drifts_with_the_odometry():
     drift = Drift(0.05, math.radians(3.0))
     sensed = {}
     for goal in ("known", "odometry"):
-        crossings = Crossings(1, NoisyRanges(drift=drift), goal=goal)
-        crossings.start(0, empty((-8.0, 0.0, 0.0)), (3,))
+        episodes = Episodes(1, NoisyRanges(drift=drift), EpisodeSettings(goal=goal))
+        episodes.start(0, empty((-8.0, 0.0, 0.0)), (3,))
         for _ in range(30):
-            crossings.step(np.array([[1.0, 0.1]]))
-        sensed[goal] = crossings.sense()
+            episodes.step(np.array([[1.0, 0.1]]))
+        sensed[goal] = episodes.sense()
     np.testing.assert_array_equal(sensed["known"].odometry, sensed["odometry"].odometry)
-    for goal, pose in (("known", crossings.poses[0]), ("odometry", sensed["odometry"].odometry[0])):
+    for goal, pose in (("known", episodes.poses[0]), ("odometry", sensed["odometry"].odometry[0])):
         distance, bearing = sensed[goal].goal[0]
         x, y = (
             pose[0] + distance * math.cos(pose[2] + bearing),
@@ -152,25 +152,11 @@ def test_a_goal_by_odometry_is_where_the_robot_believes_it_is():
         assert (x, y) == pytest.approx((8.0, 0.0))
     assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
     with pytest.raises(ValueError, match="goal='gps': choose one of known, fixes, odometry"):
-        Crossings(1, Ranges(), goal="gps")
-
-
-def test_a_goal_by_odometry_is_missed_where_odometry_drifts():
-    arenas = [Arena("", 0, k, (), (-8.0, 0.0, 0.0), ((8.0, 0.0),)) for k in range(8)]
-    make = lambda robots: Straight(robots=robots)  # noqa: E731
-    sensor = NoisyRanges(drift=Drift(0.2, math.radians(3.0)))
-    reached = [
-        sum(row.outcome == "success" for row in cross(arenas, make, sensor, goal=goal, time_limit=40.0))
-        for goal in ("known", "odometry")
-    ]
-    assert reached[0] == 8
-    assert reached[1] < 8
-    exact = [cross(arenas[:2], make, Ranges(), goal=goal) for goal in ("known", "odometry")]
-    assert exact[0] == exact[1]
+        EpisodeSettings(goal="gps")
 
 
 @pytest.mark.parametrize("walls", [0, 40, 400])
-def test_planning_in_a_window_is_planning_on_the_whole_map(walls):
+def test_planning_in_a_window_equals_planning_on_the_full_map(walls):
     from scipy.ndimage import distance_transform_edt
 
     rng = np.random.default_rng(walls)

@@ -21,7 +21,7 @@ def senses(ranges=FAR, odometry=(0.0, 0.0, 0.0), goal=(8.0, 0.3)) -> Senses:
     return Senses(np.asarray(ranges, float), np.array([odometry]), np.array([goal]))
 
 
-def test_observation_columns():
+def test_observation_columns_are_as_documented():
     observer = Observer()
     ranges = FAR.copy()
     ranges[0, :8] = 2.5  # the rightmost sector
@@ -39,13 +39,13 @@ def test_observation_columns():
 @pytest.mark.parametrize(
     ("law", "expected"), [("paper", 0.5), ("turn", 0.5 * 0.75), ("prox", 0.5 * 0.75 * 0.5)]
 )
-def test_speed_laws(law, expected):
+def test_speed_laws_set_the_speed_of_an_action(law, expected):
     observer = Observer(speed=law)
     observer.observe(senses(np.full((1, ROBOT.columns), 0.9), goal=(1.5, 0.0)))
     assert observer.commands(np.array([1]))[0] == pytest.approx([expected, 0.5])
 
 
-def test_memory_keeps_what_left_the_view():
+def test_memory_keeps_obstacles_that_left_the_view():
     observer = Observer(memory=60, seen_through=0)
     ranges = FAR.copy()
     ranges[0, 20] = 1.0
@@ -53,7 +53,7 @@ def test_memory_keeps_what_left_the_view():
         observer.observe(senses(ranges))
     angle = ROBOT.column_angles[20]
     point = np.array([ROBOT.camera_ahead + math.cos(angle), math.sin(angle)])
-    for step in range(1, 40):  # drive past it and turn round: it lies where it lay
+    for step in range(1, 40):  # drive past it and turn around: it stays in place
         pose = (0.02 * step, -0.5, 0.05 * step)
         seen = observer.observe(senses(odometry=pose))[0]
         dx, dy = point - pose[:2]
@@ -69,62 +69,20 @@ def test_memory_keeps_what_left_the_view():
     assert (observer.observe(senses())[0][10:34] == 1).all()
 
 
-def test_what_looks_see_through_is_forgotten_and_what_they_do_not_see_is_kept():
-    observer = Observer(memory=60, seen_through=2)
-    thing = FAR.copy()
-    thing[0, 20] = 1.5
-
-    def remembered() -> int:
-        return len(observer.memory.near(np.zeros((1, 3)))[0])
-
-    for _ in range(2):
-        observer.observe(senses(thing))
-    observer.observe(senses())
-    assert remembered() == 1  # one look may have missed it
-    observer.observe(senses(thing))
-    observer.observe(senses())
-    assert remembered() == 2  # seen again in between: the doubt is gone
-    observer.observe(senses(np.where(thing < 2, 1.6, FAR)))  # a tenth farther is the same thing
-    hidden = FAR.copy()
-    hidden[0, 15:25] = 0.8
-    for _ in range(4):
-        observer.observe(senses(hidden))
-    # behind something nearer, and out of view: nothing was seen through
-    kept = remembered()
-    for _ in range(4):
-        observer.observe(senses(odometry=(0.0, 0.0, math.pi)))
-    assert remembered() == kept
-    for _ in range(4):
-        observer.observe(senses())
-    assert remembered() == 0
-
-
-def test_robots_forget_what_they_see_through_alike_alone_and_among_others():
-    rng = np.random.default_rng(3)
-    poses = np.cumsum(rng.normal(0, 0.15, (30, 3, 3)), axis=0)
-    looks = np.clip(rng.gamma(2.0, 1.5, (30, 3, ROBOT.columns)), ROBOT.near, ROBOT.far)
-    goals = np.full((3, 2), 5.0)
-    together, alone = Observer(3), Observer(1)
-    for ranges, pose in zip(looks, poses, strict=True):
-        seen = together.observe(Senses(ranges, pose, goals))
-        one = alone.observe(Senses(ranges[1:2], pose[1:2], goals[1:2]))
-        assert (one[0] == seen[1]).all()
-
-
-def test_forgetting_agrees_with_a_slow_reckoning():
-    """Every point and every look, one by one."""
+def test_points_are_forgotten_once_two_scans_in_a_row_see_through_them():
+    """Compared with a slow loop over all points and scans."""
     rng = np.random.default_rng(4)
     poses = np.cumsum(rng.normal(0, 0.2, (20, 3)), axis=0)
-    looks = np.clip(rng.gamma(2.0, 1.5, (20, ROBOT.columns)), ROBOT.near, ROBOT.far)
+    scans = np.clip(rng.gamma(2.0, 1.5, (20, ROBOT.columns)), ROBOT.near, ROBOT.far)
     observer = Observer(memory=60, seen_through=2)
-    kept: list[list] = []  # of every look, points with their doubts
-    for number, (ranges, pose) in enumerate(zip(looks, poses, strict=True)):
+    kept: list[list] = []  # points of every scan, with the number of scans that saw through them
+    for number, (ranges, pose) in enumerate(zip(scans, poses, strict=True)):
         observer.observe(senses(ranges[None], tuple(pose)))
-        eye = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
+        camera = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
         for frame in kept:
             for entry in frame:
-                away = math.dist(entry[0], eye)
-                bearing = math.remainder(math.atan2(*(entry[0] - eye)[::-1]) - pose[2], 2 * math.pi)
+                away = math.dist(entry[0], camera)
+                bearing = math.remainder(math.atan2(*(entry[0] - camera)[::-1]) - pose[2], 2 * math.pi)
                 if abs(bearing) < ROBOT.field_of_view / 2 and ROBOT.near < away < 5.0:
                     column = int((bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns)
                     seen = ranges[max(column - 1, 0) : column + 2].min()
@@ -132,7 +90,7 @@ def test_forgetting_agrees_with_a_slow_reckoning():
             frame[:] = [entry for entry in frame if entry[1] < 2]
         angles = np.array(ROBOT.column_angles) + pose[2]
         frame = [
-            [eye + r * np.array([math.cos(a), math.sin(a)]), 0]
+            [camera + r * np.array([math.cos(a), math.sin(a)]), 0]
             for r, a in zip(ranges, angles, strict=True)
             if r < ROBOT.far
         ]
@@ -167,13 +125,9 @@ def test_arc_tables_agree_with_moving_the_footprint():
         surely, never = (gaps < 0.04 - 0.036).any(axis=0), (gaps > 0.04 + 0.036).all(axis=0)
         assert (time[surely & clear] < 18).all()
         assert (time[never & clear] == 18).all()
+    edge = np.array([np.nextafter(np.float32(2.4), np.float32(0))])
+    assert table.cells(edge, edge).max() < len(table.time)
     assert arc_table(((0.5, 0.5),), 1.0) is arc_table(((0.5, 0.5),), 1.0)
-
-
-def test_near_the_table_s_edge_nothing_breaks():
-    table = arc_table(((0.5, 0.5),), 1.0)
-    edge = np.nextafter(np.float32(2.4), np.float32(0))
-    assert table.cells(np.array([edge]), np.array([edge])).max() < len(table.time)
 
 
 @pytest.mark.parametrize(("options", "message"), [
@@ -181,9 +135,9 @@ def test_near_the_table_s_edge_nothing_breaks():
     ({"turn_rates": (1.0,)}, "give one each"),
     ({"memory": -1}, "memory=-1"),
     ({"seen_through": -1}, "seen_through=-1"),
-    ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "with speed=paper"),
+    ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "speed=paper ignores them"),
 ])  # fmt: skip
-def test_wrong_observers_are_refused(options, message):
+def test_options_out_of_range_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Observer(**options)
 
@@ -191,13 +145,13 @@ def test_wrong_observers_are_refused(options, message):
 # --- ranges ---
 
 
-def test_noise_has_the_deviations_it_was_given():
+def test_noise_has_the_given_deviations():
     arena = generate_arena("val", 40, 5)
     world = ArenaWorld(arena)
-    eye = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
+    instance = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
     true = world.ranges()
     inside = (true > 0.6) & (true < 7)
-    error = np.log(np.array([eye.look().ranges[inside] for _ in range(3000)]) / true[inside])
+    error = np.log(np.array([instance.scan().ranges[inside] for _ in range(3000)]) / true[inside])
     # of a sum of independent errors; the interpolated one loses up to half of its variance between knots
     assert (
         math.sqrt(0.1**2 + 0.5 * 0.05**2 + 0.03**2) * 0.93
@@ -208,11 +162,11 @@ def test_noise_has_the_deviations_it_was_given():
     assert np.corrcoef(frames[1:], frames[:-1])[0, 1] == pytest.approx(0.75, abs=0.1)
 
 
-def test_a_share_of_the_crossings_has_true_ranges():
+def test_only_a_share_of_the_episodes_has_errors():
     world = ArenaWorld(generate_arena("val", 40, 5))
     sensor = NoisyRanges(share=0.25)
     exact = [
-        (sensor.begin(world, np.random.default_rng(seed)).look().ranges == world.ranges()).all()
+        (sensor.begin(world, np.random.default_rng(seed)).scan().ranges == world.ranges()).all()
         for seed in range(200)
     ]
     assert 0.65 < np.mean(exact) < 0.85
@@ -220,7 +174,7 @@ def test_a_share_of_the_crossings_has_true_ranges():
         NoisyRanges(share=1.5)
 
 
-def test_odometry_drifts_by_what_it_says():
+def test_odometry_drifts_with_the_given_deviations():
     poses = [(0.1 * k, 0.0, 0.0) for k in range(101)]  # ten meters straight ahead
     ends = []
     for seed in range(400):
