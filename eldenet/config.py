@@ -174,21 +174,21 @@ def build_split(
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
     """
-    from eldenet.data.base import Chain
-    from eldenet.data.resize_crop import ResizeCrop
+    from eldenet.data.base import Compose
+    from eldenet.evaluation.protocol_frames import frame_geometry
 
     node = _split_node(config, split)
     steps: list[Any] = []
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
-        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
+        steps.append(frame_geometry(protocol, keep_depth=whole))
     changes: dict[str, Any] = {}
-    if node.get("load_size") is not None and (score or protocol.changes_frames):
-        changes = {"load_size": None, "cache": "none"}
+    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
+        changes = {"resize_on_load": None, "cache": "none"}
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
-                "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
+                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
                 split,
                 protocol.name,
             )
@@ -197,7 +197,7 @@ def build_split(
     dataset = instantiate(
         node,
         **changes,
-        transform=Chain(steps) if steps else None,
+        transform=Compose(steps) if steps else None,
         resize_depth=split == "train" and not score,
         seed=seed,
     )

@@ -129,8 +129,7 @@ def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray
     Raises:
         ValueError: there are none.
     """
-    from eldenet.data.folder import IMAGE_ENDINGS
-    from eldenet.data.io import read_image
+    from eldenet.data.io import IMAGE_ENDINGS, read_image
     from eldenet.data.rooms import Rooms
 
     if source is None:

@@ -21,7 +21,7 @@ TARGETS = {
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
 OPTIONS: dict[str, dict[str, str]] = {}
 #: Sections and entries that were renamed, wherever they stand: old name -> new name.
-KEYS = {"normalisation": "normalization"}
+KEYS = {"load_size": "resize_on_load", "normalisation": "normalization"}
 #: Values that were renamed: (key, old value) -> new value.
 VALUES: dict[tuple[str, Any], str] = {("encoding", "metres"): "meters", ("space", "metres"): "meters"}
 

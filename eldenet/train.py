@@ -192,7 +192,7 @@ def seen_sizes(
 
     The latter only where the protocol shows the network a part of the camera's frame, and by the first frame.
     """
-    from eldenet.data.resize_crop import whole_frame_size
+    from eldenet.evaluation.protocol_frames import whole_frame_size
 
     sizes: dict[str, list[int] | None] = {"input_size": input_size}
     if protocol.changes_frames:

@@ -1,7 +1,7 @@
 """``arenas``: what the navigating robot's camera sees, rendered with rays; needs no download either."""
 
 from eldenet.data.rendered import RenderedScenes
-from eldenet.data.shards import Generator
+from eldenet.data.rendering import Generator
 
 
 class Arenas(RenderedScenes):

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, Unpack
 from eldenet.data.base import SampleOptions
 from eldenet.data.nyu import NYUFrames
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.paths import find_root, one_of
-from eldenet.data.shards import default_cache
+from eldenet.data.paths import default_cache, find_root, one_of
 from eldenet.data.splits import hold_out
 from eldenet.types import Frame
 

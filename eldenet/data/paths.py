@@ -10,6 +10,11 @@ from eldenet.data.array_files import read_text
 VARIABLE = "ELDENET_DATA"
 
 
+def default_cache() -> Path:
+    """Return ``$ELDENET_CACHE``, or ``~/.cache/eldenet``: where frames are cached and rendered."""
+    return Path(os.environ.get("ELDENET_CACHE") or "~/.cache/eldenet").expanduser()
+
+
 def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:
     """Find the folder of a data set.
 

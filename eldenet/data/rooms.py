@@ -1,7 +1,7 @@
 """``rooms``: furnished rooms rendered with rays, the data set that needs no download."""
 
 from eldenet.data.rendered import RenderedScenes
-from eldenet.data.shards import Generator
+from eldenet.data.rendering import Generator
 
 
 class Rooms(RenderedScenes):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldenet.data.folder import IMAGE_ENDINGS
+from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.manifest import Written
 from eldenet.deploy.pointcloud import write_ply
 from eldenet.deploy.predictor import to_millimeters

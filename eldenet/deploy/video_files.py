@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from eldenet.data.file_checks import FORMATS
-from eldenet.data.folder import IMAGE_ENDINGS
+from eldenet.data.io import IMAGE_ENDINGS
 
 VIDEO_ENDINGS = (
     ".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".mkv", ".webm", ".wmv", ".asf", ".flv", ".ogv", ".mpg",

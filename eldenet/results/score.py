@@ -139,7 +139,7 @@ def _render_few(config: "DictConfig", scored: "DepthDataset", log: RunLog) -> No
     frames = config.data.train.get("frames")
     if not isinstance(scored, RenderedScenes) or frames is None or frames <= RENDERED_FOR_A_CONSTANT:
         return
-    if not scored.missing_shards("train", frames):
+    if not scored.missing_scenes("train", frames):
         return
     log.say(
         f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames alone: not "

@@ -66,7 +66,7 @@ def test_everything_wrong_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         "f020.png is cut",
     ):
         assert text in shown
-    assert "holds uint8, encoding 'mm' wants uint16" in shown
+    assert "holds uint8, encoding 'mm' needs uint16" in shown
     assert "depths/f010" not in shown
 
 

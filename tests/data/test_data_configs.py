@@ -194,12 +194,12 @@ def test_skip_leaves_frames_out_and_says_so(name: str, how: str, tmp_path: Path)
 
 
 def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:
-    """``load_size`` must not shrink the frames that the protocol halves and crops."""
+    """``resize_on_load`` must not shrink the frames that the protocol halves and crops."""
     overrides = ["data=nyu_mat", f"data.root={mat_with_all_splits(tmp_path)}", "protocol=nyu_paper"]
     overrides.append("data.ground_truth=inpainted")
     config = compose("train", overrides)
     protocol = build_protocol(config)
-    assert config.data.train.load_size == config.data.input_size
+    assert config.data.train.resize_on_load == config.data.input_size
     small = build_split(config, "train", protocol)
     whole = build_split(config, "val", protocol)[0]
     assert whole["depth"].shape == (1, 228, 304)

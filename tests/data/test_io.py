@@ -77,7 +77,7 @@ def test_jpeg_cut_after_its_thumbnail_is_refused(tmp_path: Path) -> None:
     thumbnail = cv2.imencode(".jpg", RGB[:8, :8])[1].tobytes()
     segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
     path.write_bytes(content[:2] + segment + content[2 : len(content) // 2])
-    with pytest.raises(ValueError, match="no end-of-image"):
+    with pytest.raises(ValueError, match="Premature end"):
         read_image(path)
 
 
@@ -169,12 +169,12 @@ def test_unknown_encoding_is_refused(bad: object) -> None:
 
 def test_wrong_unit_is_refused(tmp_path: Path) -> None:
     eight = write(tmp_path / "eight.png", (MILLIMETERS // 40).astype(np.uint8))
-    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'mm' wants uint16"):
+    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'mm' needs uint16"):
         read_depth(eight, "mm")
-    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'kitti' wants uint16"):
+    with pytest.raises(ValueError, match=r"eight\.png.*uint8.*'kitti' needs uint16"):
         read_depth(eight, "kitti")
     sixteen = write(tmp_path / "sixteen.png", MILLIMETERS)
-    with pytest.raises(ValueError, match=r"sixteen\.png.*uint16.*'nyu8' wants uint8"):
+    with pytest.raises(ValueError, match=r"sixteen\.png.*uint16.*'nyu8' needs uint8"):
         read_depth(sixteen, "nyu8")
     whole_meters = write(tmp_path / "whole.png", MILLIMETERS // 1000)
     with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*meters"):
@@ -191,11 +191,9 @@ def test_colored_depth_is_refused(tmp_path: Path) -> None:
 
 
 def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError, match=r"gray\.png holds uint16, a picture has 8 bits: is it a depth map\?"
-    ):
+    with pytest.raises(ValueError, match=r"gray\.png holds uint16.*is it a depth map\?"):
         read_image(write(tmp_path / "gray.png", MILLIMETERS))
-    with pytest.raises(ValueError, match=r"color\.png holds uint16.*does not say.*so write it with 8$"):
+    with pytest.raises(ValueError, match=r"color\.png holds uint16.*: convert it to 8 bits$"):
         read_image(write(tmp_path / "color.png", RGB.astype(np.uint16) * 257))
 
 

@@ -108,7 +108,7 @@ def test_eight_bits_and_other_sizes_are_refused(tmp_path: Path) -> None:
     path = root / f"train/{DRIVES[0]}/proj_depth/groundtruth/image_02/0000000005.png"
     data = KITTIDepth(root, split="all")
     picture(path, (kitti_frame(DRIVES[0]).steps // 256).astype(np.uint8))
-    with pytest.raises(ValueError, match=r"0000000005\.png holds uint8, encoding 'kitti' wants uint16"):
+    with pytest.raises(ValueError, match=r"0000000005\.png holds uint8, encoding 'kitti' needs uint16"):
         data[0]
     picture(path, kitti_frame(DRIVES[0]).steps // 256)
     with pytest.raises(ValueError, match=r"0000000005\.png: the largest number is 7\d"):

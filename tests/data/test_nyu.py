@@ -77,7 +77,7 @@ def test_labelled(tmp_path: Path) -> None:
 
 
 def test_load_size_and_cache(tmp_path: Path) -> None:
-    data = NYULabelled(labelled(tmp_path), load_size=(12, 16), cache="ram")
+    data = NYULabelled(labelled(tmp_path), resize_on_load=(12, 16), cache="ram")
     first = data[0]
     assert first["image"].shape == (3, 12, 16)
     assert first["depth"].shape == (1, 12, 16)
@@ -226,7 +226,7 @@ def test_unknown_split_is_refused(tmp_path: Path, dataset: Callable[..., DepthDa
 
 
 def test_wrong_encoding_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"1\.png holds uint8, encoding 'mm' wants uint16"):
+    with pytest.raises(ValueError, match=r"1\.png holds uint8, encoding 'mm' needs uint16"):
         NYUDenseDepth(densedepth(tmp_path), encoding="mm")[0]
 
 

@@ -12,7 +12,7 @@ from support.networks import same_model
 
 from eldenet.config import build_model, compose, plain
 from eldenet.data.folder import FolderDataset
-from eldenet.data.statistics import channel_statistics
+from eldenet.data.inspection import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.train import build_seeded_model
