@@ -1,9 +1,9 @@
-"""The base class of all data sets: frames in, samples out, seeded per sample."""
+"""The base classes of all data sets: frames in, samples out, seeded per sample."""
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -42,8 +42,8 @@ class DepthDataset(Dataset[DepthSample]):
 
     Args:
         names: the frames of this split, in a fixed order.
-        min_depth: nearest depth that counts as known [m].
-        max_depth: farthest depth that counts as known [m].
+        min_depth: nearest depth that counts as known [m]; None for the adapter's usual one.
+        max_depth: farthest depth that counts as known [m]; None for the adapter's usual one.
         input_size: ``(height, width)`` of a sample's image [px]; None keeps the frame's.
         transform: augmentation or protocol geometry, ``(frame, generator) -> frame``.
         resize_depth: True resizes depth to ``input_size`` too (training); False keeps the ground truth's own
@@ -67,6 +67,7 @@ class DepthDataset(Dataset[DepthSample]):
     """
 
     ground_truth = "raw"
+    depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
@@ -74,8 +75,8 @@ class DepthDataset(Dataset[DepthSample]):
         self,
         names: Sequence[str],
         *,
-        min_depth: float,
-        max_depth: float,
+        min_depth: float | None = None,
+        max_depth: float | None = None,
         input_size: Sequence[int] | None = None,
         transform: Transform | None = None,
         resize_depth: bool = True,
@@ -88,20 +89,17 @@ class DepthDataset(Dataset[DepthSample]):
             raise ValueError(f"{type(self).__name__} found no frames: check data.root and the split")
         one_of("on_error", on_error, ("stop", "skip"))
         one_of("cache", cache, ("none", "ram", "disk"))
-        self.on_error = on_error
-        self.skipped: dict[str, str] = {}
+        nearest = self.depth_range[0] if min_depth is None else min_depth
+        farthest = self.depth_range[1] if max_depth is None else max_depth
+        if nearest is None or farthest is None:
+            raise ValueError("min_depth and max_depth: give the range of depth that counts as known [m]")
+        self.min_depth, self.max_depth = nearest, farthest
         self.names = list(names)
-        self.min_depth, self.max_depth = min_depth, max_depth
-        if input_size is not None and (not isinstance(input_size, Sequence) or len(input_size) != 2):
-            raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
-        self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
-        self.transform = transform
-        self.resize_depth = resize_depth
-        self.seed = seed
-        self.resize_on_load = (
-            None if resize_on_load is None else (int(resize_on_load[0]), int(resize_on_load[1]))
-        )
-        self.cache = cache
+        self.skipped: dict[str, str] = {}
+        self.input_size = _size("input_size", input_size)
+        self.resize_on_load = _size("resize_on_load", resize_on_load)
+        self.transform, self.seed, self.resize_depth = transform, seed, resize_depth
+        self.cache, self.on_error = cache, on_error
         self._cache: FrameCache | None = None
 
     def load_frame(self, index: int) -> Frame:
@@ -119,24 +117,6 @@ class DepthDataset(Dataset[DepthSample]):
         """Return the adapter's settings that :meth:`load_frame` depends on, as plain values for a cache."""
         return {}
 
-    def check_frames(self, root: Path, files: Sequence[Sequence[str]]) -> None:
-        """Stop at frames whose files are missing, or leave them out; an adapter's constructor ends with this.
-
-        Args:
-            root: of the data set.
-            files: of every frame, relative to ``root``.
-
-        Raises:
-            FileNotFoundError: files are missing and ``on_error`` is "stop".
-        """
-        every = [file for frame in files for file in frame]
-        if self.on_error == "stop":
-            check_files(root, every)
-            return
-        missing = set(missing_files(root, every))
-        reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
-        self.leave_out({i: f"missing: {', '.join(lost)}" for i, lost in reasons.items() if lost})
-
     def leave_out(self, reasons: Mapping[int, str]) -> None:
         """Drop the frames of these indices and remember why.
 
@@ -150,6 +130,16 @@ class DepthDataset(Dataset[DepthSample]):
             some = "; ".join(list(reasons.values())[:3])
             raise ValueError(f"all {len(self)} frames were left out, such as: {some}")
         self._keep([index for index in range(len(self)) if index not in reasons])
+
+    def leave_out_unreadable(self) -> None:
+        """Read every frame once and leave out those that cannot be read."""
+        reasons = {}
+        for index in range(len(self)):
+            try:
+                self.load_frame(index)
+            except (ValueError, OSError) as error:
+                reasons[index] = str(error)
+        self.leave_out(reasons)
 
     def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
         """Keep a random subset of the frames, in their order: the same one on every machine.
@@ -176,16 +166,6 @@ class DepthDataset(Dataset[DepthSample]):
             setattr(self, name, [entries[index] for index in indices])
         self._cache = None
 
-    def leave_out_unreadable(self) -> None:
-        """Read every frame once and leave out those that cannot be read."""
-        reasons = {}
-        for index in range(len(self)):
-            try:
-                self.load_frame(index)
-            except (ValueError, OSError) as error:
-                reasons[index] = str(error)
-        self.leave_out(reasons)
-
     @property
     def split_hash(self) -> str:
         """First 16 hex digits of the SHA-256 over the frame names in order; names the split in reports."""
@@ -200,7 +180,11 @@ class DepthDataset(Dataset[DepthSample]):
 
     def __getitem__(self, key: SampleKey) -> DepthSample:
         epoch, index = key if isinstance(key, tuple) else (0, key)
-        frame = self._ready_frame(index)
+        self.open_cache()
+        if self._cache is None:
+            frame = self.read_ready(index)
+        else:
+            frame = self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
         if self.transform is not None:
             frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
         if self.input_size is not None:
@@ -218,12 +202,6 @@ class DepthDataset(Dataset[DepthSample]):
             if self._cache is None:
                 self.cache = "none"
 
-    def _ready_frame(self, index: int) -> Frame:
-        self.open_cache()
-        if self._cache is None:
-            return self.read_ready(index)
-        return self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
-
     def read_ready(self, index: int) -> Frame:
         """Read frame ``index`` from its files and resize it to ``resize_on_load``: what a cache stores."""
         frame = self.load_frame(index)
@@ -234,18 +212,82 @@ class DepthDataset(Dataset[DepthSample]):
         return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 
 
+class FileDataset(DepthDataset):
+    """Frames of a few files each, such as a picture and a depth map.
+
+    Args:
+        root: of the data set.
+        names: of the frames.
+        files: of each frame, relative to ``root``.
+        advice: where to look for missing files, for the message.
+        **options: see :class:`DepthDataset`.
+
+    Raises:
+        FileNotFoundError: files are missing, and ``on_error`` is "stop".
+    """
+
+    frame_lists = ("names", "files")
+
+    def __init__(
+        self,
+        root: Path,
+        names: Sequence[str],
+        files: Sequence[Sequence[str]],
+        *,
+        advice: str = "",
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        super().__init__(names, **options)
+        self.root, self.files = root, list(files)
+        every = [file for frame in files for file in frame]
+        if self.on_error == "stop":
+            check_files(root, every, advice)
+            return
+        missing = set(missing_files(root, every))
+        reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
+        self.leave_out({i: f"missing: {', '.join(lost)}{advice}" for i, lost in reasons.items() if lost})
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Return every file of the frame."""
+        return [self.root / file for file in self.files[index]]
+
+
+def check_pair(one: tuple[int, ...], file: Path, other: tuple[int, ...], other_file: Path) -> None:
+    """Raise ``ValueError`` if two files of a frame, of shapes ``(height, width, ...)``, differ in size."""
+    if one[:2] != other[:2]:
+        raise ValueError(
+            f"{file} is {one[0]}x{one[1]}, {other_file} is {other[0]}x{other[1]} (height x "
+            "width): the files of a frame must have one size"
+        )
+
+
+def _size(name: str, size: Sequence[int] | None) -> tuple[int, int] | None:
+    if size is None:
+        return None
+    if not isinstance(size, Sequence) or len(size) != 2:
+        raise ValueError(f"{name}={size}: give [height, width] in pixels, or null")
+    return int(size[0]), int(size[1])
+
+
 def resize_frame(
-    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False
+    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False, area: bool = True
 ) -> Frame:
-    """Resize the image (area or bilinear) and, if asked, depth (nearest, so that no two surfaces mix).
+    """Resize the image and, if asked, depth and labels (nearest, so that no two surfaces mix).
 
     Sparse depth keeps its points (:func:`~eldenet.geometry.resize_sparse`); nearest would lose most of them.
+
+    Args:
+        frame: to resize.
+        size: ``(height, width)`` [px].
+        resize_depth: whether depth and labels are resized too.
+        sparse: whether depth consists of single points.
+        area: shrink the image by averaging areas; False takes bilinear interpolation for that too.
     """
     import cv2
 
     image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
-        shrink = image.shape[:2] > tuple(size)  # in height; in width if the height stays
+        shrink = area and image.shape[:2] > tuple(size)  # in height; in width if the height stays
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from eldenet.data.rendering import DEPTH_STEP
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.arenas import Arenas
+from eldenet.data.rendering import DEPTH_STEP
 from eldenet.simulation import arena_frames
 from eldenet.simulation.arena_frames import FIRST_ARENA, render_arena
 from eldenet.simulation.arena_view import ArenaView, camera_pose

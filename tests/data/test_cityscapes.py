@@ -55,7 +55,7 @@ def test_unknown_and_infinite_disparity_stay_unknown(tmp_path: Path) -> None:
     assert sample["mask"][0, 0, :3].tolist() == [False, False, False]  # 1/256 px is 121 km
     torch.testing.assert_close(depth[1, 1].item(), 0.209313 * 2262.52, rtol=1e-6, atol=0)
     layouts.picture(file, (disparity // 2).astype(np.uint8))
-    with pytest.raises(ValueError, match=r"_disparity\.png holds uint8.*wants uint16"):
+    with pytest.raises(ValueError, match=r"_disparity\.png holds uint8.*needs uint16"):
         Cityscapes(root, split="official_val")[0]
     layouts.picture(file, disparity // 2)
     with pytest.raises(ValueError, match="largest number is 128"):
@@ -91,7 +91,7 @@ def test_zips_unpacked_anyhow(tmp_path: Path, place: str) -> None:
 
 @pytest.mark.parametrize("cities", [["munster"], ["aachen", "darmstadt", "ulm"]])
 def test_cities_for_validation_must_leave_some(tmp_path: Path, cities: list[str]) -> None:
-    with pytest.raises(ValueError, match="give some, not all, of aachen, darmstadt, ulm"):
+    with pytest.raises(ValueError, match="give some, but not all, of aachen, darmstadt, ulm"):
         Cityscapes(layouts.cityscapes(tmp_path), val_cities=cities)
 
 

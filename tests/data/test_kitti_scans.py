@@ -7,8 +7,7 @@ import pytest
 from support.layouts import DRIVES, FOCAL, kitti_calibration, kitti_raw, kitti_scan
 
 from eldenet.data.kitti import KITTIRaw
-from eldenet.data.kitti_lidar import rectified_intrinsics, velodyne_to_image
-from eldenet.data.kitti_velodyne import project_scan, read_scan
+from eldenet.data.kitti_lidar import project_scan, read_scan, rectified_intrinsics, velodyne_to_image
 from eldenet.geometry import back_project
 
 
@@ -23,7 +22,7 @@ def test_partial_calibration_and_missing_keys(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="has no 'P_rect_01'"):
         rectified_intrinsics(folder, 1)
     (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 721 0 609\n")
-    with pytest.raises(ValueError, match="P_rect_02 holds 3 numbers, 12 finite ones are needed"):
+    with pytest.raises(ValueError, match="P_rect_02 has 3 numbers, wanted 12"):
         rectified_intrinsics(folder, 2)
     (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 0 0 0 0 0 0 0 0 0 0 0 0\n")
     with pytest.raises(ValueError, match="no focal length"):

@@ -18,7 +18,7 @@ from eldenet.data.nyu import (
     NYUDenseDepth,
     NYULabelled,
     NYUSync,
-    is_val_frame,
+    labelled_part,
     nyu_intrinsics,
 )
 from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
@@ -144,7 +144,7 @@ def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
     assert NYUMat(tmp_path, split="train").names == ["0003", "0028"]
     assert NYUMat(tmp_path, split="val").names == ["0022", "0023"]
     mat_split(tmp_path, train=(6, 25, 26, 31), test=(3, 22))
-    with pytest.raises(ValueError, match="30 frames, split 'trainval' wants frame 31"):
+    with pytest.raises(ValueError, match="30 frames, split 'trainval' has frame 31"):
         NYUMat(tmp_path, split="trainval")
 
 
@@ -212,7 +212,7 @@ def test_missing_root_says_what_to_do(
     with pytest.raises(FileNotFoundError, match=r"is not a folder: set data\.root(.|\n)*Expected tree"):
         dataset()
     if dataset is not NYUSync:
-        with pytest.raises(FileNotFoundError, match=r"does not hold(.|\n)*Expected tree"):
+        with pytest.raises(FileNotFoundError, match=r"has no (.|\n)*Expected tree"):
             dataset(tmp_path)
     else:
         with pytest.raises(ValueError, match="no frames"):
@@ -236,7 +236,7 @@ def test_val_and_dev_frames_are_in_order_and_apart() -> None:
     assert [*DEV_FRAMES] == sorted(DEV_FRAMES)
     # another frame at least stands between two blocks of different parts, or they would share a scene
     assert all(end + 1 < start for (_, end), (start, _) in pairwise(blocks))
-    assert is_val_frame(22)
-    assert is_val_frame(27)
-    assert not is_val_frame(21)
-    assert not is_val_frame(28)
+    assert labelled_part(22) == "val"
+    assert labelled_part(27) == "val"
+    assert labelled_part(21) != "val"
+    assert labelled_part(28) != "val"
