@@ -3,6 +3,7 @@
 import logging
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
+SPLITS = ("train", "val", "test")
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
@@ -218,3 +220,60 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+def check_data_folders(config: DictConfig) -> None:
+    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
+
+    Rendered data sets, which have no ``on_error``, make their folder themselves.
+    """
+    splits = [plain(config.data.get(split)) for split in SPLITS]
+    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
+    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
+        return
+    if roots[0] is not None:
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+    if not os.environ.get("ELDENET_DATA"):
+        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
+
+
+def build_check_data(config: DictConfig) -> Any:
+    """The :class:`~eldenet.data.inspection.CheckDataSetup` of ``check_data``.
+
+    Raises:
+        ValueError: ``frames`` or ``samples`` is out of its range.
+        FileNotFoundError: the data set's folder does not exist.
+    """
+    for name, least in (("frames", 1), ("samples", 0)):
+        if config[name] is not None and config[name] < least:
+            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
+    check_data_folders(config)
+    from eldenet.data.inspection import CheckDataSetup
+
+    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
+    subset = plain(config.data.get("subset")) or {}
+    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
+    for split in nodes:
+        first = next(
+            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
+        )
+        if first != split:
+            same[split] = first
+
+    def open_split(split: str) -> Any:
+        node = nodes[split]
+        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
+        if subset.get(split) is not None:
+            dataset.draw_subset(subset[split], config.data.subset_seed)
+        return dataset
+
+    return CheckDataSetup(
+        folder=Path(config.run_dir).expanduser(),
+        name=config.data.name,
+        config=plain(config.data),
+        splits={split: partial(open_split, split) for split in nodes if split not in same},
+        same=same,
+        check_ground_truth=build_protocol(config).check_ground_truth,
+        frames=config.frames,
+        samples=config.samples,
+    )

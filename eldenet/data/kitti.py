@@ -210,35 +210,16 @@ class KITTISelection(KITTIFrames):
             raise FileNotFoundError(f"{folder} has no frames. Expected tree:\n{SELECTION_TREE.strip()}")
         self.ground_truth = _GROUND_TRUTH[depth]
         places = sorted({*pictures, *maps})
-        super().__init__(folder, pictures, maps, places, frames=frames, **options)
-        self.cameras = folder / "intrinsics"
-        if calibration == "required":
-            self._check_cameras()
-
-    def _check_cameras(self) -> None:
-        files = {i: self._camera_file(i) for i in range(len(self))}
-        lost = {i: f"no intrinsics: {file}" for i, file in files.items() if not file.is_file()}
-        if lost and (self.on_error == "stop" or len(lost) == len(self)):
-            what = ", ".join(str(files[i]) for i in list(lost)[:3])
-            raise FileNotFoundError(
-                f"{len(lost)} intrinsics are missing, such as {what}: complete the data set, or do without "
-                "intrinsics (data.calibration=optional)"
-            )
-        self.leave_out(lost)
-
-    def _camera_file(self, index: int) -> Path:
-        return self.cameras / f"{Path(self.files[index][0]).stem}.txt"
-
-    def frame_files(self, index: int) -> Sequence[Path]:
-        """Return picture, depth and, if there is one, the camera's file."""
-        camera = self._camera_file(index)
-        return [*super().frame_files(index), *([camera] if camera.is_file() else [])]
+        cameras = {place: folder / "intrinsics" / f"{path.stem}.txt" for place, path in pictures.items()}
+        if calibration == "optional":
+            cameras = {place: path for place, path in cameras.items() if path.is_file()}
+        super().__init__(folder, pictures, maps, places, cameras=cameras, frames=frames, **options)
 
     def camera_of(self, index: int) -> np.ndarray | None:
         """Return the intrinsics of the cropped picture, from a file of its own."""
-        file = self._camera_file(index)
-        if not file.exists():
+        if len(self.files[index]) < 3:
             return None
+        file = self.root / self.files[index][2]
         text = read_text(file)
         try:
             camera = np.array([float(number) for number in text.split()]).reshape(3, 3)

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple, Unpack
 
 import numpy as np
@@ -215,6 +216,7 @@ class KITTIFrames(FileDataset):
         pictures: file of each frame's picture, None if it is missing.
         sources: file of each frame's depth, None if it is missing.
         places: the frames, in order.
+        cameras: file of each frame's intrinsics, if it has its own.
         without_depth: frames of a list that have no depth, for messages.
         frames: how many frames there must be; None for any number.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
@@ -230,6 +232,7 @@ class KITTIFrames(FileDataset):
         sources: Mapping[Place, Path | None],
         places: Sequence[Place],
         *,
+        cameras: Mapping[Place, Path] = MappingProxyType({}),
         without_depth: Sequence[Place] = (),
         frames: int | None = None,
         **options: Unpack[SampleOptions],
@@ -253,6 +256,7 @@ class KITTIFrames(FileDataset):
             (
                 str(pictures.get(place) or f"{place.name} (no picture)"),
                 str(sources.get(place) or f"{place.name} (no depth)"),
+                *([str(cameras[place])] if place in cameras else []),
             )
             for place in places
         ]
@@ -269,7 +273,7 @@ class KITTIFrames(FileDataset):
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its sparse depth."""
-        picture, source = (self.root / file for file in self.files[index])
+        picture, source, *_ = self.frame_files(index)
         image = read_image(picture, gray=False)
         depth = self.read_sparse(index, (image.shape[0], image.shape[1]))
         check_pair(image.shape, picture, depth.shape, source)

@@ -9,14 +9,14 @@ import pytest
 from support import layouts
 
 from eldenet.check_data import _bars, check
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split, spread
 from eldenet.train import remembered
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
-    good = check(compose("check_data", [*overrides, f"run_dir={folder}"]))
+    good = check(build_check_data(compose("check_data", [*overrides, f"run_dir={folder}"])))
     return good, json.loads((folder / "check.json").read_text())
 
 

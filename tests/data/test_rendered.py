@@ -15,7 +15,6 @@ import torch
 
 from eldenet.data import rendered, rendering
 from eldenet.data.arenas import Arenas
-from eldenet.data.inspection import depth_statistics
 from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.rooms import Rooms
 from eldenet.simulation.furnished_rooms.render import render_room
@@ -197,16 +196,6 @@ def test_pickled_data_sets_read_the_same_frames(dataset: Rooms) -> None:
 def test_arguments_out_of_range_are_refused(bad: dict, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="give"):
         Rooms(root=tmp_path, **bad)
-
-
-def test_depth_statistics_are_plausible(dataset: Rooms) -> None:
-    numbers = depth_statistics(dataset, frames=16)
-    assert numbers.frames == 16
-    assert 0.2 < numbers.p5 < numbers.median < numbers.p95 < 10
-    assert 0.01 < numbers.gradient < 0.5
-    assert numbers.known > 0.9
-    with pytest.raises(ValueError, match="at least 1"):
-        depth_statistics(dataset, frames=0)
 
 
 def test_the_environment_names_the_cache_folder(dataset: Rooms, cache: Path, monkeypatch) -> None:
