@@ -92,7 +92,7 @@ class DepthDataset(Dataset[DepthSample]):
         nearest = self.depth_range[0] if min_depth is None else min_depth
         farthest = self.depth_range[1] if max_depth is None else max_depth
         if nearest is None or farthest is None:
-            raise ValueError("min_depth and max_depth: give the range of depth that counts as known [m]")
+            raise ValueError("min_depth or max_depth is missing: give the depth that counts as known [m]")
         self.min_depth, self.max_depth = nearest, farthest
         self.names = list(names)
         self.skipped: dict[str, str] = {}
@@ -219,7 +219,6 @@ class FileDataset(DepthDataset):
         root: of the data set.
         names: of the frames.
         files: of each frame, relative to ``root``.
-        advice: where to look for missing files, for the message.
         **options: see :class:`DepthDataset`.
 
     Raises:
@@ -227,25 +226,26 @@ class FileDataset(DepthDataset):
     """
 
     frame_lists = ("names", "files")
+    where_files_are = ""  # added to the error about missing files
 
     def __init__(
         self,
         root: Path,
         names: Sequence[str],
         files: Sequence[Sequence[str]],
-        *,
-        advice: str = "",
         **options: Unpack[SampleOptions],
     ) -> None:
         super().__init__(names, **options)
         self.root, self.files = root, list(files)
         every = [file for frame in files for file in frame]
         if self.on_error == "stop":
-            check_files(root, every, advice)
+            check_files(root, every, self.where_files_are)
             return
         missing = set(missing_files(root, every))
         reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
-        self.leave_out({i: f"missing: {', '.join(lost)}{advice}" for i, lost in reasons.items() if lost})
+        self.leave_out(
+            {i: f"missing: {', '.join(lost)}{self.where_files_are}" for i, lost in reasons.items() if lost}
+        )
 
     def frame_files(self, index: int) -> Sequence[Path]:
         """Return every file of the frame."""

@@ -62,6 +62,8 @@ class KITTIDepth(KITTIFrames):
         ValueError: a setting is unknown, a line of a list is wrong, or the number of frames is another.
     """
 
+    where_files_are = " (data.raw_root is the folder of the pictures)"
+
     def __init__(
         self,
         root: str | Path | None = None,

@@ -260,8 +260,7 @@ class KITTIFrames(FileDataset):
             )
             for place in places
         ]
-        advice = " (data.raw_root is the folder of the pictures)"
-        super().__init__(root, [place.name for place in places], files, advice=advice, **options)
+        super().__init__(root, [place.name for place in places], files, **options)
 
     def size_group(self, index: int) -> str:
         """Return the date: KITTI's frames are rectified, and cropped, per date."""

@@ -168,7 +168,7 @@ def test_mtan_refuses_what_it_is_not(tmp_path: Path) -> None:
     root = layouts.cityscapes_mtan(tmp_path)
     data = CityscapesMTAN(root, split="official_val")
     np.save(root / "val/image/0.npy", np.full((128, 256, 3), 2.0))
-    with pytest.raises(ValueError, match=r"image/0\.npy reaches from 2.0 to 2.0.*normalized"):
+    with pytest.raises(ValueError, match=r"image/0\.npy ranges from 2.0 to 2.0.*normalized"):
         data[0]
     np.save(root / "val/image/1.npy", np.zeros((3, 128, 256)))
     with pytest.raises(ValueError, match=r"image/1\.npy is \(3, 128, 256\)"):

@@ -151,7 +151,7 @@ def test_selection(tmp_path: Path) -> None:
         tmp_path
         / f"val_selection_cropped/groundtruth_depth/{VAL_DRIVE}_groundtruth_depth_0000000005_image_02.png"
     ).unlink()
-    with pytest.raises(FileNotFoundError, match=r"1 of 2 frames .*0000000005 \(no depth\)"):
+    with pytest.raises(FileNotFoundError, match=r"1 of 6 files .*0000000005 \(no depth\)"):
         KITTISelection(tmp_path, frames=None)
     assert KITTISelection(tmp_path, frames=None, on_error="skip").skipped.keys() == {data.names[0]}
     shutil.rmtree(tmp_path / "val_selection_cropped/intrinsics")
@@ -172,7 +172,7 @@ def test_eigens_lists(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     data = KITTIDepth(root, split="test", list_file=test, frames=1)
     assert data.names == [f"{DRIVES[1]}/image_02/0000000005"]
     assert data.skipped == {}  # nothing is wrong with the data set
-    assert f"1 frames, such as {VAL_DRIVE}/image_02/0000000005: 1 frames remain" in caplog.text
+    assert f"1 frames, such as {VAL_DRIVE}/image_02/0000000005, have no depth" in caplog.text
     with pytest.raises(ValueError, match=r"1 frames where 652 are expected \(1 without depth in the list\)"):
         KITTIDepth(root, split="test", list_file=test, frames=652)
     test.write_text(test.read_text().replace("None", "x.png"))

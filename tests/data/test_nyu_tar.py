@@ -118,5 +118,5 @@ def test_what_is_missing_or_twice_is_named(root: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"(?s)has no train-\*\.tar.*Expected tree"):
         NYUTar(tmp_path / "empty")
     (root / "data/train-000002.tar").write_bytes((root / "data/train-000000.tar").read_bytes())
-    with pytest.raises(ValueError, match="1 has frames twice, such as train/kitchen_0001/00001"):
+    with pytest.raises(ValueError, match="has frames twice"):
         NYUTar(root)
