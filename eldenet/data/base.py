@@ -225,7 +225,7 @@ class FileDataset(DepthDataset):
         FileNotFoundError: files are missing, and ``on_error`` is "stop".
     """
 
-    frame_lists = ("names", "files")
+    frame_lists: tuple[str, ...] = ("names", "files")
     where_files_are = ""  # added to the error about missing files
 
     def __init__(

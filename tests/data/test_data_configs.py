@@ -56,11 +56,6 @@ def test_every_data_set_is_tested() -> None:
     assert names - set(TREES) <= elsewhere
 
 
-def test_every_data_set_can_be_drawn_from() -> None:
-    for path in (config_folder() / "data").glob("*.yaml"):
-        compose("train", [f"data={path.stem}", "data.subset.train=5", "data.subset_seed=1"])
-
-
 @pytest.mark.parametrize("name", sorted(TREES))
 def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
     config = compose("train", [f"data={name}", *TREES[name](tmp_path)])
@@ -157,40 +152,6 @@ def test_test_frames_of_another_folder(tmp_path: Path) -> None:
     assert (test.root, len(test)) == (other, every)
     for words in ([], [f"data.test_root={root}/"], [f"data.test_root={other}", "data.test_split=val"]):
         assert 0 < len(test_split(*words)) < every
-
-
-# One file of a training frame in each tree.
-DAMAGE = {
-    "folder": "images/f003.png",
-    "nyu_densedepth": "data/nyu2_train/office_0002_out/1.png",
-    "nyu_labelled": "data/nyu2_train/labeled_out/0030.png",
-    "nyu_sync": "sync/office_0002/sync_depth_00041.png",
-}
-
-
-@pytest.mark.parametrize("how", ["missing", "cut"])
-@pytest.mark.parametrize("name", sorted(DAMAGE))
-def test_skip_leaves_frames_out_and_says_so(name: str, how: str, tmp_path: Path) -> None:
-    overrides = [f"data={name}", *TREES[name](tmp_path), "data.on_error=skip"]
-    if name in ("nyu_densedepth", "nyu_sync"):  # their train split here is that one frame
-        overrides.append("data.train.split=" + {"nyu_sync": "all"}.get(name, "trainval"))
-    config = compose("train", overrides)
-    whole = build_split(config, "train", build_protocol(config))
-    assert whole.skipped == {}
-    path = tmp_path / DAMAGE[name]
-    content = path.read_bytes()
-    path.unlink()
-    if how == "cut":
-        path.write_bytes(content[:-20])
-    data = build_split(config, "train", build_protocol(config))
-    ((lost, reason),) = data.skipped.items()
-    assert path.stem in reason
-    assert data.names == [frame for frame in whole.names if frame != lost]
-    assert [data[i]["name"] for i in range(len(data))] == data.names
-    assert data.split_hash != whole.split_hash
-    stopping = compose("train", [*overrides, "data.on_error=stop"])
-    with pytest.raises((FileNotFoundError, ValueError), match=path.stem):
-        [*build_split(stopping, "train", build_protocol(config))]
 
 
 def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:

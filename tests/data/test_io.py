@@ -81,15 +81,6 @@ def test_jpeg_cut_after_its_thumbnail_is_refused(tmp_path: Path) -> None:
         read_image(path)
 
 
-def test_damaged_png_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.png", RGB)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"a\.png.*check sum"):
-        read_image(path)
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"<html>not found</html>", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"P6 4"]
 )
@@ -100,10 +91,19 @@ def test_what_is_no_picture_is_named(tmp_path: Path, content: bytes) -> None:
         read_image(path)
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    for read in (read_image, lambda path: read_depth(path, "mm")):
-        with pytest.raises(FileNotFoundError, match=r"nowhere\.png"):
-            read(tmp_path / "nowhere.png")
+def test_a_header_of_spaces_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "spaces.pgm"
+    for content in (
+        b"P5" + b" " * 40,
+        b"P5" + b" \n" * 50_000,
+        b"P5 " + b"9" * 5000,
+        b"P5\n" + b"#\n" * 50_000,
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"spaces\.pgm is cut or damaged \(incomplete header\)"):
+            read_image(path)
+    path.write_bytes(b"P5\n# a camera\n4 # columns\n3\n255\n" + b"x" * 12)
+    assert read_image(path).shape == (3, 4, 3)
 
 
 def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
@@ -197,12 +197,6 @@ def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
         read_image(write(tmp_path / "color.png", RGB.astype(np.uint16) * 257))
 
 
-def test_pickles_are_refused(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match=r"a\.npy"):
-        read_depth(tmp_path / "a.npy", "meters")
-
-
 def test_sunrgbd_turns_back_what_its_toolbox_turned() -> None:
     millimeters = MILLIMETERS.astype(np.uint32)
     stored = ((millimeters << 3) | (millimeters >> 13)).astype(np.uint16)
@@ -265,23 +259,6 @@ def real() -> Path:
     if not os.environ.get("ELDENET_DATA"):
         pytest.skip("ELDENET_DATA is not set: no real data to read")
     return Path(os.environ["ELDENET_DATA"])
-
-
-@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
-def test_cut_real_files_are_named(real: Path, tmp_path: Path, fraction: float) -> None:
-    scene = real / "nyu_depth_v2/sync/basement_0001a"
-    for source in (
-        scene / "rgb_00000.jpg",
-        scene / "sync_depth_00000.png",
-        real / "nyu_depth_v2/raw_kinect/NYU_color.ppm",
-    ):
-        if not source.exists():
-            pytest.skip(f"{source} is not there")
-        copy = tmp_path / source.name
-        copy.write_bytes(source.read_bytes())
-        damaged = cut(copy, fraction)
-        with pytest.raises(ValueError, match=damaged.name):
-            read_image(damaged)
 
 
 def test_real_npy_and_png_equal_a_straight_reading(real: Path) -> None:

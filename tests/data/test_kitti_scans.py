@@ -7,7 +7,7 @@ import pytest
 from support.layouts import DRIVES, FOCAL, kitti_calibration, kitti_raw, kitti_scan
 
 from eldenet.data.kitti import KITTIRaw
-from eldenet.data.kitti_lidar import project_scan, read_scan, rectified_intrinsics, velodyne_to_image
+from eldenet.data.kitti_lidar import project_scan, rectified_intrinsics, velodyne_to_image
 from eldenet.geometry import back_project
 
 
@@ -71,16 +71,3 @@ def test_nearest_wins_whatever_the_order() -> None:
         depth = project_scan(points[order], matrix, (20, 20))
         assert depth[10, 10] == 10
         assert np.count_nonzero(depth) == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [(b"", "is cut or is no scan"), (b"\0" * 17, "is cut or is no scan"), (b"\xff" * 32, "no points within")],
-)
-def test_damaged_scans_are_named(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "0000000069.bin"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"0000000069\.bin.*{message}"):
-        read_scan(path)
-    with pytest.raises(FileNotFoundError, match="0000000070"):
-        read_scan(tmp_path / "0000000070.bin")

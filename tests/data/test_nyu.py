@@ -165,42 +165,6 @@ def test_mat_without_the_ground_truth(tmp_path: Path) -> None:
         NYUMat(tmp_path, split="all", ground_truth="raw")
 
 
-LAYOUTS: dict[str, tuple[Callable[[Path], Path], Callable[..., DepthDataset], str]] = {
-    "densedepth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.jpg"),
-    "densedepth_depth": (densedepth, NYUDenseDepth, "data/nyu2_train/office_0002_out/1.png"),
-    "labelled": (labelled, NYULabelled, "data/nyu2_train/labeled_out/0003.jpg"),
-    "sync": (sync, NYUSync, "kitchen_0001/rgb_00000.jpg"),
-    "sync_depth": (sync, NYUSync, "kitchen_0001/sync_depth_00000.png"),
-    "hdf5": (hdf5, NYUHDF5, "train/office_0002/00001.h5"),
-}
-
-
-@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_cut_file_is_named(tmp_path: Path, layout: str, fraction: float) -> None:
-    write, dataset, file = LAYOUTS[layout]
-    path = write(tmp_path) / file
-    data = dataset(tmp_path)
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * fraction)])
-    with pytest.raises(ValueError, match=f"{file}.*cut"):
-        data[0]
-
-
-def test_cut_mat_is_named(tmp_path: Path) -> None:
-    path = mat(tmp_path) / "nyu_depth_v2_labeled.mat"
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(ValueError, match=r"nyu_depth_v2_labeled\.mat is cut"):
-        NYUMat(tmp_path, split="all")
-
-
-@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "hdf5"])
-def test_missing_file_is_named_at_once(tmp_path: Path, layout: str) -> None:
-    write, dataset, file = LAYOUTS[layout]
-    (write(tmp_path) / file).unlink()
-    with pytest.raises(FileNotFoundError, match=f"1 of . files are missing: .*{file}"):
-        dataset(tmp_path)
-
-
 @pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUSync, NYUHDF5, NYUMat])
 def test_missing_root_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset: Callable[..., DepthDataset]
@@ -223,11 +187,6 @@ def test_missing_root_says_what_to_do(
 def test_unknown_split_is_refused(tmp_path: Path, dataset: Callable[..., DepthDataset]) -> None:
     with pytest.raises(ValueError, match="split='testing': give one of"):
         dataset(tmp_path, split="testing")
-
-
-def test_wrong_encoding_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"1\.png holds uint8, encoding 'mm' needs uint16"):
-        NYUDenseDepth(densedepth(tmp_path), encoding="mm")[0]
 
 
 def test_val_and_dev_frames_are_in_order_and_apart() -> None:
