@@ -12,7 +12,7 @@ import numpy as np
 
 
 def _png_fault(content: bytes) -> str:
-    """Walk the chunks to IEND, checking each check sum."""
+    """Check every chunk's checksum up to IEND."""
     at = 8
     while at + 12 <= len(content):
         length = int.from_bytes(content[at : at + 4], "big")
@@ -20,7 +20,7 @@ def _png_fault(content: bytes) -> str:
         if end > len(content):
             return f"chunk at byte {at} is incomplete"
         if zlib.crc32(memoryview(content)[at + 4 : end - 4]) != int.from_bytes(content[end - 4 : end], "big"):
-            return f"wrong check sum in the chunk at byte {at}"
+            return f"wrong checksum in the chunk at byte {at}"
         if content[at + 4 : at + 8] == b"IEND":
             return ""
         at = end
@@ -48,7 +48,7 @@ def _bmp_fault(content: bytes) -> str:
 
 
 def _tiff_fault(content: bytes) -> str:
-    """Every strip or tile of every directory must lie within the file."""
+    """Check that every strip or tile lies within the file."""
     order: Literal["little", "big"] = "little" if content[:2] == b"II" else "big"
 
     def number(at: int, size: int) -> int:
@@ -62,7 +62,7 @@ def _tiff_fault(content: bytes) -> str:
         for entry in range(number(directory, 2)):
             at = directory + 2 + 12 * entry
             tag, kind, count = number(at, 2), number(at + 2, 2), number(at + 4, 4)
-            if tag in (273, 279, 324, 325) and kind in (3, 4):  # where strips or tiles lie, and their lengths
+            if tag in (273, 279, 324, 325) and kind in (3, 4):  # places and lengths of strips or tiles
                 size = 2 if kind == 3 else 4
                 first = at + 8 if size * count <= 4 else number(at + 8, 4)
                 lists[tag] = [number(first + size * i, size) for i in range(count)]
@@ -83,7 +83,7 @@ FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
     (b"II*\0", _tiff_fault),
     (b"MM\0*", _tiff_fault),
 )
-"""First bytes of a file, and the check of its format; the one table."""
+"""First bytes of a file, and the check of its format."""
 
 
 # A warning of libjpeg that means no damage: webcams often write one to nine bytes too many.

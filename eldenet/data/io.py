@@ -74,15 +74,15 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("mm", 1e-3, lowest_peak=255),
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
-        # SUN RGB-D turns the bits of its millimeters: (v >> 3) | (v << 13), as its toolbox reads them.
+        # SUN RGB-D rotates the bits of its millimeters: (v >> 3) | (v << 13), as in its toolbox
         DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
-        # DenseDepth's training pictures: eight bits over ten meters.
+        # DenseDepth's training pictures: 8 bits over 10 m
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
-        # The labelled frames in eight bits: bin centers up to the set's largest depth.
+        # the labelled frames in 8 bits: bin centers up to the set's largest depth
         DepthEncoding("nyu8_labelled", 9.99547 / 255, 0.5, dtype="uint8"),
     )
 }
-"""Depth encodings by name; the one table."""
+"""Depth encodings by name."""
 
 Encoding = str | Mapping[str, object] | DepthEncoding
 

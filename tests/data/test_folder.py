@@ -67,7 +67,7 @@ def test_csv(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"1 of 2 files are missing: .*depths/f009\.png"):
         FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
     (tmp_path / "pairs.csv").write_text("images/f001.png,depths/f000.png\nimages/f001.png,depths/f001.png\n")
-    with pytest.raises(ValueError, match="2 lines, but only 1"):
+    with pytest.raises(ValueError, match="2 lines but only 1"):
         FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
 
 
