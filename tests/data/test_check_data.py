@@ -22,7 +22,7 @@ def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
     return good, json.loads((folder / "check.json").read_text())
 
 
-def test_a_whole_data_set(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_complete_data_set_has_no_faults(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     root = layouts.folder(tmp_path / "data")
     good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.intrinsics=[60,61,32,24]")
     assert good
@@ -168,7 +168,7 @@ def test_a_missing_folder_is_named_before_torch_is_loaded(monkeypatch: pytest.Mo
         assert message in subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_a_sample_of_frames(tmp_path: Path) -> None:
+def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
     assert spread(10, None) == list(range(10))
     assert spread(10, 3) == [0, 4, 9]
     assert spread(3, 10) == [0, 1, 2]
@@ -181,7 +181,7 @@ def test_a_sample_of_frames(tmp_path: Path) -> None:
     assert found.percentiles["p99"] < 5.05
 
 
-def test_bars() -> None:
+def test_a_histogram_is_one_line_of_text() -> None:
     assert _bars([0, 1, 100, 50]) == " ▁█▄"
     assert _bars([]) == _bars([0]) == "-"
 

@@ -81,7 +81,7 @@ def test_smaller_files_keep_depth_and_scale_the_camera(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["{kind}", "{kind}_trainvaltest/{kind}", "{kind}_trainvaltest"])
-def test_zips_unpacked_anyhow(tmp_path: Path, place: str) -> None:
+def test_zips_may_be_unpacked_in_any_way(tmp_path: Path, place: str) -> None:
     root = layouts.cityscapes(tmp_path, place=place)
     assert len(Cityscapes(root, split="trainval")) == 3
     assert Cityscapes(root).names == ["train/aachen/aachen_000000_000019"]
@@ -114,7 +114,7 @@ def test_what_is_missing_or_cut_is_named(tmp_path: Path, kind: str) -> None:
         Cityscapes(root, split="official_val")
 
 
-def test_disparity_to_depth_by_hand() -> None:
+def test_disparity_becomes_depth() -> None:
     depth = disparity_to_depth(np.array([[0, 1, 50.0, np.nan]]), 2000.0, 0.2)
     assert depth.dtype == np.float32
     assert depth.tolist() == [[0, 400, 8, 0]]
@@ -123,7 +123,7 @@ def test_disparity_to_depth_by_hand() -> None:
 # --- MTAN's arrays -------------------------------------------------------------------------------------
 
 
-def test_mtan_in_meters(tmp_path: Path) -> None:
+def test_mtans_values_become_meters(tmp_path: Path) -> None:
     data = CityscapesMTAN(layouts.cityscapes_mtan(tmp_path), split="official_val")
     assert data.names == ["val/0", "val/1", "val/2", "val/3"]
     frame = data.load_frame(0)
@@ -163,7 +163,7 @@ def test_mtan_errors_are_those_of_its_values(tmp_path: Path, scale: float) -> No
     assert result["abs_rel"] == pytest.approx((error / truth[known]).mean().item(), rel=2e-3)
 
 
-def test_inverse_depth_by_hand() -> None:
+def test_inverse_depth_is_scored_in_its_own_unit() -> None:
     protocol = EvalProtocol("mine", 1.0, 100.0, inverse_scale=2.0, clamp=False)
     metrics = DepthMetrics(protocol)
     depth, prediction = torch.zeros(1, 1, 12, 12), torch.full((1, 1, 12, 12), 5.0)

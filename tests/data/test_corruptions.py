@@ -1,6 +1,6 @@
-"""Five hundred seeded corruptions: one clear error naming the file, or a counted skip; never a wrong sample.
+"""Five hundred seeded corruptions: each is one clear error that names the file, or a counted skip.
 
-What cannot be told from a good file is left out: numbers changed within pixels that carry no check sum.
+Changes that nothing can detect are left out: other numbers in pixels without a checksum.
 """
 
 import shutil

@@ -1,4 +1,4 @@
-"""Anyone's own pictures with depth."""
+"""Your own pictures with depth: pairs, splits, and errors that name the file."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def tree(root: Path, count: int = 2, images: str = "images", depths: str = "dept
     return root
 
 
-def test_two_folders(tmp_path: Path) -> None:
+def test_files_in_two_folders_are_paired_by_name(tmp_path: Path) -> None:
     data = FolderDataset(tree(tmp_path), intrinsics=[100, 90, 15, 10], max_depth=8.0, input_size=(10, 15))
     assert data.names == ["f000", "f001"]
     assert data.ground_truth == "raw"
@@ -40,7 +40,7 @@ def test_two_folders(tmp_path: Path) -> None:
     np.testing.assert_allclose(full["image"][0] * 255, RGB[..., 0], atol=1e-3)
 
 
-def test_subfolders_and_npy(tmp_path: Path) -> None:
+def test_subfolders_and_npy_files_are_read(tmp_path: Path) -> None:
     tree(tmp_path / "images", 1, "a", "unused")
     for path in (tmp_path / "images/unused").iterdir():
         path.unlink()
@@ -52,7 +52,7 @@ def test_subfolders_and_npy(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.load_frame(0).depth, (MILLIMETERS / 1e3).astype(np.float32))
 
 
-def test_csv(tmp_path: Path) -> None:
+def test_a_csv_pairs_files_of_any_name(tmp_path: Path) -> None:
     tree(tmp_path)
     (tmp_path / "pairs.csv").write_text(
         "images/f001.png,depths/f000.png\n\nimages/f000.png,depths/f001.png\n"
@@ -94,7 +94,7 @@ def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
     assert FolderDataset(tmp_path, max_depth=10.0).names == ["f000", "f001"]
 
 
-def test_two_pictures_of_one_name(tmp_path: Path) -> None:
+def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
     tree(tmp_path)
     cv2.imwrite(str(tmp_path / "images/f000.jpg"), RGB)
     with pytest.raises(ValueError, match=r"f000\.jpg and images/f000\.png"):
@@ -113,7 +113,7 @@ def test_missing_folder_says_what_is_expected(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_split_is_disjoint_blocks(tmp_path: Path, seed: int) -> None:
+def test_train_and_val_are_separate_blocks(tmp_path: Path, seed: int) -> None:
     tree(tmp_path, 50)
     options = {"max_depth": 10.0, "val_fraction": 0.2, "split_seed": seed, "gap": 2}
     train = FolderDataset(tmp_path, split="train", **options)
@@ -126,7 +126,7 @@ def test_split_is_disjoint_blocks(tmp_path: Path, seed: int) -> None:
     assert len(FolderDataset(tmp_path, max_depth=10.0)) == 50
 
 
-def test_split_by_names(tmp_path: Path) -> None:
+def test_validation_frames_can_be_named(tmp_path: Path) -> None:
     tree(tmp_path, 4)
     (tmp_path / "val.txt").write_text("f001\nf003\n")
     for given in (["f003", "f001"], tmp_path / "val.txt", str(tmp_path / "val.txt")):
@@ -151,7 +151,7 @@ def test_split_by_names(tmp_path: Path) -> None:
         ({"encoding": "cm"}, "encoding='cm'"),
     ],
 )
-def test_settings_are_checked(tmp_path: Path, bad: dict, message: str) -> None:
+def test_settings_out_of_range_are_refused(tmp_path: Path, bad: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FolderDataset(tree(tmp_path), **{"max_depth": 10.0, **bad})
 

@@ -1,4 +1,4 @@
-"""Whole files or a clear error; meters or a clear error."""
+"""Pictures and depth maps are read exactly; damaged files and wrong units are errors that name the file."""
 
 import os
 from pathlib import Path
@@ -29,7 +29,7 @@ def cut(path: Path, fraction: float) -> Path:
 
 
 @pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg"])
-def test_image_is_rgb(tmp_path: Path, ending: str) -> None:
+def test_images_are_rgb(tmp_path: Path, ending: str) -> None:
     smooth = np.zeros((32, 48, 3), np.uint8)
     smooth[..., 0], smooth[:, 32:, 2] = 200, 90  # whole JPEG blocks
     read = read_image(write(tmp_path / f"a{ending}", smooth))
@@ -84,7 +84,7 @@ def test_jpeg_cut_after_its_thumbnail_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", [b"", b"<html>not found</html>", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"P6 4"]
 )
-def test_what_is_no_picture_is_named(tmp_path: Path, content: bytes) -> None:
+def test_files_that_are_no_pictures_are_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "page.jpg"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"page\.jpg"):
@@ -134,7 +134,7 @@ def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
         ("meters", np.float64([0, np.inf, 1, 2.5]), [0.0, 0.0, 1.0, 2.5]),
     ],
 )
-def test_encodings_by_hand(name: str, raw: np.ndarray, meters: list[float]) -> None:
+def test_encodings_give_meters(name: str, raw: np.ndarray, meters: list[float]) -> None:
     depth = decode_depth(raw[None], name, "test")
     assert depth.dtype == np.float32
     np.testing.assert_allclose(depth[0], meters, rtol=1e-5)
@@ -147,7 +147,7 @@ def test_every_named_encoding_is_tested_or_refuses_another_type() -> None:
             decode_depth(wrong, name, "test")
 
 
-def test_given_encoding() -> None:
+def test_an_encoding_can_be_given_as_numbers() -> None:
     raw = np.array([[0, 10]], np.uint8)
     np.testing.assert_allclose(
         decode_depth(raw, {"scale": 0.5, "offset": 1, "dtype": "uint8"}, "x"), [[0, 5.5]]
@@ -215,7 +215,7 @@ def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = M
 
 
 @pytest.mark.parametrize("order", ["<f4", ">f4"])
-def test_pfm(tmp_path: Path, order: str) -> None:
+def test_pfm_reads_both_byte_orders(tmp_path: Path, order: str) -> None:
     path = pfm(tmp_path / "a.pfm", order)
     np.testing.assert_array_equal(read_depth(path, "meters"), np.where(np.isfinite(METERS), METERS, 0))
     for fraction in (0.001, 0.3, 0.99):
@@ -229,7 +229,7 @@ def test_pfm(tmp_path: Path, order: str) -> None:
 
 
 @pytest.mark.parametrize("half", [False, True])
-def test_exr(tmp_path: Path, half: bool) -> None:
+def test_exr_reads_one_channel_or_equal_ones(tmp_path: Path, half: bool) -> None:
     exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed: pip install 'eldenet[exr]'")
     meters = (MILLIMETERS / 1000.0).astype(np.float16 if half else np.float32)
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
@@ -249,7 +249,7 @@ def test_exr(tmp_path: Path, half: bool) -> None:
             read_depth(cut(path, fraction), "meters")
 
 
-def test_float_tiff(tmp_path: Path) -> None:
+def test_float_tiff_is_read(tmp_path: Path) -> None:
     meters = MILLIMETERS.astype(np.float32) / 1000
     np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", meters), "meters"), meters)
 

@@ -26,7 +26,7 @@ from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_files import frame_list
 
 
-def test_devkit(tmp_path: Path) -> None:
+def test_devkit_frames_have_depth_intrinsics_and_splits(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     data = KITTIDepth(root, split="all")
     assert data.names == [f"{drive}/image_02/0000000005" for drive in (*DRIVES, VAL_DRIVE)]
@@ -48,7 +48,7 @@ def test_devkit(tmp_path: Path) -> None:
     assert KITTIDepth(root, split="val").names == val.names
 
 
-def test_every_root_of_the_zips(tmp_path: Path) -> None:
+def test_zips_may_be_unpacked_nested_or_merged(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     raw = tmp_path / "raw"
     expected = KITTIDepth(root, split="trainval").names
@@ -67,7 +67,7 @@ def test_every_root_of_the_zips(tmp_path: Path) -> None:
         KITTIDepth(nested.parent, raw_root=raw)
 
 
-def test_jpg_and_ma_and_karamans_layout(tmp_path: Path) -> None:
+def test_jpg_pictures_and_ma_and_karamans_layout_are_read(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path / "a", kind="velodyne_raw")
     for drive in DRIVES:
         shutil.rmtree(tmp_path / "a/raw" / drive[:10] / drive)
@@ -103,7 +103,7 @@ def test_missing_partners_are_named_or_left_out(tmp_path: Path) -> None:
         KITTIDepth(root, split="trainval", on_error="skip", frames=4)
 
 
-def test_intrinsics_are_required_unless_told(tmp_path: Path) -> None:
+def test_intrinsics_are_required_unless_optional(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     (tmp_path / "raw/2011_09_28/calib_cam_to_cam.txt").unlink()
     with pytest.raises(
@@ -115,7 +115,7 @@ def test_intrinsics_are_required_unless_told(tmp_path: Path) -> None:
     assert data[0]["intrinsics"][0, 0] == pytest.approx(721.5377)
 
 
-def test_selection(tmp_path: Path) -> None:
+def test_the_cropped_selection_has_its_own_intrinsics(tmp_path: Path) -> None:
     data = KITTISelection(kitti_selection(tmp_path), frames=2)
     assert data.names == [f"{VAL_DRIVE}/image_02/{n:010d}" for n in (5, 8)]
     frame = data.load_frame(1)
@@ -146,7 +146,7 @@ def test_selection(tmp_path: Path) -> None:
         KITTISelection(tmp_path, frames=None)
 
 
-def test_eigens_lists(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_eigens_lists_are_read_counted_and_split(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "eldenet")
     root = kitti_depth(tmp_path, numbers=(5, 6))
     (root / f"val/{VAL_DRIVE}/proj_depth/groundtruth/image_02/0000000005.png").unlink()
@@ -173,7 +173,7 @@ def test_eigens_lists(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert KITTIRaw(raw, split="test", list_file=none).names[0].startswith(DRIVES[0])
 
 
-def test_lines_that_are_none(tmp_path: Path) -> None:
+def test_wrong_lines_of_a_list_are_named(tmp_path: Path) -> None:
     path = tmp_path / "list.txt"
     slashed = f"/2011_09_26/{DRIVES[0]}/image_03/data/0000000007.jpg /x/y.png 721.5377\n\n"
     path.write_text(slashed)
@@ -203,7 +203,7 @@ def test_missing_root_says_what_to_do(
         dataset(tmp_path)
 
 
-def test_settings_that_do_not_exist(tmp_path: Path) -> None:
+def test_unknown_settings_are_refused(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     for wrong in ({"split": "testing"}, {"depth": "dense"}, {"on_error": "maybe"}, {"calibration": "no"}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))}=.*give one of"):

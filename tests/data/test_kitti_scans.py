@@ -47,7 +47,7 @@ def by_hand(points: np.ndarray, matrix: np.ndarray, size: tuple[int, int], *, ei
 
 
 @pytest.mark.parametrize("projection", ["camera", "eigen"])
-def test_projection_by_hand(tmp_path: Path, projection: str) -> None:
+def test_projection_equals_point_by_point(tmp_path: Path, projection: str) -> None:
     data = KITTIRaw(kitti_raw(tmp_path), split="all", projection=projection)
     assert data.names == [f"{drive}/image_02/0000000069" for drive in DRIVES]
     assert data.ground_truth == "sparse"

@@ -34,7 +34,7 @@ def check_picture(image: np.ndarray) -> None:
     np.testing.assert_allclose(image[10, 56], (30, 200, 90), atol=4)
 
 
-def test_densedepth(tmp_path: Path) -> None:
+def test_densedepth_reads_8_bit_training_and_16_bit_test_depth(tmp_path: Path) -> None:
     train = NYUDenseDepth(densedepth(tmp_path), split="trainval")
     assert train.names == ["kitchen_0001_out/1", "office_0002_out/1"]
     assert train.ground_truth == "inpainted"
@@ -64,7 +64,7 @@ def test_sample_after_resize(tmp_path: Path) -> None:
     assert NYUDenseDepth(tmp_path, max_depth=5.0)[0]["depth"].max() <= 5.0
 
 
-def test_labelled(tmp_path: Path) -> None:
+def test_labelled_frames_are_split_by_number(tmp_path: Path) -> None:
     labelled(tmp_path)
     assert NYULabelled(tmp_path, split="train").names == ["labeled_out/0003", "labeled_out/0030"]
     assert NYULabelled(tmp_path, split="val").names == ["labeled_out/0022", "labeled_out/0023"]
@@ -76,7 +76,7 @@ def test_labelled(tmp_path: Path) -> None:
         NYULabelled(tmp_path)
 
 
-def test_load_size_and_cache(tmp_path: Path) -> None:
+def test_frames_are_resized_on_load_and_cached(tmp_path: Path) -> None:
     data = NYULabelled(labelled(tmp_path), resize_on_load=(12, 16), cache="ram")
     first = data[0]
     assert first["image"].shape == (3, 12, 16)
@@ -86,7 +86,7 @@ def test_load_size_and_cache(tmp_path: Path) -> None:
     assert (data[0]["image"] == first["image"]).all()
 
 
-def test_sync(tmp_path: Path) -> None:
+def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path) -> None:
     data = NYUSync(sync(tmp_path))
     assert data.names == ["kitchen_0001/rgb_00000", "office_0002/rgb_00041"]
     assert data.ground_truth == "raw"
@@ -109,7 +109,7 @@ def test_sync(tmp_path: Path) -> None:
         NYUSync(tmp_path, list_file=lines)
 
 
-def test_hdf5(tmp_path: Path) -> None:
+def test_hdf5_reads_both_parts_and_splits_scenes(tmp_path: Path) -> None:
     data = NYUHDF5(hdf5(tmp_path), split="trainval")
     assert data.names == ["train/kitchen_0001/00001", "train/office_0002/00001"]
     assert data.ground_truth == "inpainted"
@@ -125,7 +125,7 @@ def test_hdf5(tmp_path: Path) -> None:
         NYUHDF5(tmp_path, split="test")[0]
 
 
-def test_mat(tmp_path: Path) -> None:
+def test_mat_reads_both_ground_truths_and_the_official_split(tmp_path: Path) -> None:
     mat(tmp_path)
     assert NYUMat(tmp_path, split="test").names == ["0001", "0004"]
     assert NYUMat(tmp_path, split="trainval").names == ["0002", "0003"]

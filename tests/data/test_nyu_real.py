@@ -1,4 +1,4 @@
-"""The real frames of NYU Depth V2, where they lie here: values, and a split that shares no scene."""
+"""Real frames of NYU Depth V2, if they are there: their depth, and a split that shares no scene."""
 
 from pathlib import Path
 

@@ -51,7 +51,7 @@ def mat_with_all_splits(root: Path) -> Path:
 
 
 def test_every_data_set_is_tested() -> None:
-    elsewhere = {"rooms", "arenas"}  # need no files: tests/test_rooms.py, tests/test_arena_frames.py
+    elsewhere = {"rooms", "arenas"}  # need no files: test_rendered.py, test_arena_frames.py
     names = {path.stem for path in (config_folder() / "data").glob("*.yaml")}
     assert names - set(TREES) <= elsewhere
 
