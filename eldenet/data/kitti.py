@@ -193,6 +193,8 @@ class KITTISelection(KITTIFrames):
         ValueError: a setting or a file name is wrong, or the number of frames is another.
     """
 
+    where_files_are = " (data.calibration=optional does without intrinsics/)"
+
     def __init__(
         self,
         root: str | Path | None = None,

@@ -137,12 +137,12 @@ def test_the_cropped_selection_has_its_own_intrinsics(tmp_path: Path) -> None:
         KITTISelection(tmp_path, frames=None)
     assert KITTISelection(tmp_path, frames=None, on_error="skip").skipped.keys() == {data.names[0]}
     shutil.rmtree(tmp_path / "val_selection_cropped/intrinsics")
-    with pytest.raises(FileNotFoundError, match=r"1 intrinsics are missing.*calibration=optional"):
+    with pytest.raises(ValueError, match=r"intrinsics/.*calibration=optional"):
         KITTISelection(tmp_path, frames=None, on_error="skip")
     without = KITTISelection(tmp_path, frames=None, on_error="skip", calibration="optional")
     assert without[0]["intrinsics"].sum() == 0
     picture(tmp_path / "val_selection_cropped/image/cat.png", frame.image)
-    with pytest.raises(ValueError, match=r"cat\.png is no name of the selection"):
+    with pytest.raises(ValueError, match=r"cat\.png is not named as in the selection"):
         KITTISelection(tmp_path, frames=None)
 
 
@@ -155,10 +155,10 @@ def test_eigens_lists_are_read_counted_and_split(tmp_path: Path, caplog: pytest.
     assert data.names == [f"{DRIVES[1]}/image_02/0000000005"]
     assert data.skipped == {}  # nothing is wrong with the data set
     assert f"1 frames, such as {VAL_DRIVE}/image_02/0000000005, have no depth" in caplog.text
-    with pytest.raises(ValueError, match=r"1 frames where 652 are expected \(1 without depth in the list\)"):
+    with pytest.raises(ValueError, match=r"1 frames instead of 652 \(1 without depth in the list\)"):
         KITTIDepth(root, split="test", list_file=test, frames=652)
     test.write_text(test.read_text().replace("None", "x.png"))
-    with pytest.raises(FileNotFoundError, match=rf"1 of 2 .*{VAL_DRIVE}/image_02/0000000005 \(no depth\)"):
+    with pytest.raises(FileNotFoundError, match=rf"1 of 4 .*{VAL_DRIVE}/image_02/0000000005 \(no depth\)"):
         KITTIDepth(root, split="test", list_file=test)
     train = KITTIDepth(root, split="trainval", exclude_list=test)
     assert {name[:26] for name in train.names} == {DRIVES[0], DRIVES[2]}
