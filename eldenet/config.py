@@ -3,6 +3,7 @@
 import functools
 import logging
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +24,7 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
+    from eldenet.data.inspection import CheckDataSetup
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.training.setup import TrainingSetup
 
+SPLITS = ("train", "val", "test")
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
@@ -143,6 +146,7 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 
 def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
     """What ``python -m eldenet.train`` trains in ``folder``."""
+    check_data_folders(config)
     from eldenet.training.setup import TrainingSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
@@ -170,6 +174,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
 
 def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
+    check_data_folders(config)
     from eldenet.deploy.scoring import EvaluationSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
@@ -348,25 +353,25 @@ def build_split(
         input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
         frames: of rendered scenes, so many of the split's first frames instead of its own choice.
     """
-    from eldenet.data.base import Chain
-    from eldenet.data.resize_crop import ResizeCrop
+    from eldenet.data.base import Compose
+    from eldenet.evaluation.protocol_frames import frame_geometry
 
     node = _split_node(config, split)
     steps: list[Any] = []
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
-        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
+        steps.append(frame_geometry(protocol, keep_depth=whole))
     changes: dict[str, Any] = {}
     if input_size is not None:
         changes["input_size"] = list(input_size)
     if frames is not None:
         changes["frames"] = frames
-    if node.get("load_size") is not None and (score or protocol.changes_frames):
-        changes |= {"load_size": None, "cache": "none"}
+    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
+        changes |= {"resize_on_load": None, "cache": "none"}
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
-                "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
+                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
                 split,
                 protocol.name,
             )
@@ -375,7 +380,7 @@ def build_split(
     dataset = instantiate(
         node,
         **changes,
-        transform=Chain(steps) if steps else None,
+        transform=Compose(steps) if steps else None,
         resize_depth=split == "train" and not score,
         seed=seed,
     )
@@ -396,6 +401,63 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+def check_data_folders(config: DictConfig) -> None:
+    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
+
+    Rendered data sets, which have no ``on_error``, make their folder themselves.
+    """
+    splits = [plain(config.data.get(split)) for split in SPLITS]
+    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
+    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
+        return
+    if roots[0] is not None:
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+    if not os.environ.get("ELDENET_DATA"):
+        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
+
+
+def build_check_data(config: DictConfig) -> "CheckDataSetup":
+    """The :class:`~eldenet.data.inspection.CheckDataSetup` of ``check_data``.
+
+    Raises:
+        ValueError: ``frames`` or ``samples`` is out of its range.
+        FileNotFoundError: the data set's folder does not exist.
+    """
+    for name, least in (("frames", 1), ("samples", 0)):
+        if config[name] is not None and config[name] < least:
+            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
+    check_data_folders(config)
+    from eldenet.data.inspection import CheckDataSetup
+
+    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
+    subset = plain(config.data.get("subset")) or {}
+    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
+    for split in nodes:
+        first = next(
+            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
+        )
+        if first != split:
+            same[split] = first
+
+    def open_split(split: str) -> Any:
+        node = nodes[split]
+        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
+        if subset.get(split) is not None:
+            dataset.draw_subset(subset[split], config.data.subset_seed)
+        return dataset
+
+    return CheckDataSetup(
+        folder=Path(config.run_dir).expanduser(),
+        name=config.data.name,
+        config=plain(config.data),
+        splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
+        same=same,
+        check_ground_truth=build_protocol(config).check_ground_truth,
+        frames=config.frames,
+        samples=config.samples,
+    )
 
 
 # --- predict, export, benchmark -----------------------------------------------------------------------------

@@ -83,11 +83,11 @@ def crop_corner(size: tuple[int, int], crop: tuple[int, int], anchor: str) -> tu
     return round((size[0] - crop[0]) / 2), round((size[1] - crop[1]) / 2)
 
 
-def resize_image(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Image ``(H, W, 3)`` at ``size`` (height, width) [px]: by area where it shrinks, else bilinear."""
+def resize_image(image: np.ndarray, size: tuple[int, int], *, area: bool = True) -> np.ndarray:
+    """Image ``(H, W, 3)`` at ``size`` (height, width) [px]: bilinear; averaged by area if it shrinks."""
     import cv2
 
-    shrinks = image.shape[:2] > tuple(size)  # in height; in width where the height stays
+    shrinks = area and image.shape[:2] > tuple(size)  # in height; in width if the height stays
     if image.shape[:2] == tuple(size):
         return image
     return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)

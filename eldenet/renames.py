@@ -51,6 +51,7 @@ OPTIONS: dict[str, dict[str, str]] = {
 #: Renamed keys, at any depth: old name -> new name.
 KEYS = {
     "film": "video",
+    "load_size": "resize_on_load",
     "looks": "scans",
     "measure": "fit_noise",
     "movers": "pedestrians",

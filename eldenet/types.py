@@ -1,9 +1,11 @@
 """The types that all packages share; no project imports here."""
 
-from typing import NamedTuple, NotRequired, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
-from torch import Tensor
+
+if TYPE_CHECKING:  # a process that only renders frames loads no torch
+    from torch import Tensor
 
 
 class FeatureInfo(NamedTuple):
@@ -45,9 +47,9 @@ class DepthSample(TypedDict):
             set reads them.
     """
 
-    image: Tensor
-    depth: Tensor
-    mask: Tensor
-    intrinsics: Tensor
+    image: "Tensor"
+    depth: "Tensor"
+    mask: "Tensor"
+    intrinsics: "Tensor"
     name: str
-    labels: NotRequired[Tensor]
+    labels: NotRequired["Tensor"]

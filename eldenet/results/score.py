@@ -141,7 +141,7 @@ def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "De
             isinstance(scored, RenderedScenes)
             and wanted is not None
             and wanted > RENDERED_FOR_A_CONSTANT
-            and scored.missing_shards("train", wanted)
+            and scored.missing_scenes("train", wanted)
         ):
             log.say(
                 f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames: not "

@@ -44,7 +44,7 @@ def normalization(
             if file.is_file():
                 known = json.loads(file.read_text())
                 return {name: _three(name, known[name]) for name in ("mean", "std")}
-    from eldenet.data.statistics import channel_statistics
+    from eldenet.data.inspection import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)
     # five digits: no machine's last bit makes another network of it

@@ -155,7 +155,7 @@ def trained_sizes(
 
     The latter is that of the first frame.
     """
-    from eldenet.data.resize_crop import whole_frame_size
+    from eldenet.evaluation.protocol_frames import whole_frame_size
 
     seen = None if input_size is None else list(input_size)
     sizes: dict[str, list[int] | None] = {"input_size": seen}

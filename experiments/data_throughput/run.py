@@ -71,7 +71,7 @@ class TorchvisionNYU(Dataset):
 
 
 def loader_of(row: str, workers: int) -> DataLoader:
-    options: dict[str, Any] = {"input_size": SIZE, "load_size": SIZE, "transform": Augmentation()}
+    options: dict[str, Any] = {"input_size": SIZE, "resize_on_load": SIZE, "transform": Augmentation()}
     kind = row if row in ("disk", "ram") else "none"
     frames = NYULabelled(split="train", min_depth=0.1, cache=kind, **options)
     sampler = EpochSampler(len(frames), BATCH, seed=0)
@@ -144,7 +144,7 @@ def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
             marks.append((self.progress.waited, self.progress.seconds))
             super()._end_epoch(epoch)
 
-    options: dict[str, Any] = {"min_depth": 0.1, "input_size": SIZE, "load_size": SIZE}
+    options: dict[str, Any] = {"min_depth": 0.1, "input_size": SIZE, "resize_on_load": SIZE}
     train = NYULabelled(split="train", cache=cache, transform=Augmentation(), **options)
     train.draw_subset(FRAMES, seed=0)
     val = NYULabelled(split="val", min_depth=0.1, input_size=SIZE, resize_depth=False)

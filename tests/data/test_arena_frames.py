@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from eldenet.config import build_protocol, build_split, compose
-from eldenet.data import rendered
 from eldenet.data.arenas import Arenas
-from eldenet.data.rooms import Rooms
-from eldenet.data.shards import DEPTH_STEP
+from eldenet.data.rendering import DEPTH_STEP
 from eldenet.simulation import arena_view
 from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
@@ -86,7 +84,7 @@ def test_robots_stand_where_they_fit(dataset):
         assert views.depth.max() < 40
 
 
-def test_the_data_set_reads_what_was_rendered(dataset, root, monkeypatch):
+def test_the_data_set_reads_what_was_rendered(dataset):
     views = render_arena("train", 1, SIZE)
     frame = dataset.load_frame(9)
     assert frame.name == "arenas/train/000001/1"
@@ -95,20 +93,6 @@ def test_the_data_set_reads_what_was_rendered(dataset, root, monkeypatch):
     np.testing.assert_allclose(frame.depth[near], views.depth[1][near], atol=DEPTH_STEP)
     sample = dataset[9]
     assert sample["depth"][sample["mask"]].max() <= 10
-    asked = []
-    monkeypatch.setattr(rendered, "render_missing", lambda *args: asked.append(args[1].name))
-    assert Arenas("train", 5, size=SIZE, root=root).names == dataset.names[:5]
-    assert not asked
-    Arenas("val", 5, size=SIZE, root=root)
-    assert asked == ["arenas"]
-    with pytest.raises(ValueError, match="arenas has the splits"):
-        Arenas("holiday", root=root)
-
-
-def test_a_new_version_reads_no_old_frames():
-    next_version = Arenas.generator._replace(version=2)
-    names = {generator.folder_name(SIZE) for generator in (Rooms.generator, Arenas.generator, next_version)}
-    assert len(names | {Arenas.generator.folder_name((36, 52))}) == 4
 
 
 def test_data_arenas_composes_builds_and_can_be_scored(root):

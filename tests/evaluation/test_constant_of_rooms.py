@@ -9,31 +9,32 @@ import pytest
 from support.scoring import score_small
 
 from eldenet.config import compose
-from eldenet.data import rendered
+from eldenet.data import rendered, rendering
 from eldenet.data.rooms import Rooms
-from eldenet.data.shards import shard_folder, write_shard
+from eldenet.simulation.furnished_rooms import render as render_module
+from eldenet.simulation.furnished_rooms.render import Views
 
 Asked = list[tuple[str, Sequence[int]]]
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
-    """Splits and shards whose rendering was asked for; what is written for them is flat."""
+    """Splits and scenes whose rendering was asked for; the frames are flat."""
     found: Asked = []
 
-    def write(
-        root: Path, generator: Any, split: str, shards: Sequence[int], size: tuple[int, int], workers: int
-    ) -> None:
-        found.append((split, list(shards)))
-        for shard in shards:
-            arrays = {
-                "image": np.zeros((rendered.SHARD_FRAMES, *size, 3), np.uint8),
-                "depth": np.full((rendered.SHARD_FRAMES, *size), 10_000 + shard, np.uint16),
-                "intrinsics": np.tile(np.eye(3), (rendered.SHARD_FRAMES, 1, 1)),
-            }
-            write_shard(shard_folder(root, split, shard), arrays)
+    def flat_scene(split: str, scene: int, size: tuple[int, int], views: int) -> Views:
+        depth = np.full((views, *size), 2 + scene / 1000, np.float32)
+        image, eye = np.zeros((views, *size, 3), np.uint8), np.tile(np.eye(3), (views, 1, 1))
+        return Views(image, depth, eye, eye[:, 0], eye)
 
-    monkeypatch.setattr(rendered, "render_missing", write)
+    def render(
+        folder: Path, generator: Any, split: str, scenes: Sequence[int], size: Any, workers: int
+    ) -> None:
+        found.append((split, list(scenes)))
+        rendering.render_missing(folder, generator, split, scenes, size, workers=0)
+
+    monkeypatch.setattr(render_module, "render_room", flat_scene)
+    monkeypatch.setattr(rendered, "render_missing", render)
     return found
 
 
@@ -48,7 +49,8 @@ def test_an_evaluation_renders_few_training_frames(
 ) -> None:
     frames = "data.frames={train: 576, val: 8, test: 8}"
     few = score(tmp_path, frames, "data.subset.train=550")
-    assert asked == [("test", [0]), ("train", list(range(8)))]
+    assert asked == [("test", [0]), ("train", list(range(64)))]
+    assert few["config"]["data"]["train"]["frames"] == 512
     assert few["constant_predictor"] is not None
     assert "of the first 512 training frames: not all of data.train.frames=576" in words_of(capsys)
     again = score(tmp_path, frames)
@@ -66,5 +68,5 @@ def words_of(capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_training_frames_that_are_scored_are_all_rendered(tmp_path: Path, asked: Asked) -> None:
     record = score(tmp_path, "data.frames={train: 640, val: 8, test: 8}", split="train")
-    assert asked == [("train", list(range(10)))]
+    assert asked == [("train", list(range(80)))]
     assert record["metrics"]["images"] == 640

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from eldenet.data.arenas import Arenas
+from eldenet.data.rendering import encode_depth
 from eldenet.data.rooms import Rooms
-from eldenet.data.shards import encode_depth
 from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.street_views import STREETS_VERSION, render_objects, render_street

@@ -12,7 +12,7 @@ from support.networks import same_model
 
 from eldenet.config import build_model, build_training, compose, plain
 from eldenet.data.folder import FolderDataset
-from eldenet.data.statistics import channel_statistics
+from eldenet.data.inspection import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.training.initialization import initial_model
@@ -93,7 +93,7 @@ def test_what_cannot_be_is_refused(choice: Any, message: str, frames: FolderData
 
 def test_pictures_of_one_color_are_refused(tmp_path: Path) -> None:
     layouts.folder(tmp_path, layouts.SMALL._replace(rgb=np.full((48, 64, 3), 90, np.uint8)), count=2)
-    with pytest.raises(ValueError, match="never changes in 2 frames"):
+    with pytest.raises(ValueError, match="is constant over 2 frames"):
         normalization("dataset", FolderDataset(tmp_path, max_depth=10.0))
 
 

@@ -36,7 +36,7 @@ def frames(scenes: list[str]) -> list[str]:
         "train/kitchen_0001/00001",
     ],
 )
-def test_scene_of_a_name(name: str) -> None:
+def test_names_give_their_scene(name: str) -> None:
     assert scene_of(name) == "kitchen_0001"
 
 
@@ -48,7 +48,7 @@ def test_whole_scenes_and_every_frame_once() -> None:
     assert 0.02 < len(val) / len(names) < 0.08
 
 
-def test_the_name_alone_decides() -> None:
+def test_a_scenes_side_depends_on_its_name_alone() -> None:
     names = frames(SCENES)
     val = {names[i] for i in hold_out(names, "val")}
     shuffled = random.Random(0).sample(names, len(names))
