@@ -199,9 +199,9 @@ def list_cases(
     Raises:
         ValueError: a choice that does not exist.
     """
-    from eldenet.data.paths import one_of
     from eldenet.deploy.benchmarking.measure import Case
     from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.system.checks import one_of
 
     for runtime in config.runtimes:
         one_of("runtimes", str(runtime), RUNTIMES)

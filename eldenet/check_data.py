@@ -26,7 +26,7 @@ def check(setup: "CheckDataSetup") -> bool:
     """Check the data set, print a table, write ``check.json`` and a contact sheet; True if all is well."""
     from eldenet.data.inspection import check_data
     from eldenet.results.run_log import RunLog
-    from eldenet.results.run_record import write_json
+    from eldenet.system.files import write_json
     from eldenet.visualization import contact_sheet, write_picture
 
     log = RunLog(setup.folder)

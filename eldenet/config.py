@@ -1,11 +1,12 @@
 """The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
 
+import functools
 import logging
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eldenet.system.resources import prepare_environment
 
@@ -19,6 +20,12 @@ from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+
+if TYPE_CHECKING:
+    from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.scene import Perception
+    from eldenet.training.setup import TrainingSetup
 
 SPLITS = ("train", "val", "test")
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
@@ -100,14 +107,9 @@ def read_yaml(path: Path) -> Any:
         raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
-def is_main_process() -> bool:
-    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
-    return os.environ.get("RANK", "0") == "0"
-
-
-def plain(config: Any) -> Any:
-    """Resolved dicts, lists and values; what ``run.json`` stores."""
-    return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+def plain(config: Any, *, resolve: bool = True) -> Any:
+    """Dicts, lists and values, resolved unless ``resolve`` is False; what ``run.json`` stores."""
+    return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
 
 
 def listed(config: Any) -> list[Any]:
@@ -131,6 +133,124 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         if isinstance(cause, USER_ERRORS):
             raise cause from None
         raise ValueError(str(error)) from error
+
+
+# --- what commands are built from
+
+
+def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
+    """What ``python -m eldenet.train`` trains in ``folder``."""
+    from eldenet.training.setup import TrainingSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return TrainingSetup(
+        folder=folder,
+        name=config.model_name,
+        seed=config.seed,
+        data=config.data.name,
+        input_size=settings["data"]["input_size"],
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        make_model=functools.partial(instantiate, config.model),
+        own_normalization=bool({"mean", "std"} & config.model.keys()),
+        make_loss=functools.partial(instantiate, config.loss),
+        make_trainer=functools.partial(_build_trainer, config),
+        resources=settings["runtime"],
+        normalization=settings["normalization"],
+        weights=config.weights,
+        teacher=config.teacher,
+        ckpt_path=config.ckpt_path,
+        trusted_modules=_named_modules(settings["model"]),
+        settings=settings,
+    )
+
+
+def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
+    """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
+    from eldenet.deploy.scoring import EvaluationSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return EvaluationSetup(
+        folder=folder,
+        checkpoint=str(config.checkpoint),
+        data=config.data.name,
+        split=config.split,
+        input_size=settings["input_size"],
+        data_input_size=settings["data"]["input_size"],
+        training_frames=(settings["data"].get("train") or {}).get("frames"),
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        engine=config.engine,
+        precision=config.precision,
+        resources=settings["runtime"],
+        batch_size=config.batch_size,
+        trusted_modules=settings["trusted_modules"],
+        settings=settings,
+    )
+
+
+def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
+    """What ``python -m eldenet.train_detector`` trains in ``folder``.
+
+    Raises:
+        ValueError: the folder holds another run already, or libreyolo is missing.
+    """
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.libreyolo_detector import YoloTraining
+    from eldenet.simulation.street_views import NAMES
+    from eldenet.system.resources import choose_resources
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    if (folder / "train").exists() and not config.resume:
+        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
+    resources = choose_resources(**settings["runtime"])
+    return DetectorTrainingSetup(
+        folder=folder,
+        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(NAMES)),
+        training=YoloTraining(
+            **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
+        ),
+        data=Path(settings["data"]["root"]),
+        kinds=listed(config.data.kinds),
+        counts={split: config.data[split] for split in ("train", "test")},
+        resources=resources,
+        resume=config.resume,
+        settings=settings,
+    )
+
+
+def build_perception(config: DictConfig, intrinsics: Any, *, is_video: bool) -> "Perception":
+    """Detector, lifter and, for a video, tracker of ``python -m eldenet.predict boxes=true``.
+
+    Raises:
+        ValueError: intrinsics or detector are missing.
+    """
+    from eldenet.geometry import PinholeCamera
+    from eldenet.perception.scene import Perception
+
+    if intrinsics is None:
+        raise ValueError("boxes need the camera: give intrinsics=[fx,fy,cx,cy] of the pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = instantiate(config.perception.detector)
+    lifter = instantiate(config.perception.lifter)
+    tracker = instantiate(config.perception.tracker) if is_video else None
+    return Perception(None, detector, lifter, PinholeCamera(intrinsics), tracker=tracker)
+
+
+def _build_trainer(config: DictConfig) -> Any:
+    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
+    return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed)
+
+
+def _named_modules(settings: Any) -> list[str]:
+    """Modules that the user's own settings name: these are trusted, a downloaded config's are not."""
+    if not isinstance(settings, dict):
+        return []
+    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
+    return named + [module for value in settings.values() for module in _named_modules(value)]
 
 
 def build_model(config: DictConfig, **arguments: Any) -> Any:
@@ -165,6 +285,8 @@ def build_split(
     augment: bool = False,
     score: bool = False,
     seed: int = 0,
+    input_size: Sequence[int] | None = None,
+    frames: int | None = None,
 ) -> Any:
     """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
 
@@ -175,6 +297,8 @@ def build_split(
         augment: for training.
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
+        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
+        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
     """
     from eldenet.data.base import Compose
     from eldenet.evaluation.protocol_frames import frame_geometry
@@ -185,8 +309,12 @@ def build_split(
         whole = protocol.paste and (score or split != "train")
         steps.append(frame_geometry(protocol, keep_depth=whole))
     changes: dict[str, Any] = {}
+    if input_size is not None:
+        changes["input_size"] = list(input_size)
+    if frames is not None:
+        changes["frames"] = frames
     if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
-        changes = {"resize_on_load": None, "cache": "none"}
+        changes |= {"resize_on_load": None, "cache": "none"}
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
@@ -209,7 +337,7 @@ def build_split(
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     places = config.data.get("subset", {}).get(split)
-    if places is not None:
+    if places is not None and frames is None:
         dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
         logging.getLogger("eldenet").warning(

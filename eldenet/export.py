@@ -91,8 +91,8 @@ def read_job(config: "DictConfig", model: "DepthNet") -> Job:
     Raises:
         ValueError: an unknown choice, or a file that is there already.
     """
-    from eldenet.data.paths import one_of
     from eldenet.model import size_of_frames
+    from eldenet.system.checks import one_of
 
     one_of("format", str(config.format), tuple(ENDINGS))
     kind, precision = str(config.format), str(config.precision)

@@ -20,9 +20,9 @@ MODES = ("watch", "evaluate", "diagnose", "measure", "train")
 @entry_point("navigate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Do what ``mode`` says; results go to the run folder."""
-    from eldenet.data.paths import one_of
     from eldenet.navigation.settings import refuse_ignored
     from eldenet.results.run_log import RunLog
+    from eldenet.system.checks import one_of
     from eldenet.system.resources import choose_resources
 
     one_of("mode", str(config.mode), MODES)
@@ -68,7 +68,8 @@ def refuse_to_replace(folder: Path, mode: str) -> None:
 
 def write_record(config: "DictConfig", folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     """Write ``run.json``: what was found, with the seed, the whole config, versions and the command."""
-    from eldenet.results.run_record import RUN_FILE, environment, write_json
+    from eldenet.results.run_record import RUN_FILE, environment
+    from eldenet.system.files import write_json
 
     record = {
         "mode": str(config.mode),
@@ -94,17 +95,17 @@ def _who(config: "DictConfig", policy: Any) -> dict[str, Any]:
 
 def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Path:
     """Film one crossing; write ``run.json``."""
-    from eldenet.data.paths import one_of
     from eldenet.navigation.video import FORMATS, film_crossing
     from eldenet.simulation.arenas import arenas_hash, generate_arena, triangle_course
     from eldenet.simulation.robot import ROBOT
+    from eldenet.system.checks import one_of
 
     one_of("film", str(config.film), FORMATS)
     if config.course is not None:
         one_of("course", str(config.course), ("triangle",))
         arena = triangle_course()
     else:
-        arena = generate_arena(config.split, density, int(config.world), movers=int(config.movers))
+        arena = generate_arena(config.split, density, int(config.world), pedestrians=int(config.movers))
     policy = cfg.instantiate(config.policy)(robots=1)
     path = folder / f"{policy.name}-{arena.name}.{config.film}"
     with log.bar("filming", round(config.time_limit / ROBOT.period), unit="frames") as bar:
@@ -121,8 +122,9 @@ def watch(config: "DictConfig", density: int, folder: Path, log: "RunLog") -> Pa
 def evaluate(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> dict[str, Any]:
     """Cross frozen arenas; write one CSV row per world and ``run.json``."""
     from eldenet.navigation.evaluation import as_rows, summarize
-    from eldenet.results.run_record import RUN_FILE, write_rows
+    from eldenet.results.run_record import RUN_FILE
     from eldenet.simulation.arenas import arenas_hash
+    from eldenet.system.files import write_rows
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
     who = _who(config, make_policy(robots=1))
@@ -185,8 +187,8 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
     from collections import Counter
 
     from eldenet.navigation.failures import KINDS, as_rows, draw_worst, trace
-    from eldenet.results.run_record import write_rows
     from eldenet.simulation.arenas import arenas_hash
+    from eldenet.system.files import write_rows
     from eldenet.visualization import write_picture
 
     make_policy, sensor = cfg.instantiate(config.policy), cfg.instantiate(config.sensor)
@@ -209,13 +211,13 @@ def diagnose(config: "DictConfig", densities: list[int], folder: Path, log: "Run
 
 def measure(config: "DictConfig", densities: list[int], folder: Path, log: "RunLog") -> Path:
     """Measure the errors of a sensor's ranges for ``sensor=noisy``, on arenas of the "val" split."""
-    from eldenet.data.paths import one_of
     from eldenet.navigation.looks import look_along, look_near
     from eldenet.navigation.policy import Navigator
     from eldenet.navigation.provenance import sensor_identity
     from eldenet.navigation.range_errors import fit_errors
     from eldenet.navigation.tasks import frozen_arenas
     from eldenet.results.run_record import environment
+    from eldenet.system.checks import one_of
 
     options, sensor = cfg.plain(config.measure), cfg.instantiate(config.sensor)
     one_of("measure.places", options["places"], ("crossings", "near"))

@@ -1,9 +1,12 @@
 """``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera."""
 
 import re
+import time
+from collections import deque
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
@@ -45,10 +48,10 @@ def predict(config: "DictConfig") -> "Results":
     from eldenet.deploy.manifest import Written
     from eldenet.deploy.stream import is_live, without_password
     from eldenet.deploy.videos import predict_video
-    from eldenet.perception.predict_boxes import Timed, box_results
+    from eldenet.perception.box_results import box_results
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import choose_resources
-    from eldenet.system.signals import stop_wish
+    from eldenet.system.signals import GracefulStop
 
     given = str(config.source)
     live, source = is_live(given), Path(given).expanduser()
@@ -65,8 +68,12 @@ def predict(config: "DictConfig") -> "Results":
     predictor = Timed(open_predictor(config, resources, log))
     about = {"source": without_password(given), "checkpoint": str(config.checkpoint)}
     results.video, broken = named[0] if is_video else "", ""
-    with Written(results.folder, kind, names, about) as results.written, stop_wish() as stop:
-        with box_results(config, results, named, log, predictor.seconds, is_video=is_video) as results.also:
+    with Written(results.folder, kind, names, about) as results.written, GracefulStop() as stop:
+        boxes: AbstractContextManager[Any] = nullcontext()
+        if config.boxes:
+            perception = cfg.build_perception(config, results.intrinsics, is_video=is_video)
+            boxes = box_results(perception, results, named, log, predictor.seconds, is_video=is_video)
+        with boxes as results.also:
             if is_video:
                 stream = given if live else source
                 broken = predict_video(stream, named[0], predictor, results, log, stop, frames=config.frames)
@@ -78,6 +85,21 @@ def predict(config: "DictConfig") -> "Results":
     if not live:
         stop.obey()
     return results
+
+
+class Timed:
+    """A depth predictor that keeps the times [s] of the last images in ``seconds``."""
+
+    def __init__(self, predictor: "Predictor") -> None:
+        self.predictor = predictor
+        self.seconds: deque[float] = deque(maxlen=10_000)
+
+    def __call__(self, frame: np.ndarray) -> np.ndarray:
+        """Depth ``(H, W)`` [m] of a frame."""
+        start = time.perf_counter()
+        depth = self.predictor(frame)
+        self.seconds.append(time.perf_counter() - start)
+        return depth
 
 
 def kind_of(source: Path, *, live: bool) -> str:
@@ -110,9 +132,9 @@ def open_predictor(config: "DictConfig", resources: "Resources", log: "RunLog") 
         ValueError: a runtime that is unknown, or does not run such a file here.
     """
     import eldenet
-    from eldenet.data.paths import one_of
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.system.checks import one_of
 
     one_of("engine", str(config.engine), ("auto", *runtimes.RUNTIMES))
     engine = str(config.engine)
@@ -151,9 +173,9 @@ def say_what_is_doubtful(config: "DictConfig", predictor: "DepthPredictor", log:
 
 def read_settings(config: "DictConfig", *, is_video: bool) -> "Results":
     """Check the settings that speak of results."""
-    from eldenet.data.paths import one_of
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.geometry import pinhole
+    from eldenet.system.checks import one_of
 
     one_of("on_error", str(config.on_error), ("stop", "skip"))
     if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
@@ -191,7 +213,7 @@ def predict_pictures(
     predictor: "Predictor",
     results: "Results",
     log: "RunLog",
-    stop: "StopWish",
+    stop: "GracefulStop",
     *,
     skip: bool,
 ) -> None:

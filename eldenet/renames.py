@@ -1,7 +1,7 @@
-"""What stored results call parts that have another name today.
+"""Names that stored runs, checkpoints and saved models use for parts that are called something else today.
 
-Runs, checkpoints and saved models outlive a name. Everything that reads one passes it through
-:func:`renamed`, so that a run stored under an old name counts as what it is.
+Everything that reads such a file passes it through :func:`renamed`, so that results stored under an old
+name still count.
 """
 
 from collections.abc import Mapping
@@ -19,15 +19,31 @@ TARGETS = {
     "eldenet.trainer.Trainer": "eldenet.training.trainer.Trainer",
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
-OPTIONS: dict[str, dict[str, str]] = {}
-#: Sections and entries that were renamed, wherever they stand: old name -> new name.
+OPTIONS: dict[str, dict[str, str]] = {
+    "eldenet.losses.pointwise.BerHuLoss": {"share": "threshold_ratio"},
+    "eldenet.losses.silog.SILogLoss": {"balance": "variance_focus"},
+    "eldenet.perception.tracking.BoxTracker": {
+        "births": "min_hits",
+        "deaths": "max_age",
+        "gate": "max_distance",
+    },
+    "eldenet.training.optim.constant": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.cosine": {"warmup": "warmup_fraction"},
+    "eldenet.training.optim.one_cycle": {"peak": "max_lr_factor", "warmup": "warmup_fraction"},
+    "eldenet.training.trainer.Trainer": {
+        "accumulate": "accumulate_grad_batches",
+        "backbone_lr": "backbone_lr_factor",
+        "gradient_clip": "max_grad_norm",
+    },
+}
+#: Renamed keys, at any depth: old name -> new name.
 KEYS = {"load_size": "resize_on_load", "normalisation": "normalization"}
 #: Values that were renamed: (key, old value) -> new value.
 VALUES: dict[tuple[str, Any], str] = {("encoding", "metres"): "meters", ("space", "metres"): "meters"}
 
 
 def renamed(content: Any) -> Any:
-    """``content`` (a stored config, or a record that holds one, as plain values) with today's names."""
+    """Return a stored config, or a record that holds one, as plain values with today's names."""
     if isinstance(content, list | tuple):
         return [renamed(item) for item in content]
     if not isinstance(content, Mapping):
@@ -35,9 +51,9 @@ def renamed(content: Any) -> Any:
     target = content.get("_target_")
     target = TARGETS.get(str(target), target)
     options = KEYS | OPTIONS.get(str(target), {})
-    found = {}
+    found: dict[str, Any] = {}
     for key, value in content.items():
-        new = options.get(key, key)
+        new = str(options.get(key, key))
         found[new] = target if key == "_target_" else renamed(value)
         if isinstance(value, str) and (new, value) in VALUES:
             found[new] = VALUES[new, value]

@@ -15,8 +15,8 @@ def main(config: "DictConfig", folder: Path) -> None:
     """Read runs, refuse mixtures, print the table and write it as Markdown, CSV and LaTeX."""
     from eldenet.results.comparison import find_runs, table_of
     from eldenet.results.run_log import RunLog
-    from eldenet.results.run_record import write_rows
     from eldenet.results.tables import cost_line, protocol_line, to_latex, to_markdown
+    from eldenet.system.files import write_rows
 
     if config.study is not None:
         refuse_unread(

@@ -30,6 +30,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     from eldenet.results.run_log import RunLog
     from eldenet.results.studies.plan import read_study
     from eldenet.results.studies.runner import refuse_unknown_seeds, run_row
+    from eldenet.system.resources import is_main_process
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError("a study runs in one process per row (-m): give torchrun one run of eldenet.train")
@@ -37,7 +38,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     seeds = None if config.seeds is None else cfg.listed(config.seeds)
     refuse_unknown_seeds(study.chosen(cfg.plain(config.rows)), seeds)  # a sweep's job has one row of these
     names = config.row if config.row is not None else cfg.plain(config.rows)
-    log = RunLog(folder, quiet=not cfg.is_main_process())
+    log = RunLog(folder, quiet=not is_main_process())
     outcomes = []
     for row in study.chosen(names):
         given = cfg.plain(config.given)

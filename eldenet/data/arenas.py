@@ -12,5 +12,5 @@ class Arenas(RenderedScenes):
     """
 
     generator = Generator(
-        "arenas", 1, "eldenet.simulation.arena_frames.render_arena", {(96, 128): "0223d0934865"}
+        "arenas", 1, "eldenet.simulation.arena_view.render_arena", {(96, 128): "0223d0934865"}
     )

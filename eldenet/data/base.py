@@ -10,8 +10,9 @@ import torch
 from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameCache, open_cache
-from eldenet.data.paths import check_files, missing_files, one_of
+from eldenet.data.paths import check_files, missing_files
 from eldenet.geometry import resize_intrinsics, resize_sparse
+from eldenet.system.checks import one_of
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]

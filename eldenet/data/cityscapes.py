@@ -16,8 +16,9 @@ from eldenet.data.array_files import read_array, read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
-from eldenet.data.paths import find_root, missing_files, one_of
+from eldenet.data.paths import find_root, missing_files
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 CITYSCAPES_SIZE = (1024, 2048)  # the pictures that disparity [px] and cameras refer to

@@ -9,8 +9,9 @@ import numpy as np
 from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root, one_of
+from eldenet.data.paths import csv_pairs, find_root
 from eldenet.geometry import pinhole
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")

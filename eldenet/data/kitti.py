@@ -29,8 +29,9 @@ from eldenet.data.kitti_files import (
     selection,
 )
 from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
-from eldenet.data.paths import find_root, one_of
+from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 
 SPLITS = ("train", "val", "trainval", "test", "all")
 _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}

@@ -10,8 +10,9 @@ import numpy as np
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYU_RANGE, labelled_part, nyu_intrinsics
-from eldenet.data.paths import find_root, one_of
+from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 HDF5_TREE = """

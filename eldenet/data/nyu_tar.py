@@ -14,8 +14,9 @@ from typing import Any, NamedTuple, Unpack
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.nyu import NYU_RANGE
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.paths import default_cache, find_root, one_of
+from eldenet.data.paths import default_cache, find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 TAR_TREE = """

@@ -99,9 +99,3 @@ def csv_pairs(table: Path) -> list[tuple[str, str]]:
     if not pairs:
         raise ValueError(f"{table} is empty: fetch or write the list of frames again")
     return pairs
-
-
-def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
-    """Raise ``ValueError`` if a setting is none of the allowed words."""
-    if value not in allowed:
-        raise ValueError(f"{name}={value!r}: give one of {', '.join(allowed)}")

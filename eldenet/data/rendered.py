@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eldenet.data.base import DepthDataset, Transform
-from eldenet.data.paths import default_cache, one_of
+from eldenet.data.paths import default_cache
 from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 SPLITS = ("train", "val", "test")

@@ -18,7 +18,7 @@ from eldenet.visualization import photo_beside_depth, visible_range, write_pictu
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply"}
 
@@ -129,7 +129,7 @@ class Results:
         if self.written is not None:
             self.written.add(file, self.video or name)
 
-    def say(self, log: "RunLog", what: str, rate: float, stop: "StopWish") -> None:
+    def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
         """Say what was written, how fast, where, and what was not."""
         if stop and not self.images:
             log.say(f"stopped by {stop} before the first result: nothing is written")

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from eldenet.deploy.outputs import Results
     from eldenet.results.run_log import RunLog
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
     Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
 
@@ -23,7 +23,7 @@ def predict_video(
     predictor: "Predictor",
     results: "Results",
     log: "RunLog",
-    stop: "StopWish",
+    stop: "GracefulStop",
     *,
     frames: int | None = None,
 ) -> str:

@@ -184,7 +184,7 @@ def _kind(
 ) -> str:
     if event is Event.TIMEOUT:
         return "timeout"
-    walkers = [_at(walker, time).distance(*spot) for walker in arena.movers] if touched == "person" else []
+    walkers = [_at(walker, time).distance(*spot) for walker in arena.pedestrians if touched == "person"]
     if walkers and min(walkers) < SAME_SPOT:
         return "walker"
     if math.isinf(unseen_for):

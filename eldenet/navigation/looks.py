@@ -72,7 +72,7 @@ def look_near(
         raise ValueError(f"looks={looks}: give at least one look an arena")
     rows: list[tuple[np.ndarray, np.ndarray, int]] = []
     for number, arena in enumerate(arenas):
-        if arena.movers:
+        if arena.pedestrians:
             raise ValueError(f"{arena.name} has people who walk: looks from places take arenas without")
         rng = np.random.default_rng((seed, number))
         clearance = clearance_map(arena.obstacles)

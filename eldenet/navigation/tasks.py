@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import Arena, clearance_map, draw_crossing, generate_arena
+from eldenet.simulation.arenas import Arena, clearance_map, draw_start_and_goal, generate_arena
 from eldenet.simulation.rendering.mjcf import Draw
 
 TASK_STREAM = 103  # beside arenas.SPLITS: further crossings of training arenas
@@ -72,15 +72,16 @@ class TrainingArenas:
                 least = (self.low + self.high) // 2
             density = int(rng.integers(least, self.high + 1))
             movers = int(rng.integers(0, self.movers + 1))
+            index = int(rng.integers(2**31))
             self._arena = generate_arena(
-                self.split, density, int(rng.integers(2**31)), movers=movers, min_distance=self.min_distance
+                self.split, density, index, pedestrians=movers, min_distance=self.min_distance
             )
             self._left = self.repeats - 1
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
         self._left -= 1
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
-        crossing = draw_crossing(draw, self._clearance, self.min_distance, self._arena.movers)
+        crossing = draw_start_and_goal(draw, self._clearance, self.min_distance, self._arena.pedestrians)
         if crossing is None:
             return self._arena
         return replace(self._arena, start=crossing[0], waypoints=(crossing[1],))
@@ -88,4 +89,4 @@ class TrainingArenas:
 
 def frozen_arenas(density: int, count: int, *, split: str = "test", movers: int = 0) -> Sequence[Arena]:
     """Arenas 0 to ``count - 1`` of a split at one density, the same on every machine."""
-    return [generate_arena(split, density, index, movers=movers) for index in range(count)]
+    return [generate_arena(split, density, index, pedestrians=movers) for index in range(count)]

@@ -13,7 +13,8 @@ from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import environment, read_record, write_json
+from eldenet.results.run_record import environment, read_record
+from eldenet.system.files import write_json
 
 PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80

@@ -90,7 +90,7 @@ class Scene:
         """``(size, size, 3)`` uint8 RGB: obstacles, way-points, what was seen, trail, robot."""
         picture = self._standing.copy()
         world = crossings.worlds[slot]
-        for obstacle in self.arena.movers:
+        for obstacle in self.arena.pedestrians:
             self._obstacle(picture, obstacle, 0.0 if world is None else world.time)
         for x, y in self.arena.waypoints:
             cv2.circle(picture, self.pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)

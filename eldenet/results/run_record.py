@@ -1,6 +1,5 @@
 """``run.json``: everything that a number needs in order to be believed, in one file."""
 
-import csv
 import inspect
 import json
 import os
@@ -10,7 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -33,35 +32,6 @@ _PACKAGES = (
     "torchmetrics",
     "mujoco",
 )
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON at once (temporary file, then rename); NaN becomes null, so that any reader can parse it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.part")
-    unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
-    unfinished.replace(path)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return None
-    return value
-
-
-def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file at once."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.part")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
-    unfinished.replace(path)
 
 
 def read_record(path: Path) -> dict[str, Any]:

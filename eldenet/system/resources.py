@@ -146,6 +146,11 @@ def make_accelerator(resources: Resources) -> Any:
     return Accelerator(mixed_precision=precision, cpu=resources.device == "cpu")
 
 
+def is_main_process() -> bool:
+    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
+    return os.environ.get("RANK", "0") == "0"
+
+
 @contextmanager
 def main_process_first(resources: Resources) -> Iterator[None]:
     """Of a job's processes the main one runs the block first, then one per machine, then the others.

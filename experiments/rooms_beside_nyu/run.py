@@ -1,4 +1,4 @@
-"""Depth of the rendered rooms beside NYU's, in a few numbers, and a contact sheet of the rooms.
+"""Compare the depth of rendered rooms with NYU's in a few numbers, and draw a contact sheet of the rooms.
 
 python experiments/rooms_beside_nyu/run.py        (NYU's row needs ELDENET_DATA, see docs/data.md)
 """
@@ -107,7 +107,7 @@ def _gradient(depth: np.ndarray, valid: np.ndarray) -> float:
 
 
 def contact_sheet(rooms: Rooms, across: int = 6, down: int = 3) -> np.ndarray:
-    """Image over depth, evenly spaced frames: ``(H, W, 3)`` uint8."""
+    """Return evenly spaced frames, each image above its depth: ``(H, W, 3)`` uint8."""
     rows = []
     indices = iter(np.linspace(0, len(rooms) - 1, across * down).astype(int))
     for _ in range(down):
@@ -121,7 +121,7 @@ def main() -> None:
     rooms = Rooms("test", 512, size=(120, 160))
     sets = {"rooms (test)": rooms}
     try:
-        sets["NYU labelled (795 training frames)"] = NYULabelled(split="all", min_depth=0.1)
+        sets["NYU labeled (795 training frames)"] = NYULabelled(split="all", min_depth=0.1)
     except FileNotFoundError as error:
         print(f"NYU is left out: {error}")
     lines = [f"| data | {' | '.join(TITLES)} |", "|---|" + "---:|" * len(TITLES)]
@@ -131,8 +131,6 @@ def main() -> None:
     lines += [
         "",
         "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
-    ]
-    lines += [
         "Made by `python experiments/rooms_beside_nyu/run.py`.",
         "",
         "![test rooms, image over depth](rooms.png)",

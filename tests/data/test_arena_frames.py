@@ -10,9 +10,8 @@ import pytest
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP
-from eldenet.simulation import arena_frames
-from eldenet.simulation.arena_frames import FIRST_ARENA, render_arena
-from eldenet.simulation.arena_view import ArenaView, camera_pose
+from eldenet.simulation import arena_view
+from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
 from eldenet.simulation.robot import ROBOT
 
@@ -32,11 +31,11 @@ def dataset(root):
 def test_frames_are_of_the_training_stream_alone_and_of_no_arena_twice(monkeypatch):
     asked = []
 
-    def note(split, density, index, *, movers):
+    def note(split, density, index, *, pedestrians):
         asked.append((split, index))
         return generate_arena(split, 0, 0)
 
-    monkeypatch.setattr(arena_frames, "generate_arena", note)
+    monkeypatch.setattr(arena_view, "generate_arena", note)
     for split in FIRST_ARENA:
         for index in (0, 1, 999_999):
             render_arena(split, index, (16, 16), views=1)
@@ -66,10 +65,10 @@ def test_light_goes_from_dim_to_bright_and_people_walk(monkeypatch):
         def __init__(self, arena, size, *, light=1.0):
             if size != (9, 16):
                 lights.append(light)
-                movers.append(len(arena.movers))
+                movers.append(len(arena.pedestrians))
             super().__init__(arena, size, light=light)
 
-    monkeypatch.setattr(arena_frames, "ArenaView", Dark)
+    monkeypatch.setattr(arena_view, "ArenaView", Dark)
     for index in range(12):
         render_arena("train", index, (16, 16), views=1)
     assert 0.05 <= min(lights) < 0.3
@@ -128,7 +127,7 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
         geom = np.zeros(1, np.int32)
         depth = np.array(
             [
-                mujoco.mj_ray(other.model, other.data, center, ray, None, 1, -1, geom) * ray[0]
+                mujoco.mj_ray(other.room.model, other.room.data, center, ray, None, 1, -1, geom) * ray[0]
                 for ray in view.camera.rays(rotation)
             ]
         ).reshape(SIZE)

@@ -14,7 +14,7 @@ from eldenet.check_data import _bars, check
 from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split, spread
-from eldenet.train import remembered
+from eldenet.training.run import common_frames
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
@@ -117,7 +117,7 @@ def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
     train, val, test = (
         build_split(config, name, build_protocol(config)) for name in ("train", "val", "test")
     )
-    assert (remembered(train, val), remembered(train, test)) == (0, 9)
+    assert (common_frames(train, val), common_frames(train, test)) == (0, 9)
 
 
 def test_all_frames_missing_is_a_fault(tmp_path: Path) -> None:

@@ -129,7 +129,9 @@ def test_mtans_label_arrays(tmp_path: Path) -> None:
     assert "labels" not in CityscapesMTAN(root, split="trainval", labels="auto")[0]
     for wrong in (values + 0.5, values * 100, values * np.nan, values[..., [0, 0]]):
         np.save(root / "val/label_7/0.npy", wrong)
-        with pytest.raises(ValueError, match=r"label_7/0\.npy is .*expected \(H, W\) of whole numbers 0 to 18"):
+        with pytest.raises(
+            ValueError, match=r"label_7/0\.npy is .*expected \(H, W\) of whole numbers 0 to 18"
+        ):
             data[0]
     np.save(root / "val/label_7/0.npy", values[:-1])
     with pytest.raises(ValueError, match=r"label_7/0\.npy is 15x24, .*depth/0\.npy is 16x24"):

@@ -45,10 +45,10 @@ def test_two_processes_score_as_one(tmp_path):
     script = tmp_path / "two.py"
     script.write_text(
         "import json, sys, torch\n"
-        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from synthetic import SyntheticDepth\n"
+        f"sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n"
+        "from support.synthetic import SyntheticDepth\n"
         "from eldenet.evaluation.evaluator import ConstantPredictor, evaluate\n"
-        "from eldenet.evaluation.metrics import EvalProtocol\n"
+        "from eldenet.evaluation.protocol import EvalProtocol\n"
         "from accelerate import PartialState\n"
         "state = PartialState(cpu=True)\n"
         "torch.set_num_threads(1)\n"

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 import torch
 from support import layouts
-from support.networks import small_net
+from support.scoring import score_small
 from support.synthetic import SyntheticDepth
-from support.training import ONE_THREAD, PROTOCOL
+from support.training import PROTOCOL
 
-from eldenet.config import build_protocol, compose
+from eldenet.config import compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.evaluator import ConstantPredictor, evaluate, fit_constant_predictor
-from eldenet.results.run_log import RunLog
-from eldenet.results.score import score_and_record
 from eldenet.types import Frame
 
 SIZES = ((32, 48), (32, 48), (24, 32), (32, 48), (24, 32), (24, 32), (40, 40))
@@ -65,10 +63,7 @@ def test_a_mixed_folder_is_scored_to_the_end(input_size, tmp_path, capsys):
     words = ["data=folder", f"data.root={root}", f"data.input_size={input_size}"]
     words += ["model_name=small", f"run_dir={tmp_path}"]
     config = compose("train", words)
-    protocol = build_protocol(config)
-    record = score_and_record(
-        config, small_net(), protocol, ONE_THREAD, tmp_path, RunLog(tmp_path), name="small", split="train"
-    )
+    record = score_small(config, tmp_path, "train")
     assert record["metrics"]["images"] == 9
     assert (record["constant_predictor"] is None) == (input_size == "null")
     assert ("no constant predictor beside the result: the depth of" in capsys.readouterr().out) == (

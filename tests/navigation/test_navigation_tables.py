@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from support.table5 import FOLDER, given, modules_of_table5
 
-from eldenet.navigation import versions as sources
 from eldenet.navigation.policy import DEFAULT_WEIGHTS
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.simulation.arenas import arenas_hash
 
 
@@ -41,29 +41,34 @@ def test_rows_are_read_until_something_changes(rows, command, tmp_path, monkeypa
     assert capsys.readouterr().out.count("of 2") == 2
     assert [rows.measure(row, options) for row in command.all_rows(options)] == first
     assert capsys.readouterr().out == ""
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "another version")
+    monkeypatch.setattr(rows, "EPISODE_VERSION", 0)
     (row, _) = command.all_rows(options)
     rows.measure(row, options)
     assert "of 2" in capsys.readouterr().out
 
 
-def test_a_row_of_other_sources_is_kept_if_its_first_crossings_come_out_the_same(
-    rows, command, tmp_path, monkeypatch, capsys
-):
-    options = given(tmp_path, courses="5", recheck=1)
-    (row,) = command.all_rows(options)
-    first = rows.measure(row, options)
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after a change")
-    assert rows.measure(row, options) == first
-    assert rows.measure(row, options) == first
-    assert capsys.readouterr().out.count("the first 1 came out the same, kept") == 1
-    note, table = (options.rows / f"{row.name}.{ending}" for ending in ("json", "csv"))
-    assert json.loads(note.read_text())["rechecked"][0]["worlds"] == 1
-    table.write_text(table.read_text().replace(str(first[0].seconds), "1.0"))
-    monkeypatch.setattr(rows, "crossing_hash", lambda camera: "after another")
-    assert rows.measure(row, options) == first
-    assert "of 2" in capsys.readouterr().out
-    assert "rechecked" not in json.loads(note.read_text())
+def test_a_new_row_leaves_the_stored_rows_of_its_method_alone(rows, command, tmp_path, monkeypatch):
+    options = given(tmp_path, sensors="ranges,noisy")
+    every = list(command.all_rows(options))
+    first = {row.labels: rows.measure(row, options) for row in every}
+    assert rows.read_episodes(options.rows / "straight.csv") == first
+    before = rows.read_notes(options.rows / "straight.json")
+    assert list(before) == [row.name for row in every]
+    monkeypatch.setattr(rows, "EPISODE_VERSION", 0)
+    rows.measure(every[1], options)
+    after = rows.read_notes(options.rows / "straight.json")
+    assert [name for name in before if before[name]["key"] != after[name]["key"]] == [every[1].name]
+    assert rows.read_episodes(options.rows / "straight.csv") == first
+    stored = json.loads((options.rows / "straight.json").read_text())
+    assert len(stored["environments"]) == 1
+
+
+def test_every_stored_row_has_episodes_and_a_note(rows):
+    for file in (FOLDER / "rows").glob("*.csv"):
+        episodes, notes = rows.read_episodes(file), rows.read_notes(file.with_suffix(".json"))
+        assert len(episodes) == len(notes)
+        for labels, crossings in episodes.items():
+            assert len(crossings) == int(labels[rows.LABELS.index("worlds")])
 
 
 def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, tmp_path, monkeypatch):
@@ -80,17 +85,16 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, t
         assert after[1] == before[1]
         before[0] = after[0]
     assert rows.key_of(dim, options, DEFAULT_WEIGHTS, "of them")["policy"] is not None
-    assert before[0]["sources"] != before[1]["sources"]
     assert rows.make_sensor(dim.sensor, given(tmp_path, depth="truth")).light == 0.1
-    assert "camera@0.1-kinematic-5-2" in dim.name
+    assert dim.name == "camera@0.1-known-kinematic-5-2"
 
 
 def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeypatch):
     row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
     before = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
     for changed in ({"slows_within": 2.0}, {"follows": True}):
-        other = dataclasses.replace(methods.LEARNT["dqn"], **changed)
-        monkeypatch.setitem(methods.LEARNT, "dqn", other)
+        other = dataclasses.replace(methods.LEARNED["dqn"], **changed)
+        monkeypatch.setitem(methods.LEARNED, "dqn", other)
         after = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
         assert [name for name in before if before[name] != after[name]] == ["drives"]
         before = after
@@ -102,11 +106,11 @@ def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeyp
         ({"methods": "straight,,magic"}, "'magic'"),
         ({"sensors": "sonar"}, "'sonar'"),
         ({"courses": "6"}, "'6'"),
-        ({"sensors": "ranges@0.1"}, "light is for camera and objects"),
+        ({"sensors": "ranges@0.1"}, "light is for camera and objects only"),
         ({"sensors": "camera@dark", "depth": "truth"}, "number above 0"),
-        ({"sensors": "camera"}, "--depth: say what feeds the camera"),
+        ({"sensors": "camera"}, "--depth is missing"),
         ({"sensors": "camera", "depth": "owner/model"}, "--depth owner/model: no model folder"),
-        ({"sensors": "objects", "depth": "truth"}, "--detector: say what finds objects"),
+        ({"sensors": "objects", "depth": "truth"}, "--detector is missing"),
         (
             {"sensors": "objects", "depth": "truth", "detector": "none.onnx"},
             "--detector none.onnx: no such file",
@@ -123,7 +127,7 @@ def test_learnt_rows_are_trainings_of_the_command(methods):
     from eldenet.config import compose, plain
 
     configs = {
-        name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNT.items()
+        name: compose("navigate", ["mode=train", *method.options]) for name, method in methods.LEARNED.items()
     }
     assert (configs["paper_literal"].observer.memory, configs["paper_literal"].learner.n_step) == (0, 1)
     assert configs["paper_literal"].learner.target_every > 0
@@ -146,29 +150,28 @@ def test_the_moving_arenas_are_frozen_too():
     assert arenas_hash(frozen_arenas(20, 100, movers=10)) == frozen["100"]["20+10"]
 
 
-def policy_folder(tmp_path: Path, config: dict, sources_hash: str) -> Path:
+def policy_folder(tmp_path: Path, config: dict, version: int = TRAINING_VERSION) -> Path:
     folder = tmp_path / "runs" / "dqn-1"
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(DEFAULT_WEIGHTS, folder / "policy.safetensors")
-    (folder / "training.json").write_text(json.dumps({"config": config, "sources": sources_hash}))
+    (folder / "training.json").write_text(json.dumps({"config": config, "version": version}))
     return folder
 
 
-def test_a_training_of_other_settings_or_sources_is_refused(rows, tmp_path):
+def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
     from eldenet.config import compose, plain
 
     row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
     options = given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
-    folder = policy_folder(tmp_path, config, sources.training_hash())
+    folder = policy_folder(tmp_path, config)
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
-    policy_folder(tmp_path, config | {"learner": config["learner"] | {"steps": 7}}, sources.training_hash())
+    policy_folder(tmp_path, config | {"learner": config["learner"] | {"steps": 7}})
     with pytest.raises(ValueError, match="trained with another learner"):
         rows.policy_file(row, options)
-    policy_folder(tmp_path, config, "of another day")
-    with pytest.raises(ValueError, match="by other sources"):
+    policy_folder(tmp_path, config, TRAINING_VERSION + 1)
+    with pytest.raises(ValueError, match=f"by version {TRAINING_VERSION + 1}"):
         rows.policy_file(row, options)
-    assert rows.policy_file(row, given(tmp_path, any_sources=True)) is not None
     (folder / "training.json").unlink()
     with pytest.raises(ValueError, match=r"without training\.json"):
         rows.policy_file(row, options)
@@ -179,7 +182,7 @@ def test_a_table_is_rebuilt_without_its_trainings(rows, tmp_path):
 
     row, options = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1), given(tmp_path)
     config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
-    trained = policy_folder(tmp_path, config, sources.training_hash())
+    trained = policy_folder(tmp_path, config)
     rows.policy_file(row, options)
     shutil.rmtree(trained)
     kept = rows.policy_file(row, options)
@@ -211,4 +214,4 @@ def test_the_whole_command_writes_headings_with_what_fed_them(study, tmp_path, m
     assert "goal `odometry` (odometry is exact here)" in text
     assert "nan" not in (tmp_path / "results-2-goal-odometry.csv").read_text()
     assert (tmp_path / "results-2-goal-odometry.png").is_file()
-    assert (tmp_path / "rows" / "straight-noisy-goal_odometry-kinematic-5-2.csv").is_file()
+    assert "noisy-odometry-kinematic-5-2" in (tmp_path / "rows" / "straight.json").read_text()

@@ -96,7 +96,7 @@ def test_training_crossings_begin_away_from_walkers():
     away = [
         math.dist((walker.x, walker.y), arena.start[:2])
         for arena in (arenas.draw(rng) for _ in range(40))
-        for walker in arena.movers
+        for walker in arena.pedestrians
     ]
     assert len(away) > 100
     assert min(away) > 3.0

@@ -12,11 +12,12 @@ from support.tiny_study import cells, run_all, short
 
 from eldenet import config as cfg
 from eldenet.benchmark import benchmark
+from eldenet.config import build_training
 from eldenet.results.studies.matching import compose_run
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.studies.runner import run_row, sole
-from eldenet.train import train
+from eldenet.training.run import train
 
 
 def test_a_study_from_nothing_to_its_tables(tiny, tmp_path):
@@ -202,12 +203,12 @@ def test_a_killed_row_goes_on(tiny, tmp_path):
     shared = [*study.overrides, *row.overrides, f"optimizer.lr={row.learning_rate}"]
     again = compose_run(shared, folder, tmp_path, name="eldenet", seed=0)
     before = (folder / "run.json").read_bytes()
-    assert train(again, folder) == json.loads(before)["training"]["best_value"]
+    assert train(build_training(again, folder)) == json.loads(before)["training"]["best_value"]
     assert (folder / "run.json").read_bytes() == before
     for other, word in (("optimizer.lr=0.5", "optimizer.lr"), ("data.frames.train=12", "data.frames.train")):
         changed = compose_run([*shared, other], folder, tmp_path, name="eldenet", seed=0)
         with pytest.raises(ValueError, match=rf"holds a finished run of other settings: {word}"):
-            train(changed, folder)
+            train(build_training(changed, folder))
 
 
 def test_a_run_begun_with_other_settings_does_not_go_on(tiny, tmp_path):
@@ -215,11 +216,11 @@ def test_a_run_begun_with_other_settings_does_not_go_on(tiny, tmp_path):
     (row,) = study.chosen("eldenet")
     shared = [*study.overrides, *row.overrides, "trainer.epochs=2", f"optimizer.lr={row.learning_rate}"]
     folder = tmp_path / "runs" / "tiny" / "eldenet" / "seed0"
-    train(compose_run(shared, folder, tmp_path, name="eldenet", seed=0), folder)
+    train(build_training(compose_run(shared, folder, tmp_path, name="eldenet", seed=0), folder))
     (folder / "run.json").unlink()  # killed before its end, as far as the folder tells
     changed = compose_run([*shared, "loss=l1_sparse"], folder, tmp_path, name="eldenet", seed=0)
     with pytest.raises(ValueError, match=r"run begun with other settings: loss"):
-        train(changed, folder)
+        train(build_training(changed, folder))
 
 
 def test_what_a_row_asks_for_is_said_as_hydra_takes_it(tiny, tmp_path):

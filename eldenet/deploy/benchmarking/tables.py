@@ -18,8 +18,8 @@ def write_results(
 ) -> None:
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded), ``.png``, and the terminal."""
     from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
-    from eldenet.results.run_record import write_rows
     from eldenet.results.tables import to_latex, to_markdown
+    from eldenet.system.files import write_rows
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
@@ -83,10 +83,10 @@ def read_accuracies(config: "DictConfig", models: Collection[str]) -> tuple[dict
         ValueError: ``accuracy`` is no metric; the runs do not compare (other frames, another protocol); or
             runs of one name differ in more than their seed.
     """
-    from eldenet.data.paths import one_of
     from eldenet.evaluation.metrics import METRICS
     from eldenet.results.comparison import find_runs, group_rows, refuse_mixtures
     from eldenet.results.tables import heading
+    from eldenet.system.checks import one_of
 
     if not config.accuracies:
         return {}, ""

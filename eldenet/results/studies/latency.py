@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.results.run_record import write_rows
 from eldenet.results.studies.matching import compose_run
 from eldenet.results.studies.plan import Study
+from eldenet.system.files import write_rows
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet

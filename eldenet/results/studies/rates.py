@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from eldenet import config as cfg
+from eldenet.config import build_training
 from eldenet.results.fingerprints import fingerprints
-from eldenet.results.run_record import read_record, read_run, write_json
+from eldenet.results.run_record import read_record, read_run
 from eldenet.results.studies.matching import compose_run, refuse_missing, search_differences
 from eldenet.results.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
-from eldenet.train import train
+from eldenet.system.files import write_json
+from eldenet.training.run import train
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
@@ -105,7 +107,8 @@ def _try(row: StudyRow, overrides: Sequence[str], rate: float, runs: Path) -> di
     """``run.json`` of a trial; None: it diverged."""
     folder = runs / row.name / f"lr{rate:g}"
     try:
-        train(compose_run(list(overrides), folder, runs, name=row.name, seed=0), folder)
+        config = compose_run(list(overrides), folder, runs, name=row.name, seed=0)
+        train(build_training(config, folder))
     except FloatingPointError:
         return None
     return read_run(folder)

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.config import build_training
 from eldenet.results.run_record import RUN_FILE
 from eldenet.results.studies.matching import compose_run, refuse_missing
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
 from eldenet.results.studies.rates import learning_rate
-from eldenet.train import train
 from eldenet.training.resume import finished_run
+from eldenet.training.run import train
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -120,7 +121,7 @@ def _run_seed(
         if not rerun and _finished(config, stored, f"{study.name}/{name}", say):
             return Outcome(name, "finished before")
         refuse_missing(row, runs, seed)
-        train(config, folder)
+        train(build_training(config, folder))
         store(folder, stored)
     except Exception as error:
         return _failed(folder, name, error, say)
@@ -137,7 +138,7 @@ def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
     if not all((stored / file).is_file() for file in KEPT):
         return False
     try:
-        finished_run(config, stored)
+        finished_run(build_training(config, stored))
     except FileNotFoundError as error:  # the settings were compared before
         say(f"{name}: finished before; its frames are not here to be compared ({str(error).splitlines()[0]})")
         return True
