@@ -182,7 +182,7 @@ def test_latencies_of_a_study(tiny, tmp_path):
         write_study_report(tiny)
     plan = (tiny / "sweep.yaml").read_text()
     (tiny / "sweep.yaml").write_text(plan.replace("latency: bench", "latency: ../other/bench"))
-    with pytest.raises(ValueError, match="shows the latencies of another study.*: measure that one"):
+    with pytest.raises(ValueError, match=r"shows the latencies of another study.*: measure that one"):
         benchmark(cfg.build_benchmark(cfg.compose("benchmark", options)))
     whole = plan.replace('"data.input_size=[64,80]"', "data.input_size=null")
     (tiny / "sweep.yaml").write_text(whole)
