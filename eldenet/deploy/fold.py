@@ -1,4 +1,4 @@
-"""The inference form of a network: the same numbers from fewer operations."""
+"""Fold a network for inference: the same numbers from fewer operations."""
 
 import copy
 
@@ -12,18 +12,18 @@ from eldenet.layers import DepthwiseConv2d
 from eldenet.model import DepthNet
 
 RESNET_PARTS = (ResNet, BasicBlock, Bottleneck)
-PLAIN = (nn.Conv2d, DepthwiseConv2d)  # and no subclass, which may do more than its base
+PLAIN = (nn.Conv2d, DepthwiseConv2d)  # subclasses may do more
 
 
 def fold(model: DepthNet) -> DepthNet:
-    """A copy of ``model`` for inference, in eval mode; its depth differs by rounding alone.
+    """Return a copy of ``model`` for inference, in eval mode; its depth differs by rounding only.
 
-    - Batch normalizations that follow their convolution in an ``nn.Sequential`` are folded into it, and
-      those of torchvision's ResNet blocks. Subclasses of either stay: they may do more than their base.
-    - Every up-convolution, whichever form it had, becomes one 3x3 convolution on the small map, its
-      activation there too, and a pixel shuffle: see :func:`merge_upconv`.
+    - Batch normalizations are folded into the convolution before them, in an ``nn.Sequential`` and in
+      torchvision's ResNet blocks. Subclasses are left alone, as they may do more.
+    - Every up-convolution becomes one 3x3 convolution and its activation on the small map, and a pixel
+      shuffle (:func:`merge_upconv`).
 
-    It cannot be trained or saved; it is for :mod:`eldenet.deploy.runtimes` and the exports.
+    The copy cannot be trained or saved; runtimes and exports use it.
     """
     folded = copy.deepcopy(model).eval()
     for part in list(folded.modules()):
@@ -42,8 +42,8 @@ def fold(model: DepthNet) -> DepthNet:
 class _Unblock(nn.Module):
     """Changes nothing: ``(B, 1, h, w) -> (B, 1, h, w)``.
 
-    ONNX Runtime keeps channels in blocks of 16 until an operation does not know blocks. A raw map has one
-    channel: resizing it and bringing it to meters in blocks takes 16 times the work.
+    ONNX Runtime keeps channels in blocks of 16 until an operation does not support blocks. A raw map has one
+    channel, so resizing it in blocks would take 16 times the work.
     """
 
     def forward(self, raw: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ class _Unblock(nn.Module):
 
 
 def _fold_numbered(part: nn.Module) -> None:
-    """Fold ``bn1`` into ``conv1`` and so on, in place: torchvision's blocks name them so, and run them so."""
+    """Fold ``bn1`` into ``conv1`` and so on, in place, as torchvision's blocks name them."""
     for number in (1, 2, 3):
         conv, norm = getattr(part, f"conv{number}", None), getattr(part, f"bn{number}", None)
         if type(conv) in PLAIN and type(norm) is nn.BatchNorm2d:
@@ -60,12 +60,12 @@ def _fold_numbered(part: nn.Module) -> None:
 
 
 def _fold_sequence(sequence: nn.Sequential) -> None:
-    """Fold what follows each other in ``sequence``, in place; folded layers become identities."""
+    """Fold consecutive layers of ``sequence`` in place; folded layers become identities."""
     parts = dict(sequence.named_children())
     names = [*parts, ""]
     for name, after, last in zip(names, names[1:], names[2:], strict=False):
         layer, norm = parts[name], parts[after]
-        if type(norm) is not nn.BatchNorm2d:  # timm's has its activation inside
+        if type(norm) is not nn.BatchNorm2d:  # timm's contains its activation
             continue
         if type(layer) in PLAIN:
             parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
@@ -86,16 +86,15 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
 
 
 def merge_upconv(weight: Tensor, bias: Tensor | None, activation: nn.Module | None = None) -> nn.Sequential:
-    """One 3x3 convolution and a pixel shuffle: the operator of :class:`~eldenet.decoders.upconv.UpConv2d`.
+    """The operator of :class:`~eldenet.decoders.upconv.UpConv2d` as one 3x3 convolution and a pixel shuffle.
 
-    The kernels 3x3, 3x2, 2x3 and 2x2 stand in one 3x3 kernel each, filled up with zeros: 36 taps for 25, but
-    one convolution with four times the channels for four small ones. On CPUs that is as fast or faster, and
-    no maps have to be interleaved by hand.
+    The kernels 3x3, 3x2, 2x3 and 2x2 are each padded to 3x3 with zeros: 36 taps for 25, but one convolution
+    with four times the channels for four small ones. On CPUs that is as fast or faster.
 
     Args:
         weight: ``(out, in, 5, 5)``.
         bias: ``(out,)`` or None.
-        activation: of each value, run before the shuffle.
+        activation: runs before the shuffle.
     """
     out_channels, in_channels = weight.shape[:2]
     kernels = weight.new_zeros(out_channels, 4, in_channels, 3, 3)

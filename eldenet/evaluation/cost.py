@@ -99,7 +99,7 @@ def measure_cost(
         model: image ``(B, 3, H, W)`` -> depth.
         size: ``(height, width)`` of the input [px].
         batch: for the throughput.
-        seconds: to spend on each of the two timings; the device is synchronised and warmed up.
+        seconds: to spend on each of the two timings; the device is synchronized and warmed up.
     """
     device = device_of(model)
     if device.type == "cuda":
@@ -113,7 +113,7 @@ def measure_cost(
             {"one": lambda: model(one), "many": lambda: model(many)},
             rounds=5,
             seconds=seconds / 5,
-            synchronise=torch.cuda.synchronize if device.type == "cuda" else None,
+            synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )
     macs = count_macs(model, size)
     return CostReport(

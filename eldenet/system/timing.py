@@ -12,7 +12,7 @@ def time_interleaved(
     *,
     rounds: int = 5,
     seconds: float = 0.2,
-    synchronise: Callable[[], object] | None = None,
+    synchronize: Callable[[], object] | None = None,
     warm_up: int = 3,
 ) -> dict[str, list[float]]:
     """Time several calls in turns, so that a machine that slows down or speeds up hits all of them alike.
@@ -21,13 +21,13 @@ def time_interleaved(
         calls: name -> what to time.
         rounds: turns that each call gets.
         seconds: of each turn; at least three calls are timed in it.
-        synchronise: waits until the device has finished; called before each start and before each stop.
+        synchronize: waits until the device has finished; called before each start and before each stop.
         warm_up: calls before each turn that are not timed: another call had the caches.
 
     Returns:
         Name -> the time of every timed call [s].
     """
-    wait = synchronise or (lambda: None)
+    wait = synchronize or (lambda: None)
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():

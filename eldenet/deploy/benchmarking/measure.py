@@ -159,7 +159,7 @@ def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequ
 
     def call() -> None:
         network.run_prepared(images)
-        network.synchronise()
+        network.synchronize()
 
     call()
     return call

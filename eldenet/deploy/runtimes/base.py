@@ -75,7 +75,7 @@ class Runtime:
         """Run the result of :meth:`prepared`, for timing."""
         return self.run(images)
 
-    def synchronise(self) -> None:
+    def synchronize(self) -> None:
         """Wait for the device."""
 
     @overload

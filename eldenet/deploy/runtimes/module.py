@@ -1,4 +1,4 @@
-"""An exported file where a torch module is wanted: to score it as any model, and to say what it costs."""
+"""An exported file as a torch module, to score it and to measure its cost."""
 
 import math
 
@@ -11,21 +11,21 @@ from eldenet.evaluation.cost import CostReport, median_ms, peak_memory_mb, perce
 
 
 class RuntimeNetwork(nn.Module):
-    """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime; no parameters, no gradient.
+    """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime, without parameters and gradient.
 
     Raises:
-        ValueError: the file takes camera frames, or another size than the images have, or fewer at once.
+        ValueError: the file takes camera frames, images of another size, or fewer at once.
     """
 
     def __init__(self, network: Runtime) -> None:
         super().__init__()
         if network.takes_frames:
-            raise ValueError("this file takes camera frames: to score it, export it without camera=")
+            raise ValueError("this file takes camera frames: to score the network, export it without camera=")
         self.network = network
         self.info = network.info
 
     def forward(self, image: Tensor) -> Tensor:
-        """Meters, on the image's device."""
+        """Depth [m] on the image's device."""
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
                 f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
@@ -41,9 +41,9 @@ class RuntimeNetwork(nn.Module):
 
 
 def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
-    """As :func:`eldenet.evaluation.cost.measure_cost`; the counts are those that the file states.
+    """Cost as by :func:`eldenet.evaluation.cost.measure_cost`, with the counts that the file states.
 
-    A file of a fixed batch is timed at that batch alone: of another than 1 no latency of one image is known.
+    A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN.
     """
     one, batch = network.fixed_batch or 1, network.fixed_batch or batch
     calls = {}
@@ -51,7 +51,7 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int 
         images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
         calls[name] = lambda images=images: network.run_prepared(images)
     with torch.inference_mode():
-        times = time_interleaved(calls, synchronise=network.synchronise)
+        times = time_interleaved(calls, synchronize=network.synchronize)
     gmacs = float(network.metadata.get("gmacs", "nan"))
     of_one = times["one"] if one == 1 else [math.nan]
     return CostReport(

@@ -83,7 +83,7 @@ class TorchRuntime(Runtime):
         """Run arrays."""
         return self.run_prepared(self.prepared(images)).cpu().numpy()
 
-    def synchronise(self) -> None:
+    def synchronize(self) -> None:
         """Wait for the GPU."""
         if self.target.type == "cuda":
             torch.cuda.synchronize(self.target)
