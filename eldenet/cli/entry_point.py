@@ -41,10 +41,11 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(config_name, about))
             words = sys.argv[1:]
+            decorated = hydra.main(
+                version_base="1.3", config_path=str(config_folder()), config_name=config_name
+            )
             try:
-                hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(
-                    task
-                )()
+                decorated(task)()
                 sys.stdout.flush()
             except SystemExit as end:
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)
@@ -75,8 +76,10 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if isinstance(error, BrokenPipeError):
             raise
         logging.getLogger("eldenet").debug("", exc_info=True)
-        missing = isinstance(error, MissingMandatoryValue)
-        _print_error(f"give {error.full_key}=... on the command line" if missing else str(error))
+        if isinstance(error, MissingMandatoryValue):
+            _print_error(f"give {error.full_key}=... on the command line")
+        else:
+            _print_error(str(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
         raise SystemExit(1) from None
