@@ -2,11 +2,14 @@
 
 import functools
 import logging
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.system.resources import prepare_environment
+from eldenet.system.checks import one_of
+from eldenet.system.resources import choose_resources, prepare_environment
 
 prepare_environment()
 
@@ -20,7 +23,12 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.deploy.exporting import ExportSetup
+    from eldenet.deploy.prediction import PredictionSetup
     from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.navigation.modes import ModeSetup
+    from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.training.setup import TrainingSetup
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
@@ -184,6 +192,36 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     )
 
 
+def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
+    """What ``python -m eldenet.train_detector`` trains in ``folder``.
+
+    Raises:
+        ValueError: the folder holds another run already, or libreyolo is missing.
+    """
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.libreyolo_detector import YoloTraining
+    from eldenet.simulation.street_views import NAMES
+    from eldenet.system.resources import choose_resources
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    if (folder / "train").exists() and not config.resume:
+        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
+    resources = choose_resources(**settings["runtime"])
+    return DetectorTrainingSetup(
+        folder=folder,
+        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(NAMES)),
+        training=YoloTraining(
+            **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
+        ),
+        data=Path(settings["data"]["root"]),
+        kinds=listed(config.data.kinds),
+        counts={split: config.data[split] for split in ("train", "test")},
+        resources=resources,
+        resume=config.resume,
+        settings=settings,
+    )
+
+
 def _build_trainer(config: DictConfig) -> Any:
     optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
     return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed)
@@ -195,6 +233,72 @@ def _named_modules(settings: Any) -> list[str]:
         return []
     named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
     return named + [module for value in settings.values() for module in _named_modules(value)]
+
+
+def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
+    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
+    from eldenet.navigation import modes
+    from eldenet.navigation.episodes import EpisodeSettings
+
+    settings = plain(config)
+    names = ("physics", "goal", "time_limit", "seed")
+    common: dict[str, Any] = {
+        "mode": config.mode,
+        "folder": folder,
+        "threads": config.runtime.threads,
+        "make_sensor": functools.partial(instantiate, config.sensor),
+        "episode": EpisodeSettings(**{name: settings[name] for name in names if name in settings}),
+        "settings": settings,
+    }
+    if config.mode == "train":
+        return modes.TrainSetup(**common, make_training=functools.partial(_build_driver_training, config))
+    densities = [int(density) for density in listed(config.density)]
+    if config.mode == "fit_noise":
+        return modes.NoiseSetup(
+            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
+        )
+    policy = instantiate(config.policy)
+    common |= {
+        "make_policy": lambda robots: policy(robots=robots),
+        "split": config.split,
+        "pedestrians": config.pedestrians,
+    }
+    if config.mode == "record":
+        if len(densities) != 1:
+            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
+        extra = {name: settings[name] for name in ("world", "course", "video")}
+        return modes.RecordSetup(**common, density=densities[0], **extra)
+    return modes.EvaluationSetup(
+        **common, densities=densities, episodes=config.episodes, robots=config.robots
+    )
+
+
+def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
+    from eldenet.navigation.dqn import DQN
+    from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.training import TrainingSetup
+
+    settings = plain(config)
+    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
+        raise ValueError(
+            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
+        )
+
+    def make_learner() -> DQN:
+        env = ArenaNavVectorEnv(
+            config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
+            time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+        )  # fmt: skip
+        return DQN(env, instantiate(config.learner)(seed=config.seed))
+
+    compared = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
+    return TrainingSetup(
+        make_learner,
+        sensor,
+        config.training.validate,
+        {name: settings[name] for name in compared},
+        settings,
+    )
 
 
 def build_model(config: DictConfig, **arguments: Any) -> Any:
@@ -292,3 +396,192 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+# --- predict, export, benchmark -----------------------------------------------------------------------------
+
+
+def build_prediction(config: DictConfig) -> "PredictionSetup":
+    """What ``configs/predict.yaml`` asks for; torch is not loaded before everything else is checked.
+
+    Raises:
+        ValueError: a setting or the source is wrong.
+        FileNotFoundError: there is no such source.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.outputs import ENDING, Results
+    from eldenet.deploy.prediction import PredictionSetup, find_source
+    from eldenet.geometry import pinhole
+
+    checkpoint, engine = str(config.checkpoint), str(config.engine)
+    one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
+    one_of("on_error", str(config.on_error), ("stop", "skip"))
+    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
+        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    if camera and not (camera[0] > 0 and camera[1] > 0):
+        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    span = _numbers(config, "depth_range", "[near, far] in meters")
+    if span and not 0 <= span[0] < span[1]:
+        raise ValueError(f"depth_range={list(span)}: give [near, far] in meters, 0 <= near < far")
+    size = _size(config, "input_size")
+    output = Path(config.output).expanduser()
+    source = find_source(str(config.source), output, config.frames)
+    formats = (
+        ["color"] if source.is_video else ["depth", "color", *["ply"] * bool(camera and not config.boxes)]
+    )
+    if config.formats is not None:
+        formats = [str(name) for name in listed(config.formats)]
+    for name in formats:
+        if name == "colour":
+            raise ValueError("formats: colour is called color now")
+        one_of("formats", name, tuple(ENDING))
+    if not formats:
+        raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
+    if "ply" in formats and not camera:
+        raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if camera and "ply" not in formats and not config.boxes:
+        raise ValueError(f"formats={formats} does not use intrinsics: add ply for point clouds")
+    results = Results(
+        output,
+        tuple(formats),
+        pinhole(*camera) if camera else None,
+        (span[0], span[1]) if span else None,
+        bool(config.overwrite),
+    )
+    files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
+    results.refuse_to_overwrite(list(map(Path, source.names)), files)
+    boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
+    by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
+    return _filled(
+        PredictionSetup,
+        config,
+        source=source,
+        results=results,
+        resources=choose_resources(**plain(config.runtime), for_torch=by_torch),
+        input_size=size,
+        boxes=boxes,
+        skip_unreadable=config.on_error == "skip",
+    )
+
+
+def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video: bool) -> Callable[..., Any]:
+    """What adds 3D boxes to the results of ``predict``: detector, lifter and, of a video, tracker.
+
+    Raises:
+        ValueError: no intrinsics or no detector were given.
+    """
+    from eldenet.geometry import PinholeCamera, pinhole
+    from eldenet.perception.box_results import box_results
+    from eldenet.perception.scene import Perception
+
+    if camera is None:
+        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = instantiate(config.perception.detector)
+    lifter = instantiate(config.perception.lifter)
+    tracker = instantiate(config.perception.tracker) if is_video else None
+
+    perception = Perception(None, detector, lifter, PinholeCamera(pinhole(*camera)), tracker=tracker)
+    return functools.partial(box_results, perception, is_video=is_video)
+
+
+def build_export(config: DictConfig) -> "ExportSetup":
+    """What ``configs/export.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.exporting import ENDINGS, PRECISIONS, ExportSetup
+
+    kind, precision = str(config.format), str(config.precision)
+    one_of("format", kind, tuple(ENDINGS))
+    if precision not in PRECISIONS[kind]:
+        raise ValueError(
+            f"precision={precision}: format={kind} has {', '.join(PRECISIONS[kind])}"
+            + ("; for bf16 give format=openvino" if precision == "bf16" else "")
+        )
+    output = None if config.output is None else Path(config.output).expanduser()
+    if output is not None and output.suffix != ENDINGS[kind]:
+        raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
+    return _filled(
+        ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
+    )
+
+
+def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
+    """What ``configs/benchmark.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.zoo import list_models
+
+    several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
+    lists = {name: tuple(listed(config[name])) for name in several}
+    for runtime in lists["runtimes"]:
+        one_of("runtimes", runtime, RUNTIMES)
+    for precision in lists["precisions"]:
+        one_of("precisions", precision, PRECISIONS)
+    if config.rounds < 1:
+        raise ValueError(f"rounds={config.rounds}: give 1 or more")
+    sizes = plain(config.sizes)
+    if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
+        raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.evaluation.metrics import METRICS
+
+    one_of("accuracy", str(config.accuracy), METRICS)
+    models = list_models() if config.models is None else listed(config.models)
+    return _filled(
+        BenchmarkSetup,
+        config,
+        **lists,
+        models=tuple(map(str, models)),
+        sizes=tuple(map(tuple, sizes)),
+        output=Path(config.output).expanduser(),
+    )
+
+
+def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
+    """A dataclass with the settings that its fields name; ``given`` ones are checked already."""
+    names = [field.name for field in fields(setup) if field.name not in given]
+    return setup(**{name: plain(config[name]) for name in names}, **given)
+
+
+def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
+    """A setting such as ``[near, far] in meters``; None where it is null.
+
+    Raises:
+        ValueError: it is no list of as many finite numbers.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    count = meaning.count(",") + 1
+    try:
+        numbers = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name}={given}: give {meaning}, {count} numbers, or null")
+    return numbers
+
+
+def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
+    """A setting ``[height, width]`` [px]; None where it is null.
+
+    Raises:
+        ValueError: it is no such pair.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
+    if not pair or min(given) < 1:
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+    return given[0], given[1]

@@ -73,7 +73,7 @@ def test_no_function_takes_more_than_eight_arguments() -> None:
         "export checkpoint=eldenet_rooms output={out}/model.onnx",
         "check_data data.frames={train:8,val:8,test:8}",
         "report runs=[{runs}] output={out}/table",
-        "navigate mode=evaluate density=[5] worlds=1 run_dir={out}/drive",
+        "navigate mode=evaluate density=[5] episodes=1 run_dir={out}/drive",
     ],
     ids=lambda words: words.split()[0],
 )

@@ -17,6 +17,9 @@ QUOTES = "a value with spaces or special characters needs two pairs of quotes: '
 def help_template(config_name: str, about: str) -> str:
     """Return Hydra's help template of a command: what it does, its YAML file with comments, all choices."""
     settings = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
+    if "\n  - mode: " in settings:  # each mode adds settings of its own
+        for file in sorted((config_folder() / "mode").glob("*.yaml")):
+            settings += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
     shown = f"{about.replace('``', '').strip()}\n\n{settings}".replace("$", "$$")
     return (
         f"{shown}\n\nChoices of all commands' groups:\n$APP_CONFIG_GROUPS\n"

@@ -11,7 +11,7 @@ from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameStore, open_store
 from eldenet.data.paths import check_files, missing_files
-from eldenet.geometry import resize_intrinsics, resize_sparse
+from eldenet.geometry import resize_image, resize_intrinsics, resize_sparse
 from eldenet.system.checks import one_of
 from eldenet.types import DepthSample, Frame
 
@@ -243,10 +243,9 @@ def resize_frame(
 
     image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
-        shrink = image.shape[:2] > tuple(size)  # in height; in width where that stays
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
-        image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+        image = resize_image(image, size)
     if resize_depth and depth.shape != size:
         if labels is not None:
             labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)

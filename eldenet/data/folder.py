@@ -8,13 +8,12 @@ import numpy as np
 
 from eldenet.data.array_files import read_text
 from eldenet.data.base import DepthDataset, SampleOptions
-from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
+from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.paths import csv_pairs, find_root
 from eldenet.geometry import pinhole
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
-IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)

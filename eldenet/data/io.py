@@ -13,6 +13,8 @@ import numpy as np
 from eldenet.data.array_files import read_array, read_bytes, read_exr, read_pfm
 from eldenet.data.file_checks import FORMATS, decode_picture
 
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
+
 
 @dataclass(frozen=True)
 class DepthEncoding:

@@ -1,38 +1,14 @@
 """What a training takes over from elsewhere (weights, a teacher): told apart by content, wherever it lies."""
 
 import hashlib
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from eldenet.results.run_record import differences
+from eldenet.weights import WEIGHT_FILES, located
 
-PACKAGED = (
-    Path(__file__).resolve().parents[1] / "weights"
-)  # trained on rendered frames alone, so they may ship
 KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder, Hub id
-_FILES = ("model.safetensors", "model/model.safetensors")
-
-
-def located(source: str | Path) -> Path:
-    """Folder or file of a source: that of the package's own weights for their name, else the path itself.
-
-    ``~`` is the home folder. ``./name`` is a path, whatever the package holds of that name.
-
-    Warns:
-        UserWarning: a saved model of the same name as the package's weights lies here, and is not taken.
-    """
-    own, here = PACKAGED / source, Path(source).expanduser()
-    if "/" in str(source) or not (own / _FILES[0]).is_file():
-        return here
-    if any((here / name).is_file() for name in _FILES) and here.resolve() != own:
-        warnings.warn(
-            f"{source} is taken from the package, not from the folder of that name here: for that one give "
-            f"./{source}",
-            stacklevel=2,
-        )
-    return own
 
 
 def sources_of(config: Any, name: str = "") -> dict[str, str]:
@@ -54,7 +30,7 @@ def sha256(source: str | Path) -> str | None:
     """SHA-256 of a source's weights (those beside an OpenVINO ``.xml``); None where they do not lie here."""
     folder = located(source)
     weights = folder.with_suffix(".bin") if folder.suffix == ".xml" else folder
-    for file in (weights, *(folder / name for name in _FILES)):
+    for file in (weights, *(folder / name for name in WEIGHT_FILES)):
         if file.is_file():
             with file.open("rb") as content:
                 return hashlib.file_digest(content, "sha256").hexdigest()

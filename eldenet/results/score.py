@@ -144,8 +144,8 @@ def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "De
             and scored.missing_shards("train", wanted)
         ):
             log.say(
-                f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames: not all "
-                f"of data.train.frames={wanted} are rendered yet"
+                f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames: not "
+                f"all of data.train.frames={wanted} are rendered yet"
             )
             few = {"frames": RENDERED_FOR_A_CONSTANT}
         train_set = setup.make_split("train", setup.protocol, **few)

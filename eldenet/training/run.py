@@ -75,7 +75,7 @@ def train(setup: TrainingSetup) -> float:
     trainer.accelerator.end_training()  # a process that leaves with its group open may abort
     if trainer.accelerator.is_main_process:
         skipped = {"train": train_set.skipped, "val": val_set.skipped}
-        closing_table(log, score_best(setup, resources, log, progress, skipped, loss.identity))
+        closing_table(log, score_best(setup, resources, log, progress, skipped, loss.signature))
     return progress.best_value
 
 
@@ -86,7 +86,7 @@ def make_loss(setup: TrainingSetup) -> "WeightedSum":
         ValueError: a teacher is named, and no term of the loss learns from one.
     """
     loss = setup.make_loss()
-    if setup.teacher is not None and not loss.identity:
+    if setup.teacher is not None and not loss.signature:
         raise ValueError(
             f"teacher={setup.teacher}: no term of this loss learns from a teacher; use loss=ssim_l1_distill, "
             "or remove teacher="

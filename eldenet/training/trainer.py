@@ -207,7 +207,7 @@ class Trainer:
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.train_set, self.val_set, self.protocol = data
         self.folder, self.workers = folder, resources.workers
-        loss.attach(model, self.accelerator.autocast)
+        loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
@@ -244,7 +244,7 @@ class Trainer:
                 "batch_size": self.batch_size * self.processes,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
-                "teacher": loss.identity,
+                "teacher": loss.signature,
                 "precision": resources.precision,
                 "sources": self.sources,
             },

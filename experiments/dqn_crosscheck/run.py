@@ -16,9 +16,9 @@ import torch
 from stable_baselines3 import DQN as ReferenceDQN
 from stable_baselines3.common.env_util import make_vec_env
 
-from eldenet.navigation.dqn import DQN
+from eldenet.navigation.dqn import DQN, DQNSettings
 from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
-from eldenet.navigation.evaluation import cross, summarize
+from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.qnetwork import QNetwork
@@ -52,7 +52,7 @@ def train_reference(steps: int, seed: int) -> QNetwork:
 
 def train_ours(steps: int, seed: int) -> QNetwork:
     """Train our DQN on as many robots and return its network."""
-    learner = DQN(ArenaNavVectorEnv(ROBOTS), steps=steps, seed=seed)
+    learner = DQN(ArenaNavVectorEnv(ROBOTS), DQNSettings(total_timesteps=steps, seed=seed))
     learner.learn()
     return learner.policy_dqn
 
@@ -79,7 +79,7 @@ def main() -> None:
         shown = []
         for density in (20, 80):
             arenas = frozen_arenas(density, args.worlds, split="val")
-            rows = cross(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
+            rows = run_episodes(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
             s = summarize(rows)
             shown.append(f"{s['success']:.1f} [{s['success_low']:.1f}, {s['success_high']:.1f}]")
         lines.append(f"| {name} | {shown[0]} | {shown[1]} |")

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.config import build_export, build_protocol, build_split, compose
 from eldenet.deploy import runtimes
+from eldenet.deploy.exporting import export
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
-from eldenet.export import export
 from eldenet.results.run_record import environment
 from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
@@ -42,9 +42,8 @@ def main() -> None:
         if kind != "torch":
             output = WORK / f"{runtime}-{precision}{'.onnx' if kind == 'onnx' else '.xml'}"
             words = [f"checkpoint='{checkpoint}'", f"format={kind}", f"precision={precision}", "checks=1"]
-            export(
-                compose("export", [*words, f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"])
-            )
+            words += [f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"]
+            export(build_export(compose("export", words)))
             network = RuntimeNetwork(runtimes.load(output, runtime, precision, threads=1))
         result = evaluate(network, val_set, protocol, batch_size=1)
         values = np.array([[float(row[delta1]) for row in result.rows]])

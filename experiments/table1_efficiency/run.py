@@ -10,10 +10,10 @@ from pathlib import Path
 import yaml
 
 import eldenet
-from eldenet.benchmark import benchmark
-from eldenet.config import compose
+from eldenet.config import build_benchmark, compose
 from eldenet.deploy.benchmarking.measure import COLUMNS
-from eldenet.deploy.benchmarking.tables import draw, notes_of, text_of
+from eldenet.deploy.benchmarking.run import benchmark
+from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies, text_of
 from eldenet.results.tables import to_latex, to_markdown
 from eldenet.system.files import write_rows
 
@@ -31,18 +31,16 @@ def main() -> None:
         settings = {"models": listed["models"], **listed["settings"], **part}
         settings["models"] = [model for model in settings["models"] if model in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
-        # a folder for each part: a table compares only rows that were measured in the same rounds
-        config = compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"])
-        first = first or config
-        tables[name] = benchmark(config)
+        # a folder of its own: a column compares rows that were measured in the same rounds
+        setup = build_benchmark(compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"]))
+        first = first or setup
+        tables[name] = benchmark(setup)
     missing = [name for name in listed["models"] if name not in there]
     write(tables, missing, listed["no_code"], Path(work), first)
 
 
-def write(
-    tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, config
-) -> None:
-    """Write a table with a heading for each part, a CSV of all rows, and the plot of the first part."""
+def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, setup) -> None:
+    """One table for each part, with a heading; a CSV of all rows, by part; the plot of the first part."""
     every = {(name, *row["key"]): row for name, rows in tables.items() for row in rows}
     notes = [
         note.replace("made by `run.py", "made by `python experiments/table1_efficiency/run.py")
@@ -60,7 +58,9 @@ def write(
         latex.append(f"% {name}\n{to_latex(COLUMNS, cells, below)}")
     (folder / "results.md").write_text("\n".join(markdown))
     (folder / "results.tex").write_text("\n".join(latex))
-    draw(config, next(iter(tables.values())), folder / "results.png")
+    rows = next(iter(tables.values()))
+    accuracies = read_accuracies(setup.accuracies, setup.accuracy, {row["model"] for row in rows})
+    draw(rows, accuracies, folder / "results.png")
     print(f"{len(every)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
 
 

@@ -10,7 +10,7 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import Detector, merge_cyclists
 from eldenet.perception.kitti_object import KittiObjects
-from eldenet.perception.lifter import LARGE, SMALL
+from eldenet.perception.lifter import LARGE_SIDE, SMALL_SIDE
 from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
 
@@ -104,5 +104,5 @@ def relative_error(views: list[StreetView], predictor: DepthPredictor) -> Sigma:
     ]
     (small, wrong), (large, right) = halves
     slope = min(0.0, np.log(right / wrong) / (large - small))
-    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE, SMALL)]
+    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE_SIDE, SMALL_SIDE)]
     return float(np.clip(sigma[0], EXACT_SIGMA, 0.5)), float(np.clip(sigma[1], EXACT_SIGMA, 0.5))

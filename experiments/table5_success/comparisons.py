@@ -3,11 +3,10 @@
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
-from eldenet.navigation.evaluation import Crossing
-from eldenet.navigation.statistics import mcnemar
+from eldenet.navigation.evaluation import Episode, mcnemar
 
 # (physics, sensor, method, course) -> episodes of every training
-Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]
+Tables = dict[tuple[str, str, str, str], list[list[Episode]]]
 #: What a sensor costs is counted against the same method with true ranges, and against these methods too.
 ALSO_AGAINST = {"dqn_mixed": ("dqn",)}
 OURS = ("dqn_ensemble", "dqn")  # the first one in a table is compared with all other methods
@@ -18,9 +17,9 @@ def courses_of(tables: Tables) -> list[str]:
     return list(dict.fromkeys(key[3] for key in tables))
 
 
-def solved(trainings: list[list[Crossing]]) -> np.ndarray:
+def solved(trainings: list[list[Episode]]) -> np.ndarray:
     """Return whether each episode succeeded ``(trainings, worlds)`` bool."""
-    return np.array([[crossing.outcome == "success" for crossing in rows] for rows in trainings])
+    return np.array([[episode.outcome == "success" for episode in rows] for rows in trainings])
 
 
 def paired(tables: Tables, physics: str, sensor: str) -> list[str]:

@@ -11,10 +11,10 @@ from pathlib import Path
 from eldenet.config import compose, plain
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
+from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Ranges, Sensor
-from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.renames import renamed
-from eldenet.results.fingerprints import located
+from eldenet.weights import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
@@ -38,7 +38,7 @@ def check_inputs(args: Namespace, sensors: Sequence[str]) -> None:
         if kind == "objects":
             detector_files(args.detector)
         if kind == "noisy" and not errors_file(args.errors).is_file():
-            raise ValueError(f"--errors {args.errors}: no such file; give one of mode=measure, or packaged")
+            raise ValueError(f"--errors {args.errors}: no such file; give one of mode=fit_noise, or packaged")
 
 
 def depth_files(source: str | None) -> list[Path]:

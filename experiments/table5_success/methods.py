@@ -41,7 +41,7 @@ LEARNED = {
     "dqn_as_trained": Learned(drivers="dqn", slows_within=None),  # 3 m
     "dqn_follows": Learned(drivers="dqn", follows=True),
     "dqn_ensemble_follows": Learned(packaged=True, follows=True),
-    "dqn_walkers": Learned(("movers=10", "observer.walkers=true")),
+    "dqn_walkers": Learned(("pedestrians=10", "observer.walkers=true")),
     "dqn_mixed": Learned(("sensor=mixed",)),  # measured errors of a depth network in half of the episodes
     "dqn_by_age": Learned(("observer.seen_through=0",)),  # remembered points are forgotten by age only
     # the five turns, turning on the spot to either side, and driving straight back

@@ -21,10 +21,11 @@ from typing import Any
 from inputs import digest, input_hashes, make_sensor, trained_policy
 from methods import LEARNED, PLANNERS
 
-from eldenet.navigation.evaluation import Crossing, Policy, cross
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import Episode, Policy, run_episodes
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
+from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import EPISODE_VERSION
 from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
 from eldenet.system.files import write_json, write_rows
@@ -85,7 +86,7 @@ def course_name(density: int, movers: int) -> str:
     return f"{density}+{movers}" if movers else str(density)
 
 
-def measure(row: Row, args: Namespace) -> list[Crossing]:
+def measure(row: Row, args: Namespace) -> list[Episode]:
     """Return the episodes of a row: stored ones if all that they depend on is unchanged, else new ones."""
     arenas, found = frozen(row.density, row.worlds, row.movers)
     wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
@@ -110,7 +111,7 @@ def measure(row: Row, args: Namespace) -> list[Crossing]:
 @functools.cache
 def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str]:
     """Return the test arenas, the same for every method and sensor, and their hash."""
-    arenas = frozen_arenas(density, worlds, movers=movers)
+    arenas = frozen_arenas(density, worlds, pedestrians=movers)
     return arenas, arenas_hash(arenas)
 
 
@@ -149,9 +150,7 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
     }
 
 
-def make_crossings(
-    row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]
-) -> list[Crossing]:
+def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> list[Episode]:
     """Cross all arenas; the outcome in one does not depend on the others."""
 
     def driver(robots: int) -> Policy:
@@ -159,10 +158,11 @@ def make_crossings(
             return PLANNERS[row.method](robots)
         return Navigator.load(weights, **LEARNED[row.method].drives, robots=robots)
 
-    return cross(arenas, driver, make_sensor(row.sensor, args), physics=row.physics, goal=row.goal)
+    settings = EpisodeSettings(row.physics, row.goal)
+    return run_episodes(arenas, driver, make_sensor(row.sensor, args), settings)
 
 
-def read_episodes(file: Path) -> dict[tuple[str, ...], list[Crossing]]:
+def read_episodes(file: Path) -> dict[tuple[str, ...], list[Episode]]:
     """Return the episodes of a method's CSV by the labels of their rows; none without the file."""
     if not file.is_file():
         return {}
@@ -171,9 +171,9 @@ def read_episodes(file: Path) -> dict[tuple[str, ...], list[Crossing]]:
         return {labels: [_crossing(line) for line in episodes] for labels, episodes in grouped}
 
 
-def _crossing(line: Mapping[str, str]) -> Crossing:
+def _crossing(line: Mapping[str, str]) -> Episode:
     density = int(line["course"].partition("+")[0])
-    return Crossing(line["world"], density, line["outcome"], *(float(line[name]) for name in EPISODE[2:]))
+    return Episode(line["world"], density, line["outcome"], *(float(line[name]) for name in EPISODE[2:]))
 
 
 def read_notes(file: Path) -> dict[str, dict[str, Any]]:
@@ -189,7 +189,7 @@ def read_notes(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def store(
-    row: Row, folder: Path, crossings: Sequence[Crossing], key: Mapping[str, Any], cpu_seconds: float
+    row: Row, folder: Path, crossings: Sequence[Episode], key: Mapping[str, Any], cpu_seconds: float
 ) -> None:
     """Add or replace one row of a method's files; other rows stay, also those of commands side by side."""
     table, note = folder / f"{row.file}.csv", folder / f"{row.file}.json"

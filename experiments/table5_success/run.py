@@ -21,7 +21,7 @@ from methods import LEARNED
 from panels import draw_panels
 from rows import measure
 
-from eldenet.navigation.evaluation import Crossing, summarize
+from eldenet.navigation.evaluation import Episode, summarize
 from eldenet.results.run_record import environment
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.files import write_rows
@@ -85,7 +85,7 @@ def write_results(tables: Tables, args: Namespace) -> None:
     plot(cells, HERE / f"{name}.png")
 
 
-def cell(seeds: list[list[Crossing]]) -> str:
+def cell(seeds: list[list[Episode]]) -> str:
     if not seeds:
         return "-"
     parts = [summarize(crossings) for crossings in seeds]

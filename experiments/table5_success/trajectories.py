@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from methods import LEARNED, PLANNERS
 
-from eldenet.navigation.episodes import Crossings, Event
+from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Policy
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
@@ -58,7 +58,7 @@ def _load(name: str, path: str | None, robots: int) -> Policy:
 
 def panel(arena: Arena, name: str, policy: Policy) -> np.ndarray:
     """Return one episode from above, its end in the title ``(TITLE + SIDE, SIDE, 3)`` uint8 RGB."""
-    crossings = Crossings(1, Ranges(), physics="wheels")
+    crossings = Episodes(1, Ranges(), EpisodeSettings("wheels"))
     crossings.start(0, arena, (0, arena.index))
     policy.reset(0, crossings.worlds[0])
     scene, event = Scene(arena, SIDE), Event.NONE

@@ -25,12 +25,12 @@ from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
-from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
+from eldenet.navigation.evaluation import Episode, solved_by_all  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.system.files import write_rows  # noqa: E402
 
 # (physics, sensor, course) -> method -> episodes of every training
-Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]
+Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Episode]]]]
 
 REFERENCE = "astar_dwa"
 # straight and weak learned methods solve so few worlds at 80 that nothing would be left to compare
@@ -96,7 +96,7 @@ def write_results(tables: Tables, args: Namespace) -> None:
     print("\n".join(lines))
 
 
-def times(trainings: list[list[Crossing]]) -> np.ndarray:
+def times(trainings: list[list[Episode]]) -> np.ndarray:
     """Return the time of each episode ``(trainings, worlds)`` [s]."""
     return np.array([[crossing.seconds for crossing in rows] for rows in trainings])
 
@@ -108,7 +108,7 @@ def cell(mean: float, ratio: float, low: float, high: float) -> str:
 
 
 def ratio_to_reference(
-    rows: Mapping[str, list[list[Crossing]]], method: str
+    rows: Mapping[str, list[list[Episode]]], method: str
 ) -> tuple[float, float, float, int]:
     """Return the mean time over the reference's on the worlds that both solved, as mean over trainings.
 

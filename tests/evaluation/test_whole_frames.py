@@ -7,14 +7,14 @@ import pytest
 from support import layouts
 from support.networks import small_net
 
-from eldenet.config import build_protocol, build_split, build_training, compose
+from eldenet.config import build_export, build_protocol, build_split, build_training, compose
 from eldenet.deploy import runtimes
+from eldenet.deploy.exporting import target_of
 from eldenet.deploy.files import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork
-from eldenet.evaluate import trained_size
-from eldenet.export import read_job
+from eldenet.deploy.scoring import trained_size
 from eldenet.geometry import resize_intrinsics
 from eldenet.model import DepthNet
 from eldenet.training.run import train, trained_sizes
@@ -107,7 +107,7 @@ def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> Non
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
         config = compose("export", ["checkpoint=x", f"output='{tmp_path / 'm.onnx'}'", *overrides])
-        assert list(read_job(config, model).size) == size
+        assert list(target_of(build_export(config), model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)
     assert DepthPredictor(network).size_for(120, 152) == tuple(WHOLE)

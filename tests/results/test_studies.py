@@ -11,8 +11,8 @@ import pytest
 from support.tiny_study import cells, run_all, short
 
 from eldenet import config as cfg
-from eldenet.benchmark import benchmark
 from eldenet.config import build_training
+from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.studies.matching import compose_run
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
@@ -148,7 +148,7 @@ def test_latencies_of_a_study(tiny, tmp_path):
         "seconds=0.01",
         "memory=false",
     ]
-    rows = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
+    rows = benchmark(cfg.build_benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"])))
     assert [(line["model"], line["height"]) for line in rows] == [
         ("eldenet_s", 32),
         ("eldenet", 32),
@@ -164,27 +164,31 @@ def test_latencies_of_a_study(tiny, tmp_path):
     assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
     write_study_report(tiny)
     assert cells(tiny)["scratch/same"]["latency [ms] (torch) ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
-    again = benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"]))
+    again = benchmark(cfg.build_benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'out'}"])))
     assert [line["date"] for line in again] == [line["date"] for line in rows]  # recognized, not measured
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == len(rows)
     assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
     with pytest.raises(ValueError, match="give one value of runtimes"):
-        benchmark(cfg.compose("benchmark", [f"study={tiny}"]))
+        benchmark(cfg.build_benchmark(cfg.compose("benchmark", [f"study={tiny}"])))
     before = (tiny / "benchmark.csv").read_bytes()
     with pytest.raises(ValueError, match=r"no network of tiny has a latency.* stays as it is"):
-        benchmark(cfg.compose("benchmark", [*options, f"output={tmp_path / 'none'}", "precisions=[fp16]"]))
+        benchmark(
+            cfg.build_benchmark(
+                cfg.compose("benchmark", [*options, f"output={tmp_path / 'none'}", "precisions=[fp16]"])
+            )
+        )
     assert (tiny / "benchmark.csv").read_bytes() == before
     (tiny / "benchmark.csv").write_text("row,latency_ms_p50\n")
     with pytest.raises(ValueError, match="has no line: python -m eldenet"):
         write_study_report(tiny)
     plan = (tiny / "sweep.yaml").read_text()
     (tiny / "sweep.yaml").write_text(plan.replace("latency: bench", "latency: ../other/bench"))
-    with pytest.raises(ValueError, match=r"the latencies of .*another study's rows have: measure that one"):
-        benchmark(cfg.compose("benchmark", options))
+    with pytest.raises(ValueError, match=r"shows the latencies of another study.*: measure that one"):
+        benchmark(cfg.build_benchmark(cfg.compose("benchmark", options)))
     whole = plan.replace('"data.input_size=[64,80]"', "data.input_size=null")
     (tiny / "sweep.yaml").write_text(whole)
     with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
-        benchmark(cfg.compose("benchmark", options))
+        benchmark(cfg.build_benchmark(cfg.compose("benchmark", options)))
 
 
 def test_a_killed_row_goes_on(tiny, tmp_path):
