@@ -41,10 +41,11 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(config_name, about))
             words = sys.argv[1:]
+            decorated = hydra.main(
+                version_base="1.3", config_path=str(config_folder()), config_name=config_name
+            )
             try:
-                hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(
-                    task
-                )()
+                decorated(task)()
                 sys.stdout.flush()
             except SystemExit as end:
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)

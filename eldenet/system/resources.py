@@ -1,4 +1,4 @@
-"""Threads, workers, device and precision: chosen once, before the work starts, and recorded."""
+"""Threads, workers, device and precision: chosen once, before a run starts, and recorded."""
 
 import math
 import os
@@ -23,14 +23,14 @@ def prepare_environment() -> None:
 
 
 def available_cores() -> int:
-    """Cores that this process may use: those it is bound to, and no more than its container's share."""
+    """Return the number of cores this process may use, at most its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quota, _, period = _cgroup("cpu.max").partition(" ")
     return min(cores, max(1, math.ceil(int(quota) / int(period)))) if quota.isdigit() else cores
 
 
 def available_memory() -> int:
-    """Bytes of memory that this machine, or this container, can still give."""
+    """Return the bytes of memory that are still free on this machine or in this container."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
@@ -40,13 +40,13 @@ def available_memory() -> int:
     if not most.isdigit():
         return free
     stat = dict(line.split() for line in _cgroup("memory.stat").splitlines())
-    # what is kept of files that nobody reads any more is given up when memory is wanted
+    # the cache of inactive files is freed when memory is needed
     used = int(_cgroup("memory.current") or 0) - int(stat.get("inactive_file", 0))
     return min(free, max(0, int(most) - used))
 
 
 def _cgroup(name: str) -> str:
-    """A file of this container's control group (version 2), "" where there is none."""
+    """Return a file of this container's control group (version 2), "" if there is none."""
     file = CGROUP / name
     return file.read_text().strip() if file.is_file() else ""
 
@@ -81,7 +81,7 @@ def choose_resources(
             the runtime itself checks any other.
 
     Raises:
-        ValueError: an unknown choice, or one that this machine can't serve.
+        ValueError: an unknown choice, or one that this machine doesn't support.
 
     Warns:
         UserWarning: more threads and workers than cores on a CPU.
@@ -119,7 +119,7 @@ def choose_resources(
 
 
 def full_fp32() -> None:
-    """Let fp32 be fp32 in this process: on CUDA torch's convolutions round to TF32's ten bits by default."""
+    """Turn TF32 off in this process: on CUDA torch's convolutions round to its ten bits by default."""
     import torch
 
     with warnings.catch_warnings():
@@ -129,7 +129,7 @@ def full_fp32() -> None:
 
 
 def resolve_precision(precision: str, device: str) -> str:
-    """Turn "auto" into fp32, bf16 or fp16; refuse what the device can't do."""
+    """Resolve "auto" into fp32, bf16 or fp16; refuse what the device doesn't support."""
     import torch
 
     if precision not in ("auto", "fp32", "bf16", "fp16"):
@@ -161,9 +161,9 @@ def is_main_process() -> bool:
 
 @contextmanager
 def main_process_first(resources: Resources) -> Iterator[None]:
-    """Of a job's processes the main one runs the block first, then one per machine, then the others.
+    """Run the block in a job's main process first, then in one per machine, then in the others.
 
-    So what the block prepares on disk (rendered frames, an index, a download) is prepared once.
+    So files that the block prepares (rendered frames, an index, a download) are prepared once.
     """
     with ExitStack() as stack:
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:

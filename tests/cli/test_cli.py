@@ -44,7 +44,7 @@ def trained(tmp_path_factory, cache) -> Path:
     return folder / "run"
 
 
-def test_train_leaves_everything_that_was_promised(trained):
+def test_train_writes_every_promised_file_and_field(trained):
     for name in ("run.json", "per_image.csv", "predictions.png", "config.yaml", "history.csv"):
         assert (trained / name).is_file(), name
     run = json.loads((trained / "run.json").read_text())
@@ -112,7 +112,7 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
         ("report", ["runs=[nowhere]"], "no such file or folder: nowhere"),
     ],
 )
-def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
+def test_a_mistake_ends_in_one_clear_line(run_command, command, arguments, message):
     finished = run_command(command, *arguments, CUDA_VISIBLE_DEVICES="")
     assert finished.returncode == 1
     assert message in finished.stderr + finished.stdout
@@ -126,7 +126,7 @@ def test_a_mistake_is_one_clear_line(run_command, command, arguments, message):
         *("model.backbone.scale=0.33", ["teacher=nowhere", "loss=ssim_l1_distill"]),
     ],
 )
-def test_a_wrong_setting_shows_before_minutes_of_rendering(run_command, tmp_path, wrong):
+def test_a_wrong_setting_is_refused_before_frames_are_rendered(run_command, tmp_path, wrong):
     words = [wrong] if isinstance(wrong, str) else wrong
     cache = tmp_path / "empty"
     finished = run_command("train", *words, ELDENET_CACHE=str(cache))
@@ -142,9 +142,9 @@ def test_a_wrong_setting_shows_before_minutes_of_rendering(run_command, tmp_path
         ("protocol.frame_crop=[228,304]", "crop=[228, 304] does not fit"),
     ],
 )
-def test_frames_that_cannot_be_scored_show_before_the_first_epoch(tmp_path, rule, message):
+def test_frames_that_cannot_be_scored_are_refused_before_the_first_epoch(tmp_path, rule, message):
     root = layouts.folder(tmp_path / "data")
-    words = ["data=folder", f"data.root={root}", "model=eldenet_s", "protocol=folder", rule]
+    words = ["data=folder", f"data.root={root}", "model=eldenet_s", "model_name=s", "protocol=folder", rule]
     with pytest.raises(ValueError, match=re.escape(message)):
         train(build_training(compose("train", words), tmp_path / "run"))
     assert not (tmp_path / "run" / "checkpoints").exists()
@@ -188,7 +188,7 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
     assert "data.input_size=[16, 20] is not used" in finished.stdout
 
 
-def test_evaluate_says_that_a_network_is_not_trained(run_command):
+def test_evaluate_warns_of_an_untrained_network(run_command):
     words = (
         "checkpoint=eldenet_s",
         *TINY[:2],
@@ -235,7 +235,7 @@ def test_evaluate_scores_exported_files(trained, run_command):
     assert "eldenet_s" in finished.stdout
 
 
-def test_a_sweep_goes_on_after_a_job_that_failed(run_command, tmp_path):
+def test_a_sweep_continues_after_a_failed_job(run_command, tmp_path):
     finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "hydra.sweep.dir=sweep")
     assert finished.returncode == 1
     assert "error: monitor='wrong'" in finished.stderr

@@ -1,4 +1,4 @@
-"""What a machine, or a container on it, gives: cores, memory; and what a run makes of it."""
+"""Cores and memory of a machine or a container, and the resources that a run chooses."""
 
 import os
 import warnings
@@ -17,7 +17,7 @@ def cgroup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_container_gives_what_it_does_not_use_yet(cgroup: Path) -> None:
+def test_free_memory_of_a_container_is_its_limit_minus_its_use(cgroup: Path) -> None:
     whole = available_memory()
     assert whole > 2**20
     (cgroup / "memory.max").write_text("max\n")
@@ -26,7 +26,7 @@ def test_a_container_gives_what_it_does_not_use_yet(cgroup: Path) -> None:
     (cgroup / "memory.max").write_text("1000000\n")
     assert available_memory() == 300_000
     (cgroup / "memory.stat").write_text("anon 400000\nfile 300000\ninactive_file 200000\n")
-    assert available_memory() == 500_000  # the cache of files that nobody reads is given up
+    assert available_memory() == 500_000  # the cache of inactive files counts as free
     (cgroup / "memory.current").write_text("1300000\n")
     assert available_memory() == 0
 
@@ -41,7 +41,7 @@ def test_a_container_gives_what_it_does_not_use_yet(cgroup: Path) -> None:
         ("900000 100000", 8),
     ],
 )
-def test_a_container_gives_its_share_of_the_cores(
+def test_cores_are_limited_by_the_container_s_quota(
     quota: str, cores: int, cgroup: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
@@ -50,7 +50,7 @@ def test_a_container_gives_its_share_of_the_cores(
     assert available_cores() == cores
 
 
-def test_fp32_is_no_tf32() -> None:
+def test_choosing_resources_turns_tf32_off() -> None:
     before = torch.backends.cudnn.allow_tf32
     try:
         torch.backends.cudnn.allow_tf32 = True
