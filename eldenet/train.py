@@ -157,7 +157,7 @@ def check_scored(dataset: "DepthDataset", protocol: "EvalProtocol") -> None:
         ValueError: the protocol's crop does not fit into it, or its ground truth has another size.
     """
     sample = dataset[0]
-    protocol.scored(sample["depth"][None], sample["mask"][None])
+    protocol.valid_mask(sample["depth"][None], sample["mask"][None])
 
 
 def say_what_is_learned_from(

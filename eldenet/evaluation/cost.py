@@ -1,4 +1,4 @@
-"""What a model costs: parameters, multiply-adds, latency, throughput - and on what that was measured."""
+"""Cost of a model: parameters, multiply-adds, latency and throughput, and what they were measured on."""
 
 import itertools
 import resource
@@ -17,7 +17,7 @@ from eldenet.model import eval_mode
 
 @dataclass(frozen=True)
 class CostReport:
-    """Cost of one forward pass. A latency means nothing without the last columns.
+    """Cost of one forward pass. A latency means nothing without the last six attributes.
 
     Attributes:
         params: number of parameters.
@@ -79,13 +79,13 @@ def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
 
 
 def device_of(model: nn.Module) -> torch.device:
-    """Where a model is; the CPU if it has neither parameters nor buffers."""
+    """Device of a model; the CPU if it has neither parameters nor buffers."""
     tensors = itertools.chain(model.parameters(), model.buffers())
     return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
 
 def peak_memory_mb(device: torch.device) -> float:
-    """Most memory so far [MB]: of the device on CUDA, else of this process."""
+    """Peak memory so far [MB]: of the device on CUDA, else of this process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
@@ -97,22 +97,22 @@ def time_interleaved(
     *,
     rounds: int = 5,
     seconds: float = 0.2,
-    synchronise: Callable[[], object] | None = None,
+    synchronize: Callable[[], object] | None = None,
     warm_up: int = 3,
 ) -> dict[str, list[float]]:
-    """Time several calls in turns, so that a machine that slows down or speeds up hits all of them alike.
+    """Time several calls in turns, so that a change in the machine's speed affects all of them alike.
 
     Args:
-        calls: name -> what to time.
-        rounds: turns that each call gets.
+        calls: name -> function to time.
+        rounds: turns of each call.
         seconds: of each turn; at least three calls are timed in it.
-        synchronise: waits until the device has finished; called before each start and before each stop.
-        warm_up: calls before each turn that are not timed: another call had the caches.
+        synchronize: waits until the device has finished; called before each start and before each stop.
+        warm_up: untimed calls before each turn, which refill the caches.
 
     Returns:
         Name -> the time of every timed call [s].
     """
-    wait = synchronise or (lambda: None)
+    wait = synchronize or (lambda: None)
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
@@ -142,18 +142,18 @@ def percentile_ms(times: Sequence[float], percent: float) -> float:
 def measure_cost(
     model: nn.Module, size: tuple[int, int], *, batch: int = 8, seconds: float = 1.0
 ) -> CostReport:
-    """Measure a model as it stands (torch eager, fp32, channels_last, eval) on its own device.
+    """Measure a model as it is (torch eager, fp32, channels_last, eval) on its own device.
 
     Args:
         model: image ``(B, 3, H, W)`` -> depth.
         size: ``(height, width)`` of the input [px].
         batch: for the throughput.
-        seconds: to spend on each of the two timings; the device is synchronised and warmed up.
+        seconds: to spend on each of the two timings; the device is synchronized and warmed up.
     """
     device = device_of(model)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
-    model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
+    model.to(memory_format=torch.channels_last)
     one, many = (
         _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
     )
@@ -162,7 +162,7 @@ def measure_cost(
             {"one": lambda: model(one), "many": lambda: model(many)},
             rounds=5,
             seconds=seconds / 5,
-            synchronise=torch.cuda.synchronize if device.type == "cuda" else None,
+            synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )
     macs = count_macs(model, size)
     return CostReport(

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.data.rendered import RenderedScenes
+from eldenet.evaluation.constant_baseline import ConstantPredictor, fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import (
     PER_IMAGE_HEADER,
-    ConstantPredictor,
     evaluate,
-    fit_constant_predictor,
     sample_rows,
 )
 from eldenet.evaluation.protocol import EvalProtocol

@@ -253,7 +253,7 @@ def test_calls_take_turns() -> None:
     assert "".join(order) == ("a" * 4 + "b" * 4) * 3
     assert [len(each) for each in times.values()] == [9, 9]
     waited: list[int] = []
-    time_interleaved({"a": lambda: None}, rounds=1, seconds=0.0, synchronise=lambda: waited.append(1))
+    time_interleaved({"a": lambda: None}, rounds=1, seconds=0.0, synchronize=lambda: waited.append(1))
     assert len(waited) == 4  # before the first and after each
 
 

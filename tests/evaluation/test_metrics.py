@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import binary_erosion, gaussian_filter
 from support.scoring import assert_same, batch, from_yaml, scores
-from support.synthetic import SyntheticDepth
-from torch import Tensor, nn
+from torch import Tensor
 
-from eldenet.evaluation.evaluator import ConstantPredictor, evaluate, fit_constant_predictor, predict_depth
 from eldenet.evaluation.metrics import LOWER_IS_BETTER, METRICS, UNITS, DepthMetrics, metrics_of
 from eldenet.evaluation.protocol import EvalProtocol
 
@@ -234,7 +232,10 @@ def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) 
         ({"frame_crop": (352,)}, "give 2 numbers"),
         ({"crop_fractions": (0.5, 0.4, 0.0, 1.0)}, "crop_fractions=.* between 0 and 1"),
         ({"crop_fractions": (0.1, 0.4, 0.0)}, "crop_fractions=.* between 0 and 1"),
-        ({"crop_fractions": (0, 1, 0, 1), "crop": (0, 5, 0, 5), "size": (9, 9)}, "takes the place of crop"),
+        (
+            {"crop_fractions": (0, 1, 0, 1), "crop": (0, 5, 0, 5), "size": (9, 9)},
+            "give crop or crop_fractions, not both",
+        ),
         ({"frame_box": (0, 5, 9, 5)}, "frame_box=.* must be"),
         ({"frame_anchor": "top"}, "frame_anchor='top', choose one of"),
         ({"paste": True}, "paste=True .* give frame_crop"),
@@ -250,69 +251,3 @@ def test_yaml_lists_and_tuples_are_one_protocol() -> None:
     listed = EvalProtocol("p", size=[20, 20], crop=[0, 5, 0, 5], resize=[40, 40], frame_crop=[20, 20])
     assert listed == EvalProtocol("p", size=(20, 20), crop=(0, 5, 0, 5), resize=(40, 40), frame_crop=(20, 20))
     assert hash(listed) == hash(EvalProtocol(**listed.as_dict()))
-
-
-# --- whole evaluations ---
-
-
-class Leaning(nn.Module):
-    """Depth grows to the right, so that the mirror image's prediction differs."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.scale = nn.Parameter(torch.ones(()))
-
-    def forward(self, image: Tensor) -> Tensor:
-        ramp = torch.linspace(1, 9, image.shape[-1]).expand(len(image), 1, image.shape[-2], -1)
-        return ramp * self.scale + image.mean(dim=1, keepdim=True)
-
-
-def test_flip_averages_with_the_mirror_image() -> None:
-    image = torch.rand(2, 3, 6, 8)
-    model = Leaning()
-    plain = model(image)
-    torch.testing.assert_close(predict_depth(model, image), plain)
-    both = predict_depth(model, image, flip="mean")
-    # the ramp's mean with its own mirror image is flat; the image's part comes back to its place
-    torch.testing.assert_close(both, 5.0 + image.mean(dim=1, keepdim=True))
-    dataset = SyntheticDepth(4)
-    flipped = evaluate(model, dataset, EvalProtocol("f", ground_truth="dense", flip="mean"))
-    straight = evaluate(model, dataset, EvalProtocol("s", ground_truth="dense"))
-    assert flipped.metrics["rmse"] != pytest.approx(straight.metrics["rmse"], rel=0.01)
-
-
-def test_evaluation_scores_each_frame_once_at_the_truths_size() -> None:
-    dataset = SyntheticDepth(5, input_size=(16, 24), resize_depth=False)
-    protocol = EvalProtocol("p", ground_truth="dense", size=(32, 48))
-    model = Leaning().train()
-    result = evaluate(model, dataset, protocol, batch_size=2)
-    again = evaluate(model, dataset, protocol, batch_size=5)
-    assert_same(result.metrics, again.metrics, rel=1e-6)
-    assert [row[0] for row in result.rows] == dataset.names
-    assert result.metrics["images"] == 5
-    assert result.metrics["pixels"] == 5 * 32 * 48
-    mean_of_rows = np.mean([row[1:] for row in result.rows], axis=0)
-    assert mean_of_rows.tolist() == pytest.approx([result.metrics[name] for name in METRICS])
-    assert model.training
-
-
-def test_evaluation_refuses_another_kind_of_truth() -> None:
-    with pytest.raises(ValueError, match="scores raw ground truth, this data set has dense"):
-        evaluate(Leaning(), SyntheticDepth(2), EvalProtocol("p"))
-
-
-def test_constant_predictor_is_the_mean_of_known_depth() -> None:
-    dataset = SyntheticDepth(4)
-    model = fit_constant_predictor(dataset)
-    expected = torch.stack([dataset[i]["depth"] for i in range(4)]).double().mean(0)
-    torch.testing.assert_close(model.mean_depth[0].double(), expected, rtol=1e-6, atol=0)
-    assert model(torch.rand(3, 3, 8, 8)).shape == (3, 1, 32, 48)
-    assert isinstance(model, ConstantPredictor)
-
-
-def test_constant_predictor_reads_no_more_frames_than_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    dataset, read = SyntheticDepth(7), []
-    load = dataset.load_frame
-    monkeypatch.setattr(dataset, "load_frame", lambda index: read.append(index) or load(index))
-    fit_constant_predictor(dataset, frames=4)
-    assert read == [0, 2, 4, 6]

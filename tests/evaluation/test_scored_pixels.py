@@ -40,7 +40,7 @@ def test_crop_of_every_protocol(name: str) -> None:
     protocol = from_yaml(name)
     size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
     depth = torch.ones(1, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
+    counts = protocol.valid_mask(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
     top, bottom, left, right = box(counts)
     assert (top, bottom, left, right) == BOXES.get(name, (0, size[0], 0, size[1]))
     assert counts.sum() == (bottom - top) * (right - left)
@@ -63,7 +63,7 @@ def test_fractions_are_of_the_truths_own_size(
 ) -> None:
     protocol = from_yaml(name)
     depth = torch.ones(2, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))
+    counts = protocol.valid_mask(depth, torch.ones_like(depth, dtype=torch.bool))
     assert box(counts[1, 0]) == protocol.crop_box(*size) == expected
     assert (protocol.min_depth, protocol.max_depth, protocol.average) == (1e-3, 80.0, "image")
 
@@ -72,21 +72,21 @@ def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
     protocol = EvalProtocol("p", frame_crop=(4, 6), frame_anchor="bottom", paste=True)
     depth = torch.full((1, 1, 9, 11), 5.0)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    counts = protocol.scored(depth, mask)
+    counts = protocol.valid_mask(depth, mask)
     assert (
         box(counts[0, 0]) == protocol.pasted_box(9, 11) == (5, 9, 2, 8)
     )  # 11 - 6 is odd: one more on the right
     prediction = torch.arange(1.0, 25).view(1, 1, 4, 6).clamp(max=9)
-    ready = protocol.prepare(prediction, depth, counts)
+    ready = protocol.align(prediction, depth, counts)
     torch.testing.assert_close(ready[..., 5:9, 2:8], prediction)
     assert (ready[..., :5, :] == protocol.min_depth).all()
-    small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
+    small = protocol.resize_to_gt(prediction[..., ::2, ::2], (9, 11))
     assert small.shape == depth.shape
     assert (small[~counts] == 0).all()
     centered = EvalProtocol("p", frame_crop=(4, 6), paste=True)
     assert centered.pasted_box(9, 11) == (2, 6, 2, 8)
     with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
-        protocol.scored(depth[..., :3, :], mask[..., :3, :])
+        protocol.valid_mask(depth[..., :3, :], mask[..., :3, :])
 
 
 def test_protocols_are_the_literatures() -> None:
@@ -123,7 +123,7 @@ def test_range_is_strict_and_holes_do_not_count() -> None:
     protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
     depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    assert protocol.scored(depth, mask).flatten().tolist() == [
+    assert protocol.valid_mask(depth, mask).flatten().tolist() == [
         False,
         False,
         False,
@@ -134,7 +134,7 @@ def test_range_is_strict_and_holes_do_not_count() -> None:
         False,
     ]
     mask[..., 3] = False
-    assert protocol.scored(depth, mask).sum() == 0
+    assert protocol.valid_mask(depth, mask).sum() == 0
 
 
 def test_clamp() -> None:
@@ -172,7 +172,7 @@ def test_median_of_an_even_number_is_numpys() -> None:
     prediction[..., 0, :2] = torch.tensor([1.0, 2.0])
     mask = torch.zeros_like(depth, dtype=torch.bool)
     mask[..., 0, :2] = True
-    ready = EvalProtocol("p", scale="median").prepare(prediction, depth, mask)
+    ready = EvalProtocol("p", scale="median").align(prediction, depth, mask)
     torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
 
 
@@ -180,7 +180,7 @@ def test_median_of_an_even_number_is_numpys() -> None:
 def test_nearest_is_that_of_the_pixels_centers(size: tuple[int, int]) -> None:
     depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96
     protocol = EvalProtocol("p", interpolation="nearest")
-    ready = protocol.prepare(small, depth, torch.ones_like(depth, dtype=torch.bool))
+    ready = protocol.align(small, depth, torch.ones_like(depth, dtype=torch.bool))
     rows, cols = ((2 * np.arange(to) + 1) * of // (2 * to) for to, of in zip(size, (8, 12), strict=True))
     np.testing.assert_array_equal(ready[0, 0].numpy(), small[0, 0].numpy()[rows][:, cols])
 
@@ -190,7 +190,7 @@ def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
     depth = torch.full((1, 1, 16, 24), 2.0)
     small = 1 + torch.rand(1, 1, 8, 12, generator=torch.Generator().manual_seed(0))
     mask = torch.ones_like(depth, dtype=torch.bool)
-    ready = EvalProtocol("p", interpolation=interpolation).prepare(small, depth, mask)
+    ready = EvalProtocol("p", interpolation=interpolation).align(small, depth, mask)
     order = {"bilinear": 1, "nearest": 0}[interpolation]
     expected = zoom(small[0, 0].numpy(), 2, order=order, mode="nearest", grid_mode=True)
     np.testing.assert_allclose(ready[0, 0].numpy(), expected, atol=1e-6)

@@ -51,7 +51,7 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int 
         images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
         calls[name] = lambda images=images: network.run_prepared(images)
     with torch.inference_mode():
-        times = time_interleaved(calls, synchronise=network.synchronise)
+        times = time_interleaved(calls, synchronize=network.synchronise)
     gmacs = float(network.metadata.get("gmacs", "nan"))
     of_one = times["one"] if one == 1 else [math.nan]
     return CostReport(
