@@ -218,3 +218,32 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+def build_report(config: DictConfig) -> Any:
+    """A :class:`~eldenet.results.comparison.ReportSetup`."""
+    from eldenet.results.comparison import ReportSetup
+
+    if config.study is not None:
+        return ReportSetup(study=Path(config.study))
+    return ReportSetup(
+        runs=listed(config.runs),
+        output=Path(config.output),
+        columns=listed(config.columns),
+        costs=config.costs,
+    )
+
+
+def build_study(config: DictConfig) -> Any:
+    """A :class:`~eldenet.results.studies.runner.StudySetup`."""
+    from eldenet.results.studies.runner import StudySetup
+
+    return StudySetup(
+        study=config.study,
+        runs=Path(config.runs),
+        rows=plain(config.rows),
+        job=config.row,
+        seeds=None if config.seeds is None else listed(config.seeds),
+        rerun=config.rerun,
+        given=plain(config.given),
+    )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.cli.entry_point import entry_point
-from eldenet.results.run_record import differences
+from eldenet.results.fingerprints import differences
 from eldenet.training.resume import checkpoint_of, finished_run, run_folder
 
 if TYPE_CHECKING:

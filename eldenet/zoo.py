@@ -1,14 +1,36 @@
 """Whole networks by name: ``eldenet.load("eldenet")``, ``eldenet.load("runs/my-run")``."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.results.fingerprints import PACKAGED, located
-
 if TYPE_CHECKING:
     from eldenet.losses.distillation import Teacher
     from eldenet.model import DepthNet
+
+PACKAGED = Path(__file__).resolve().parent / "weights"
+WEIGHT_FILES = ("model.safetensors", "model/model.safetensors")  # of a saved model, of a run folder
+
+
+def located(source: str | Path) -> Path:
+    """File or folder of a source: the package's own weights for their name, else the path itself.
+
+    ``~`` is the home folder. ``./name`` is always a path.
+
+    Warns:
+        UserWarning: a saved model of the same name as the package's weights lies here and is not used.
+    """
+    own, here = PACKAGED / source, Path(source).expanduser()
+    if "/" in str(source) or not (own / WEIGHT_FILES[0]).is_file():
+        return here
+    if any((here / name).is_file() for name in WEIGHT_FILES) and here.resolve() != own:
+        warnings.warn(
+            f"{source} is the name of packaged weights, which are used; for the folder {source} here give "
+            f"./{source}",
+            stacklevel=2,
+        )
+    return own
 
 
 def list_models() -> list[str]:

@@ -17,7 +17,8 @@ from eldenet.evaluation.cost import count_params
 from eldenet.heads import LogHead
 from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
-from eldenet.results.fingerprints import PACKAGED, sha256
+from eldenet.results.fingerprints import sha256
+from eldenet.zoo import PACKAGED
 
 NAMES = [
     "eldenet",
@@ -170,7 +171,7 @@ def test_a_run_named_as_the_packages_weights_is_told_apart(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     small_net().save_pretrained("eldenet_rooms/model")
-    with pytest.warns(UserWarning, match=r"taken from the package.* for that one give \./eldenet_rooms"):
+    with pytest.warns(UserWarning, match=r"packaged weights.* give \./eldenet_rooms"):
         packaged = eldenet.load("eldenet_rooms")
     assert "rendered rooms" in packaged.info["weights have seen"]
     assert eldenet.load("./eldenet_rooms").info == {}

@@ -1,10 +1,8 @@
 """``run.json``: everything that a number needs in order to be believed, in one file."""
 
 import csv
-import inspect
 import json
 import os
-import pkgutil
 import platform
 import shlex
 import shutil
@@ -96,58 +94,6 @@ def read_run(path: str | Path) -> dict[str, Any]:
     if "metrics" not in content:
         raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
     return content
-
-
-# where a run lay, what it is called and what it was computed with: they change no result that is looked for
-NOT_COMPARED = frozenset(
-    ("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache", "threads", "workers", "device")
-)
-
-
-def differences(
-    ours: Any, theirs: Any, name: str = "", *, ignored: frozenset[str] = frozenset()
-) -> list[str]:
-    """Settings that tell two resolved configs apart, as ``name=ours (there theirs)``.
-
-    An option of a class that one side does not know yet counts as its default: so the run was made. A whole
-    section, or an entry of ``data``, that one side does not have tells nothing (a data set's options stand
-    with its class, too). Anything else that only one side has is a difference. ``ignored`` are further keys,
-    of values: the options of a section that is called so (a loss's ``teacher``) are compared.
-    """
-    if not (isinstance(ours, Mapping) and isinstance(theirs, Mapping)):
-        ours, theirs = _listed(ours), _listed(theirs)
-        return [] if ours == theirs else [f"{name}={ours} (there {theirs})"]
-    grows = not name or name == "data"
-    target = ours.get("_target_") if ours.get("_target_") == theirs.get("_target_") else None
-    found = []
-    for key in [*ours, *(key for key in theirs if key not in ours)]:
-        mine, other = ours.get(key), theirs.get(key)
-        left_out = key in ignored and not (isinstance(mine, Mapping) and isinstance(other, Mapping))
-        if key in NOT_COMPARED or left_out or (grows and not (key in ours and key in theirs)):
-            continue
-        if target is not None and not (key in ours and key in theirs):
-            default = _default(target, key, mine if key in ours else other)
-            mine, other = (mine, default) if key in ours else (default, other)
-        found += differences(mine, other, f"{name}.{key}" if name else str(key), ignored=ignored)
-    return found
-
-
-def _default(target: str, option: str, otherwise: Any) -> Any:
-    """What ``target`` takes for an option that it is not given; ``otherwise`` for what it does not know.
-
-    A record may come from elsewhere: what it names is imported from this package and from torch alone.
-    """
-    if not target.startswith(("eldenet.", "torch.")):
-        return otherwise
-    try:
-        parameter = inspect.signature(pkgutil.resolve_name(target)).parameters.get(option)
-    except (ImportError, AttributeError, TypeError, ValueError):
-        return otherwise
-    return otherwise if parameter is None or parameter.default is parameter.empty else parameter.default
-
-
-def _listed(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
 
 
 def environment() -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.renames import renamed
-from eldenet.results.run_record import differences
+from eldenet.results.fingerprints import differences
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -17,8 +17,8 @@ from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.training import PROGRESS
 from eldenet.navigation.versions import training_hash
-from eldenet.results.fingerprints import located
 from eldenet.results.run_record import write_json
+from eldenet.zoo import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")

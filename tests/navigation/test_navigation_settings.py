@@ -14,7 +14,8 @@ from eldenet.navigation.noisy_ranges import MEASURED
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.settings import NOT_READ, refuse_ignored
-from eldenet.results.fingerprints import PACKAGED, sha256
+from eldenet.results.fingerprints import sha256
+from eldenet.zoo import PACKAGED
 
 
 def check(*overrides: str) -> None:

@@ -15,8 +15,8 @@ from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.stream import DepthStream
 from eldenet.evaluation.cost import median_ms, time_interleaved
 from eldenet.model import DepthNet, size_of_frames
-from eldenet.results.fingerprints import located
 from eldenet.system.resources import available_cores
+from eldenet.zoo import located
 
 __all__ = ["PRECISIONS", "RUNTIMES", "DepthStream", "Runtime", "fastest", "load"]
 
