@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.results.studies.plan import Study
 from eldenet.results.studies.matching import stored_runs
+from eldenet.results.studies.plan import Study
 
 SHARE = 0.9  # of a curve's own descent
 MARGIN = 1.15  # above the level that every run reaches: a second level, met earlier

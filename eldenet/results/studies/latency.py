@@ -135,8 +135,6 @@ class Latencies:
     def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
         """Refuse a latency that was measured on another network than a row's run has, or at another input.
 
-        Files without the column ``network`` are compared by the network's counts alone.
-
         Raises:
             ValueError: names what differs.
         """
@@ -148,10 +146,9 @@ class Latencies:
             for name in COUNTED
             if not math.isclose(float(line[name]), run["cost"][name], rel_tol=1e-6)
         ]
-        if line.get("network"):
-            given = frozenset(setting.rpartition(".")[2] for setting in row.given.values())
-            measured = json.loads(line["network"])
-            different += differences(measured, run["config"]["model"], "model", ignored=given)
+        given = frozenset(setting.rpartition(".")[2] for setting in row.given.values())
+        network = json.loads(line["network"])
+        different += differences(network, run["config"]["model"], "model", ignored=given)
         if different:
             raise ValueError(
                 f"the latency of {row.name} was measured on another network than its runs have: "
