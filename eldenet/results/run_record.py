@@ -1,7 +1,8 @@
-"""``run.json``: everything that a number needs in order to be believed, in one file."""
+"""``run.json``, the record of a run: how it is written and read, and the environment that it states."""
 
 import csv
 import json
+import math
 import os
 import platform
 import shlex
@@ -18,23 +19,12 @@ from eldenet.renames import renamed
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
-_PACKAGES = (
-    "eldenet",
-    "torch",
-    "torchvision",
-    "numpy",
-    "kornia",
-    "albumentations",
-    "opencv-python-headless",
-    "hydra-core",
-    "accelerate",
-    "torchmetrics",
-    "mujoco",
-)
+_PACKAGES = ["eldenet", "torch", "torchvision", "numpy", "kornia", "albumentations", "opencv-python-headless"]
+_PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON at once (temporary file, then rename); NaN becomes null, so that any reader can parse it."""
+    """Write JSON atomically; NaN and infinity become null, which any reader can parse."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.part")
     unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
@@ -46,13 +36,11 @@ def _without_nan(value: Any) -> Any:
         return {str(key): _without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_without_nan(item) for item in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file at once."""
+    """Write a CSV file atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.part")
     with unfinished.open("w", newline="") as file:
@@ -63,7 +51,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]])
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """A ``run.json``, whichever command wrote it.
+    """Read the ``run.json`` of any command, with today's names.
 
     Raises:
         ValueError: it is no JSON object.
@@ -73,7 +61,7 @@ def read_record(path: Path) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{path} holds no JSON object: it was not written by eldenet")
+        raise ValueError(f"{path} is no JSON object: it was not written by eldenet")
     return dict(renamed(content))
 
 
@@ -82,7 +70,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it is no JSON, or holds no metrics.
+        ValueError: it is no JSON, or has no metrics.
     """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
@@ -97,7 +85,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
 
 def environment() -> dict[str, Any]:
-    """What the run ran on: time, versions, hardware, and the state of the code."""
+    """Time, command, versions, hardware, and commit of a run."""
     import torch
 
     return {
@@ -133,7 +121,7 @@ def _processor() -> str:
 
 
 def _git_state() -> dict[str, Any] | None:
-    """Commit of the checkout that this package stands in, and whether it was changed; None outside one."""
+    """Commit of the checkout around this package, and whether it was changed; None outside a checkout."""
     package = Path(__file__).resolve().parents[1]
     if shutil.which("git") is None or not (package.parent / ".git").exists():
         return None
@@ -143,6 +131,6 @@ def _git_state() -> dict[str, Any] | None:
             ["git", "-C", str(package.parent), *arguments], capture_output=True, text=True, check=False
         ).stdout.strip()
 
-    code = ("eldenet", "configs", "pyproject.toml")  # results that runs leave in experiments/ change none
+    code = ("eldenet", "configs", "pyproject.toml")  # not the results in experiments/
     changed = bool(git("status", "--porcelain", "--", *code))
     return {"commit": git("rev-parse", "HEAD") or None, "changed": changed}

@@ -208,13 +208,13 @@ def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None,
         notes.append(latencies.line)
     if reference:
         notes.append(
-            f"difference in {study.compare} to {reference}: mean over the images, 95 % interval of "
-            f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
-            f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
-            f"else of the {statistics.IMAGES_ALONE}, which says too little for a verdict"
+            f"difference in {study.compare} to {reference}: mean over the images, with the 95 % interval of "
+            f"a paired bootstrap ({statistics.DRAWS} draws). Where both rows have {SEEDS_OF_A_VERDICT} seeds, "
+            'it draws seeds and images, and "better" or "worse" means that the interval excludes 0; elsewhere '
+            f"it draws {statistics.IMAGES_ALONE}, too little for a verdict"
         )
     if study.epoch == "last":
-        notes.append("figures of the last epoch: the kept one was chosen on these very frames")
+        notes.append("metrics of the last epoch, since the best epoch was chosen on the same frames")
     return notes + _searches(study, members)
 
 
@@ -231,8 +231,8 @@ def _searches(study: Study, members: Sequence[Member]) -> list[str]:
         if different := outdated_search(study, member.row, choice):
             others.append(f"{member.row.name} ({'; '.join(different[:2])})")
     found = {
-        "learning rate at the edge of the search, a better one may lie beyond": edges,
-        "learning rate chosen by other trials than sweep.yaml plans, made anew by rerun=true": others,
+        "learning rate at the edge of the search, so a better one may lie beyond": edges,
+        "learning rate chosen by other trials than sweep.yaml plans; to repeat them, rerun=true": others,
     }
     return [f"{words}: {', '.join(rows)}" for words, rows in found.items() if rows]
 

@@ -67,7 +67,9 @@ def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
     tables = [("##", block.name, block.measured_here(), block.notes)]
     titles, rows = block.published_elsewhere()
     if rows:
-        notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
+        notes = [
+            "published with other data, input sizes and initial weights: not comparable with the table above"
+        ]
         tables.append(("###", f"{block.name}: published elsewhere", (titles, rows), notes))
     return tables
 

@@ -140,7 +140,7 @@ def test_the_table_can_show_the_last_epoch(study: Study, tmp_path: Path) -> None
     cells = table(study)["small"]
     assert (cells["δ1 ↑"], cells["RMSE [m] ↓"]) == ("0.900 ± 0.000", "0.333 ± 0.000")
     assert not any("95 %" in title for title in cells)
-    assert any(note.startswith("figures of the last epoch") for note in notes(study))
+    assert any(note.startswith("metrics of the last epoch") for note in notes(study))
     del epochs[2]["val_delta1"]
     store(study, "small", 0, np.full(40, 0.6), training={"history": epochs, "best_epoch": 2})
     with pytest.raises(ValueError, match="not validated after its last epoch"):
