@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import pkgutil
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from eldenet.zoo import WEIGHT_FILES, located
@@ -129,7 +130,7 @@ def sources_of(config: Any, name: str = "") -> dict[str, str]:
     return found
 
 
-def sha256(source: str) -> str | None:
+def sha256(source: str | Path) -> str | None:
     """SHA-256 of a source's weights (of the file beside an OpenVINO ``.xml``); None if they are not here."""
     folder = located(source)
     weights = folder.with_suffix(".bin") if folder.suffix == ".xml" else folder

@@ -24,8 +24,8 @@ TITLES = {
     "fluctuation": "fluctuation",
 }
 NOTES = (
-    f"level: the last value of the worst run of the block, so every run reaches it; at level, at {MARGIN:g} x "
-    "level: the first epoch at which a run is there or below",
+    f"level: the last value of the worst run of the block, so every run reaches it; at level, at {MARGIN:g} "
+    "x level: the first epoch at which a run is there or below",
     f"{SHARE:.0%} of its own descent: the first epoch at which a run has made that much of its way from its "
     "first to its best value; a bad start makes it early, so it does not compare rows",
     f"fluctuation: mean absolute distance from the running mean over {WINDOW} epochs in the second half of "
@@ -151,7 +151,8 @@ def convergence(study: Study) -> Convergence:
     blocks: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for row in study.rows:
         blocks.setdefault(row.block, []).extend((row.name, run) for run in stored_runs(study, row).runs)
-    found, lines = {}, []
+    found: dict[str, dict[str, list[float]]] = {}
+    lines: list[Line] = []
     for runs in blocks.values():
         of_block = {f"{name}/seed{run['seed']}": curves(run) for name, run in runs}
         levels = _levels([run for _, run in runs], list(of_block.values()))
