@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import zoom
-from support.scoring import NAMES, assert_same, batch, from_yaml, scores
+from support.scoring import assert_same, batch, from_yaml, scores
 from torch import Tensor
 
 from eldenet.evaluation.protocol import EvalProtocol
@@ -17,35 +17,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:Mean of empty slice")  # images 
 def box(counts: Tensor) -> tuple[int, int, int, int]:
     rows, cols = counts.any(dim=1).nonzero(), counts.any(dim=0).nonzero()
     return int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
-
-
-BOXES = {
-    "nyu_bts": (45, 471, 41, 601),
-    "nyu_inpainted_eigen": (45, 471, 41, 601),
-    "nyu_densedepth": (20, 460, 24, 616),
-    "nyu_paper": (0, 228, 0, 304),
-    "nyu_sparse_to_dense": (0, 228, 0, 304),
-    "kitti_depth": (0, 352, 0, 1216),
-    "kitti_sparse": (0, 352, 0, 1216),
-    "kitti_paper": (0, 228, 0, 912),
-    "kitti_s2d_912x228": (0, 228, 0, 912),
-    "kitti_eigen_garg_raw": (153, 371, 44, 1197),  # of 375 x 1242
-    "kitti_eigen_garg_improved": (153, 371, 44, 1197),
-    "kitti_eigen_eigen": (124, 342, 44, 1197),
-}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_crop_of_every_protocol(name: str) -> None:
-    protocol = from_yaml(name)
-    size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
-    depth = torch.ones(1, 1, *size)
-    counts = protocol.valid_mask(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
-    top, bottom, left, right = box(counts)
-    assert (top, bottom, left, right) == BOXES.get(name, (0, size[0], 0, size[1]))
-    assert counts.sum() == (bottom - top) * (right - left)
-    assert protocol.name == name
-    assert EvalProtocol(**protocol.as_dict()) == protocol
 
 
 @pytest.mark.parametrize(
@@ -89,22 +60,6 @@ def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
         protocol.valid_mask(depth[..., :3, :], mask[..., :3, :])
 
 
-def test_protocols_are_the_literatures() -> None:
-    bts, dense, sparse = (from_yaml(f"nyu_{name}") for name in ("bts", "densedepth", "sparse_to_dense"))
-    assert (bts.ground_truth, bts.min_depth, bts.max_depth, bts.average, bts.clamp, bts.flip) == (
-        "raw", 1e-3, 10.0, "image", True, "none",
-    )  # fmt: skip
-    assert (dense.ground_truth, dense.min_depth, dense.max_depth, dense.average, dense.flip) == (
-        "inpainted", 0.1, 10.0, "pixel", "mean",
-    )  # fmt: skip
-    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (
-        0.5,
-        (228, 304),
-        False,
-        "image",
-    )
-
-
 def test_pixels_outside_the_crop_do_not_matter() -> None:
     protocol = EvalProtocol("p", size=(14, 18), crop=(2, 9, 3, 15))
     prediction, depth, mask = batch(6, known=1.0)
@@ -123,31 +78,13 @@ def test_range_is_strict_and_holes_do_not_count() -> None:
     protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
     depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    assert protocol.valid_mask(depth, mask).flatten().tolist() == [
-        False,
-        False,
-        False,
-        True,
-        False,
-        False,
-        False,
-        False,
-    ]
+    assert protocol.valid_mask(depth, mask).flatten().nonzero().tolist() == [[3]]
     mask[..., 3] = False
     assert protocol.valid_mask(depth, mask).sum() == 0
 
 
-def test_clamp() -> None:
-    depth = torch.full((1, 1, 8, 8), 5.0)
-    prediction = torch.full((1, 1, 8, 8), 50.0)
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    assert scores(EvalProtocol("p", clamp=True), (prediction, depth, mask))["mae"] == 5.0
-    assert scores(EvalProtocol("p", clamp=False), (prediction, depth, mask))["mae"] == 45.0
-    assert scores(EvalProtocol("p", clamp=True), (-prediction, depth, mask))["mae"] == pytest.approx(4.999)
-
-
 @pytest.mark.parametrize("value", [0.0, -5.0])
-def test_unclamped_nonsense_never_counts_as_right(value: float) -> None:
+def test_predictions_of_0_or_less_are_never_right(value: float) -> None:
     depth = torch.full((2, 1, 8, 8), 5.0)
     prediction = depth.clone()
     prediction[0] = value

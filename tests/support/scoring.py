@@ -1,7 +1,5 @@
 """What the tests of metrics and protocols share."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from torch import Tensor
@@ -9,9 +7,6 @@ from torch import Tensor
 from eldenet.config import compose, instantiate
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
-
-FOLDER = Path(__file__).parents[2] / "configs" / "protocol"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 
 
 def from_yaml(name: str) -> EvalProtocol:

@@ -210,8 +210,8 @@ def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None,
         notes.append(
             f"difference in {study.compare} to {reference}: mean over the images, with the 95 % interval "
             f"of a paired bootstrap ({statistics.DRAWS} draws). Where both rows have {SEEDS_OF_A_VERDICT} "
-            'seeds, it draws seeds and images, and "better" or "worse" means that the interval excludes 0; elsewhere '
-            f"it draws {statistics.IMAGES_ALONE}, too little for a verdict"
+            'seeds, it draws seeds and images, and "better" or "worse" means that the interval excludes 0; '
+            f"elsewhere it draws {statistics.IMAGES_ALONE}, too little for a verdict"
         )
     if study.epoch == "last":
         notes.append("metrics of the last epoch, since the best epoch was chosen on the same frames")

@@ -147,16 +147,6 @@ def test_the_table_can_show_the_last_epoch(study: Study, tmp_path: Path) -> None
         build_blocks(study)
 
 
-def test_constant_predictors_of_different_training_frames_have_a_line_each(study: Study) -> None:
-    for name, rmse in (("small", 1.0), ("large", 1.5)):
-        store(study, name, 0, figures(0.0, 0), constant_predictor={"rmse": rmse, "delta1": 0.4})
-    rows = table(study)
-    assert rows["constant predictor of small"]["RMSE [m] ↓"] == "1.000"
-    assert rows["constant predictor of large"]["RMSE [m] ↓"] == "1.500"
-    store(study, "large", 0, figures(0.0, 0), constant_predictor={"rmse": 1.0, "delta1": 0.4})
-    assert table(study)["constant predictor"]["δ1 ↑"] == "0.400"
-
-
 def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) -> None:
     folder = store(study, "small", 0, figures(0, 0))
     study = write_plan(tmp_path, "rows:", "latency: benchmark.csv\nrows:")
