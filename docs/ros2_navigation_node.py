@@ -1,27 +1,26 @@
-"""A ROS 2 node that drives to a goal with the packaged policy. Untested on hardware: an example.
+"""A ROS 2 node that drives to a goal with the packaged policy: an example, not tested on hardware.
 
-Subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
-odometry, and to a goal in the odometry's frame; publishes velocity commands five times a second. It stands
-when the goal is reached, when there is no goal, and when depth or odometry are older than half a second; it
-says what is missing. A goal in another frame is refused, and the robot stands: RViz sends goals in its
-"Fixed Frame", so set that to the odometry's. An error, Ctrl-C and SIGTERM end it with a last command that
-stops the robot. Keep a hardware emergency stop at hand, and let the base limit speed and acceleration.
+It subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
+odometry, and to a goal in the odometry's frame. It publishes velocity commands five times per second. It
+stops the robot at the goal, without a goal, and when depth or odometry are older than half a second, and logs
+what is missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame", so set that to the
+odometry's. After an error, Ctrl-C or SIGTERM a last command stops the robot. Keep a hardware emergency stop
+within reach, and let the base limit speed and acceleration.
 
-What the robot must be like: 0.60 x 0.50 m at most, turning about its middle, which the odometry follows; its
-camera level, 0.20 m ahead of the axle, CAMERA_HEIGHT above the floor: measure it, for with a height that is
-15 cm too great the floor reads as a wall. Things lower than 15 cm are never seen. docs/navigation.md has the
-whole table.
+The robot must be at most 0.60 x 0.50 m and turn about its center, the origin of its odometry. The camera must
+be level, 0.20 m ahead of the axle and CAMERA_HEIGHT above the floor: measure it, because with a height 15 cm
+too great the floor looks like a wall. Objects lower than 15 cm are never seen. docs/navigation.md lists all
+requirements.
 
-The camera must see 69.4 degrees across, at least 46 pixels: a narrower one shows nothing in the policy's
-outer columns. The node then ends with an error that says so.
+The camera must cover 69.4 degrees with at least 46 pixels. With a narrower one the policy's outer columns are
+empty, and the node ends with an error.
 
-The goal's distance and bearing come from odometry, so they drift with it: that is goal=odometry of
+The goal's distance and bearing come from odometry, so they drift with it. This is goal=odometry of
 python -m eldenet.navigate, where the packaged policy reaches far fewer goals than with goal=known, the
-simulation's default. On a robot that localizes (in a map, by a beacon), publish the corrected pose as
-odometry, or fuse its positions with the wheels' odometry in eldenet.navigation.localization.Localizer, as
-goal=fixes does.
+default of the simulation. On a robot with localization (a map, beacons), publish the corrected pose as
+odometry, or fuse positions with wheel odometry (eldenet.navigation.localization.Localizer), as goal=fixes.
 
-ros2 run needs a package around this file; for a try: python3 ros2_navigation_node.py
+ros2 run needs a package around this file; to try it: python3 ros2_navigation_node.py
 """
 
 import math
@@ -39,8 +38,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 
-CAMERA_HEIGHT = 0.40  # optical center above the floor, as in the simulation: change it to your robot's [m]
-PERIOD = 0.2  # the policy was trained at this rate [s]
+CAMERA_HEIGHT = 0.40  # of the optical center, as in the simulation: set it to your robot's [m]
+PERIOD = 0.2  # as in training [s]
 GOAL_RADIUS = 0.5  # [m]
 STALE = 0.5  # older data stop the robot [s]
 
@@ -59,7 +58,7 @@ class NavigationNode(Node):
         self.frame: str | None = None  # of the odometry
         self.goal: tuple[float, float] | None = None
         self.depth_time = self.pose_time = -math.inf
-        # best effort: a reliable subscription would get nothing from cameras that publish so
+        # best effort: a reliable subscription receives nothing from best-effort publishers
         self.create_subscription(Image, "camera/depth", self.on_depth, qos_profile_sensor_data)
         self.create_subscription(CameraInfo, "camera/camera_info", self.on_camera, qos_profile_sensor_data)
         self.create_subscription(Odometry, "odom", self.on_odometry, qos_profile_sensor_data)
@@ -68,14 +67,16 @@ class NavigationNode(Node):
         self.create_timer(PERIOD, self.decide)
 
     def now(self) -> float:
-        """[s]."""
+        """Current time [s]."""
         return self.get_clock().now().nanoseconds * 1e-9
 
     def on_depth(self, message: Image) -> None:
-        """Take a depth image over, in meters."""
+        """Store a depth image in meters."""
         kinds = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}
         if message.encoding not in kinds:
-            self.get_logger().error(f"depth is {message.encoding}: 32FC1 or 16UC1 is needed", once=True)
+            self.get_logger().error(
+                f"depth has encoding {message.encoding}: publish 32FC1 or 16UC1", once=True
+            )
             return
         kind, meters = kinds[message.encoding]
         kind = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
@@ -85,11 +86,11 @@ class NavigationNode(Node):
         self.depth_time = self.now()
 
     def on_camera(self, message: CameraInfo) -> None:
-        """Take the intrinsics over."""
+        """Store the intrinsics."""
         self.intrinsics = np.array(message.k).reshape(3, 3)
 
     def on_odometry(self, message: Odometry) -> None:
-        """Take the pose over."""
+        """Store the pose."""
         place, turn = message.pose.pose.position, message.pose.pose.orientation
         yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z))
         self.pose = (place.x, place.y, yaw)
@@ -97,21 +98,21 @@ class NavigationNode(Node):
         self.pose_time = self.now()
 
     def on_goal(self, message: PoseStamped) -> None:
-        """Start for a new goal, which must be given in the odometry's frame; stand, if it is not."""
+        """Start towards a new goal in the odometry's frame; stop for any other."""
         self.goal = None
         if self.frame is None:
-            self.get_logger().error("goal refused: no odometry came yet; send it again when it does")
+            self.get_logger().error("goal rejected: no odometry yet; send it again later")
         elif message.header.frame_id != self.frame:
             self.get_logger().error(
-                f"goal refused: it is in frame '{message.header.frame_id}', the odometry in '{self.frame}': "
-                "give it in that frame (in RViz set Fixed Frame to it)"
+                f"goal rejected: it is in frame '{message.header.frame_id}', the odometry in '{self.frame}': "
+                "send it in that frame (in RViz, set Fixed Frame to it)"
             )
         else:
             self.goal = (message.pose.position.x, message.pose.position.y)
             self.navigator.reset()
 
     def missing(self) -> list[str]:
-        """Topics without which it cannot drive now."""
+        """Return the topics without recent data."""
         now = self.now()
         return [
             name
@@ -124,13 +125,13 @@ class NavigationNode(Node):
         ]
 
     def decide(self) -> None:
-        """Publish one command."""
+        """Publish a command."""
         command = Twist()
         missing = self.missing()
         if missing:
             self.get_logger().warn(
-                f"standing: nothing on {', '.join(missing)} lately; look at its name, its publisher and "
-                "what ros2 topic hz says",
+                f"stopped: no recent data on {', '.join(missing)}; check its name, its publisher and "
+                "ros2 topic hz",
                 throttle_duration_sec=5,
             )
         elif self.goal is not None:
@@ -146,7 +147,7 @@ class NavigationNode(Node):
                     ranges, (distance, bearing), self.pose
                 )
         if not (command.linear.x or command.angular.z):
-            self.navigator.observer.last[:] = 0.0  # it stands, whatever was chosen last
+            self.navigator.observer.last[:] = 0.0  # it is stopped, whatever was chosen last
         self.velocity.publish(command)
 
 

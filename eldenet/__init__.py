@@ -1,14 +1,16 @@
 """eldenet: light-weight monocular depth for robots and edge cameras.
 
-Public names load when they are first used, so that importing the package stays light.
+Public names load at their first use, which keeps ``import eldenet`` fast.
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
-    from eldenet.zoo import list_models, list_weights, load
+    from eldenet.weights import list_weights
+    from eldenet.zoo import list_models, load
 
 __version__ = "0.1.0"
 __all__ = [
@@ -19,24 +21,27 @@ __all__ = [
     "list_models",
     "list_weights",
     "load",
+    "runtimes",
 ]
 
-_HOME_OF = {
+_MODULE_OF = {
     "DepthNet": "eldenet.model",
     "DepthPredictor": "eldenet.deploy.predictor",
     "EncoderDecoder": "eldenet.model",
     "list_models": "eldenet.zoo",
-    "list_weights": "eldenet.zoo",
+    "list_weights": "eldenet.weights",
     "load": "eldenet.zoo",
+    "runtimes": "eldenet.deploy.runtimes",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'eldenet' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME_OF[name]), name)
+    home = import_module(_MODULE_OF[name])
+    return home if _MODULE_OF[name].endswith(f".{name}") else getattr(home, name)
 
 
 def __dir__() -> list[str]:

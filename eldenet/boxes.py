@@ -1,21 +1,21 @@
-"""Boxes: what a 2D detector says (:class:`Detections2D`), and upright boxes in meters (:class:`Boxes3D`).
+"""Boxes: the output of a 2D detector (:class:`Detections2D`), and upright boxes in meters (:class:`Boxes3D`).
 
 Convention: KITTI's (Geiger et al., CVPR 2012). x right, y down, z forward; a box stands upright, ``yaw``
-turns it about y and is 0 where its length runs along x: length axis ``(cos, 0, -sin)``, width axis
+rotates it about y and is 0 if its length lies along x: length axis ``(cos, 0, -sin)``, width axis
 ``(sin, 0, cos)``. KITTI's "location" is :attr:`Boxes3D.bottom_center`.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, to_corner
 
-#: "tight": around what is seen (COCO's detectors); "projected": around the box's eight corners (KITTI).
+#: "tight": around the visible object (COCO's detectors); "projected": around the eight corners (KITTI).
 BoxStyle = Literal["tight", "projected"]
 
-# Corners in units of (length, height, width): four below, then the same four above; 0 and 1 are in front.
+# Corners in units of (length, height, width): four at the bottom, the same at the top; 0 and 1 are in front.
 UNIT_CORNERS = np.array(
     [
         (0.5, 0.5, 0.5), (0.5, 0.5, -0.5), (-0.5, 0.5, -0.5), (-0.5, 0.5, 0.5),
@@ -26,28 +26,37 @@ EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4),
 FRONT_FACE = (0, 1, 5, 4)
 
 
-@dataclass(frozen=True)
-class Detections2D:
-    """Objects of one picture, as arrays.
+class ArrayRows:
+    """A frozen dataclass of arrays over the same N rows (and of values that hold for all rows)."""
 
-    Convention: 2D boxes are what the object covers, from border to border, in the pixel coordinates of
-    :mod:`eldenet.geometry`: pixel centers lie on whole numbers, so a box around the pixels a to b reaches
-    from a - 0.5 to b + 0.5, and a picture of W columns from -0.5 to W - 0.5. Detectors, COCO, YOLO and
-    supervision count from the picture's corner instead: :func:`eldenet.geometry.from_corner`. KITTI's labels
-    are projections with whole-numbered pixel centers and stay as they are.
+    def select(self, chosen: np.ndarray | slice) -> Self:
+        """The rows that ``chosen`` (bool, indices or a slice) picks."""
+        arrays = {name: value[chosen] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True)
+class Detections2D(ArrayRows):
+    """Detected objects of one image, as arrays.
+
+    Convention: a 2D box covers an object from border to border, in the pixel coordinates of
+    :mod:`eldenet.geometry`: pixel centers are whole numbers, so a box around the pixels a to b reaches from
+    a - 0.5 to b + 0.5, and an image of W columns from -0.5 to W - 0.5. Detectors, COCO, YOLO and supervision
+    count from the image corner instead: :func:`eldenet.geometry.from_corner` converts. KITTI's labels are
+    projections in coordinates with whole-numbered pixel centers and need no conversion.
 
     Attributes:
-        xyxy: ``(N, 4)`` left, top, right, bottom [px of the picture], see above.
+        xyxy: ``(N, 4)`` left, top, right, bottom [px], see above.
         score: ``(N,)`` in [0, 1].
-        label: ``(N,)`` number in ``names``.
+        label: ``(N,)`` index into ``names``.
         names: of the classes.
         box_style: see :data:`BoxStyle`.
-        mask: ``(N, H, W)`` bool, or None: used instead of the box where given.
+        mask: ``(N, H, W)`` bool; used instead of the box; or None.
         track_id: ``(N,)``, or None.
 
     Raises:
         ValueError: arrays of different lengths, labels without a name, boxes or scores that are not finite,
-            boxes whose right or lower edge comes before the other.
+            boxes whose right or lower edge comes first.
     """
 
     xyxy: np.ndarray
@@ -65,50 +74,38 @@ class Detections2D:
                 f"xyxy {self.xyxy.shape}, score {self.score.shape}, label {self.label.shape}: give (N, 4), "
                 "(N,), (N,)"
             )
-        if count and not (self.label.min() >= 0 and self.label.max() < len(self.names)):
-            raise ValueError(f"labels up to {self.label.max()}, but {len(self.names)} class names")
-        if not np.isfinite(self.xyxy).all():
-            raise ValueError("boxes with coordinates that are not finite")
-        if not np.isfinite(self.score).all():
-            raise ValueError("scores that are not finite")
-        wrong = np.nonzero((self.xyxy[:, 2:] < self.xyxy[:, :2]).any(1))[0]
+        for name, extra in (("mask", self.mask), ("track_id", self.track_id)):
+            if extra is not None and len(extra) != count:
+                raise ValueError(f"{name} has {len(extra)} entries for {count} boxes: give one for each")
+        if count and not 0 <= self.label.min() <= self.label.max() < len(self.names):
+            raise ValueError(
+                f"labels up to {self.label.max()}, but {len(self.names)} class names: name every class"
+            )
+        if not (np.isfinite(self.xyxy).all() and np.isfinite(self.score).all()):
+            raise ValueError("boxes or scores are not finite: remove such detections")
+        wrong = self.xyxy[(self.xyxy[:, 2:] < self.xyxy[:, :2]).any(1)]
         if len(wrong):
             raise ValueError(
-                f"box {wrong[0]} is {self.xyxy[wrong[0]].tolist()}: give left, top, right, bottom, "
-                "left <= right and top <= bottom"
+                f"box {wrong[0].tolist()}: give left, top, right, bottom with left <= right and top <= bottom"
             )
         if self.box_style not in ("tight", "projected"):
             raise ValueError(f"box_style={self.box_style!r}: give 'tight' or 'projected'")
-        for name, extra in (("mask", self.mask), ("track_id", self.track_id)):
-            if extra is not None and len(extra) != count:
-                raise ValueError(f"{len(extra)} entries of {name} for {count} boxes")
 
     def __len__(self) -> int:
         return len(self.score)
 
     @classmethod
     def empty(cls, names: tuple[str, ...] = (), box_style: BoxStyle = "tight") -> "Detections2D":
-        """No object."""
+        """No objects."""
         return cls(np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64), names, box_style)
 
     @property
     def classes(self) -> list[str]:
-        """Class name of every object."""
+        """Class names of the objects."""
         return [self.names[label] for label in self.label]
 
-    def select(self, chosen: np.ndarray) -> "Detections2D":
-        """Those that ``chosen`` (bool or numbers) picks."""
-        return replace(
-            self,
-            xyxy=self.xyxy[chosen],
-            score=self.score[chosen],
-            label=self.label[chosen],
-            mask=None if self.mask is None else self.mask[chosen],
-            track_id=None if self.track_id is None else self.track_id[chosen],
-        )
-
     def to_supervision(self) -> Any:
-        """As ``supervision.Detections`` (``pip install supervision``), its pixels counted from the corner."""
+        """Convert to ``supervision.Detections`` (``pip install supervision``), with corner pixels."""
         import supervision
 
         return supervision.Detections(
@@ -134,25 +131,25 @@ class Box3D:
 
     @property
     def distance(self) -> float:
-        """Of the center from the origin, on the ground [m]."""
+        """Distance from the origin to the center on the ground [m]."""
         return float(np.hypot(self.center[0], self.center[2]))
 
 
 @dataclass(frozen=True)
-class Boxes3D:
-    """Upright boxes of one picture, as arrays; ``boxes[i]`` is one :class:`Box3D`.
+class Boxes3D(ArrayRows):
+    """Upright boxes of one image, as arrays; ``boxes[i]`` is one :class:`Box3D`.
 
     Attributes:
         center: ``(N, 3)`` mean of the eight vertices [m] (paper, equation 3).
         size: ``(N, 3)`` length, width, height [m].
-        yaw: ``(N,)`` [rad]. From geometry it is known modulo pi: front and back look alike.
+        yaw: ``(N,)`` [rad]. Geometry shows it modulo pi only: front and back look alike.
         score: ``(N,)`` of the detector.
-        label: ``(N,)`` number in ``names``.
+        label: ``(N,)`` index into ``names``.
         names: of the classes.
-        quality: what is known of each box's making, ``(N,)`` arrays: ``points`` (foreground pixels used),
-            ``depth_scale`` (factor on the depth that fits best), ``truncated``, ``occluded`` (share of its
-            2D box), ``fallback`` (1 where the method could not be used), ``cost`` (of the fit); of tracks
-            ``heading`` (1 where front and back are known).
+        quality: ``(N,)`` arrays on how each box was found: ``points`` (foreground pixels used),
+            ``depth_scale`` (fitted factor on the depth), ``truncated``, ``occluded`` (share of its 2D box),
+            ``fallback`` (1 if the method could not be used), ``cost`` (of the fit); for tracks ``heading``
+            (1 if front and back are known).
         track_id: ``(N,)``, or None.
         velocity: ``(N, 3)`` [m/s], or None: from tracking.
     """
@@ -172,24 +169,19 @@ class Boxes3D:
 
     def __getitem__(self, index: int) -> Box3D:
         quality = {name: float(values[index]) for name, values in self.quality.items()}
-        return Box3D(
-            self.center[index],
-            self.size[index],
-            float(self.yaw[index]),
-            self.names[self.label[index]],
-            float(self.score[index]),
-            quality,
-        )
+        name = self.names[self.label[index]]
+        yaw, score = float(self.yaw[index]), float(self.score[index])
+        return Box3D(self.center[index], self.size[index], yaw, name, score, quality)
 
     @classmethod
     def empty(cls, names: tuple[str, ...] = ()) -> "Boxes3D":
-        """No box."""
+        """No boxes."""
         none = np.zeros(0)
         return cls(np.zeros((0, 3)), np.zeros((0, 3)), none, none, np.zeros(0, np.int64), names)
 
     @property
     def classes(self) -> list[str]:
-        """Class name of every box."""
+        """Class names of the boxes."""
         return [self.names[label] for label in self.label]
 
     @property
@@ -214,7 +206,7 @@ class Boxes3D:
 
     @property
     def nearest(self) -> np.ndarray:
-        """``(N,)`` distance from the origin to the footprint, on the ground [m]: what one would hit first."""
+        """``(N,)`` distance on the ground from the origin to the footprint [m]."""
         x, z, length, width, yaw = self.bev.T
         along, across = axes_of(yaw)[:, :, [0, 2]].transpose(1, 0, 2)
         origin = -np.stack([x, z], axis=1)
@@ -222,24 +214,15 @@ class Boxes3D:
         outside = np.maximum(reach - np.stack([length, width], axis=1) / 2, 0.0)
         return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
 
-    def select(self, chosen: np.ndarray) -> "Boxes3D":
-        """Those that ``chosen`` (bool or numbers) picks."""
-        return replace(
-            self,
-            center=self.center[chosen],
-            size=self.size[chosen],
-            yaw=self.yaw[chosen],
-            score=self.score[chosen],
-            label=self.label[chosen],
-            quality={name: values[chosen] for name, values in self.quality.items()},
-            track_id=None if self.track_id is None else self.track_id[chosen],
-            velocity=None if self.velocity is None else self.velocity[chosen],
-        )
+    def select(self, chosen: np.ndarray | slice) -> Self:
+        """The boxes that ``chosen`` (bool, indices or a slice) picks."""
+        quality = {name: values[chosen] for name, values in self.quality.items()}
+        return replace(super().select(chosen), quality=quality)
 
     def project(self, camera: PinholeCamera, size: tuple[int, int], near: float = 0.1) -> np.ndarray:
-        """``(N, 4)`` 2D boxes around the corners, cut at ``near`` and at a picture of ``(height, width)``.
+        """2D boxes ``(N, 4)`` around the corners, clipped at ``near`` [m] and to ``(height, width)`` [px].
 
-        NaN for a box of which nothing is in the picture: behind the camera, or beside the view.
+        NaN for a box outside the image: behind the camera, or beside the view.
         """
         boxes = np.full((len(self), 4), np.nan)
         for index, corners in enumerate(camera.to_camera(self.corners)):
@@ -261,10 +244,10 @@ def axes_of(yaw: np.ndarray) -> np.ndarray:
 
 def corners_of(center: np.ndarray, size: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Vertices ``(N, 8, 3)`` [m] of boxes: ``center (N, 3)``, ``size (N, 3)`` l, w, h, ``yaw (N,)``."""
-    along, across = axes_of(np.asarray(yaw)).transpose(1, 0, 2)
-    unit, size = UNIT_CORNERS[None], np.asarray(size)[:, None]
+    along, across = axes_of(yaw).transpose(1, 0, 2)
+    unit, size = UNIT_CORNERS[None], size[:, None]
     return np.asarray(
-        np.asarray(center)[:, None]
+        center[:, None]
         + unit[..., :1] * size[..., :1] * along[:, None]
         + unit[..., 2:] * size[..., 1:2] * across[:, None]
         + unit[..., 1:2] * size[..., 2:] * np.array([0.0, 1.0, 0.0])
@@ -285,5 +268,5 @@ def clipped_edges(corners: np.ndarray, near: float) -> np.ndarray:
 
 
 def wrap_half(yaw: np.ndarray) -> np.ndarray:
-    """Angles modulo pi, in [-pi/2, pi/2): where front and back look alike."""
-    return np.asarray((np.asarray(yaw) + np.pi / 2) % np.pi - np.pi / 2)
+    """Wrap angles modulo pi to [-pi/2, pi/2): front and back are the same."""
+    return np.asarray((yaw + np.pi / 2) % np.pi - np.pi / 2)

@@ -1,12 +1,16 @@
 """The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
 
+import functools
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from eldenet.system.resources import prepare_environment
+from eldenet.system.checks import one_of
+from eldenet.system.resources import choose_resources, prepare_environment
 
 prepare_environment()
 
@@ -19,6 +23,17 @@ from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
+if TYPE_CHECKING:
+    from eldenet.data.inspection import CheckDataSetup
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.deploy.exporting import ExportSetup
+    from eldenet.deploy.prediction import PredictionSetup
+    from eldenet.deploy.scoring import EvaluationSetup
+    from eldenet.navigation.modes import ModeSetup
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.training.setup import TrainingSetup
+
+SPLITS = ("train", "val", "test")
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
@@ -98,14 +113,9 @@ def read_yaml(path: Path) -> Any:
         raise ValueError(f"{path} can't be read as YAML: {error}") from error
 
 
-def is_main_process() -> bool:
-    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
-    return os.environ.get("RANK", "0") == "0"
-
-
-def plain(config: Any) -> Any:
-    """Resolved dicts, lists and values; what ``run.json`` stores."""
-    return OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+def plain(config: Any, *, resolve: bool = True) -> Any:
+    """Dicts, lists and values, resolved unless ``resolve`` is False; what ``run.json`` stores."""
+    return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
 
 
 def listed(config: Any) -> list[Any]:
@@ -129,6 +139,171 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         if isinstance(cause, USER_ERRORS):
             raise cause from None
         raise ValueError(str(error)) from error
+
+
+# --- what commands are built from
+
+
+def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
+    """What ``python -m eldenet.train`` trains in ``folder``."""
+    check_data_folders(config)
+    from eldenet.training.setup import TrainingSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return TrainingSetup(
+        folder=folder,
+        name=config.model_name,
+        seed=config.seed,
+        data=config.data.name,
+        input_size=settings["data"]["input_size"],
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        make_model=functools.partial(instantiate, config.model),
+        own_normalization=bool({"mean", "std"} & config.model.keys()),
+        make_loss=functools.partial(instantiate, config.loss),
+        make_trainer=functools.partial(_build_trainer, config),
+        resources=settings["runtime"],
+        normalization=settings["normalization"],
+        weights=config.weights,
+        teacher=config.teacher,
+        ckpt_path=config.ckpt_path,
+        trusted_modules=_named_modules(settings["model"]),
+        settings=settings,
+    )
+
+
+def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
+    """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
+    check_data_folders(config)
+    from eldenet.deploy.scoring import EvaluationSetup
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    return EvaluationSetup(
+        folder=folder,
+        checkpoint=str(config.checkpoint),
+        data=config.data.name,
+        split=config.split,
+        input_size=settings["input_size"],
+        data_input_size=settings["data"]["input_size"],
+        training_frames=(settings["data"].get("train") or {}).get("frames"),
+        protocol=build_protocol(config),
+        make_split=functools.partial(build_split, config),
+        engine=config.engine,
+        precision=config.precision,
+        resources=settings["runtime"],
+        batch_size=config.batch_size,
+        trusted_modules=settings["trusted_modules"],
+        settings=settings,
+    )
+
+
+def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
+    """What ``python -m eldenet.train_detector`` trains in ``folder``.
+
+    Raises:
+        ValueError: the folder holds another run already, or libreyolo is missing.
+    """
+    from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.perception.libreyolo_detector import YoloTraining
+    from eldenet.simulation.street_views import NAMES
+    from eldenet.system.resources import choose_resources
+
+    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    if (folder / "train").exists() and not config.resume:
+        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
+    resources = choose_resources(**settings["runtime"])
+    return DetectorTrainingSetup(
+        folder=folder,
+        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(NAMES)),
+        training=YoloTraining(
+            **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
+        ),
+        data=Path(settings["data"]["root"]),
+        kinds=listed(config.data.kinds),
+        counts={split: config.data[split] for split in ("train", "test")},
+        resources=resources,
+        resume=config.resume,
+        settings=settings,
+    )
+
+
+def _build_trainer(config: DictConfig) -> Any:
+    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
+    return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed)
+
+
+def _named_modules(settings: Any) -> list[str]:
+    """Modules that the user's own settings name: these are trusted, a downloaded config's are not."""
+    if not isinstance(settings, dict):
+        return []
+    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
+    return named + [module for value in settings.values() for module in _named_modules(value)]
+
+
+def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
+    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
+    from eldenet.navigation import modes
+    from eldenet.navigation.episodes import EpisodeSettings
+
+    settings = plain(config)
+    names = ("physics", "goal", "time_limit", "seed")
+    common: dict[str, Any] = {
+        "mode": config.mode,
+        "folder": folder,
+        "threads": config.runtime.threads,
+        "make_sensor": functools.partial(instantiate, config.sensor),
+        "episode": EpisodeSettings(**{name: settings[name] for name in names if name in settings}),
+        "settings": settings,
+    }
+    if config.mode == "train":
+        return modes.TrainSetup(**common, make_training=functools.partial(_build_driver_training, config))
+    densities = [int(density) for density in listed(config.density)]
+    if config.mode == "fit_noise":
+        return modes.NoiseSetup(
+            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
+        )
+    policy = instantiate(config.policy)
+    common |= {
+        "make_policy": lambda robots: policy(robots=robots),
+        "split": config.split,
+        "pedestrians": config.pedestrians,
+    }
+    if config.mode == "record":
+        if len(densities) != 1:
+            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
+        extra = {name: settings[name] for name in ("world", "course", "video")}
+        return modes.RecordSetup(**common, density=densities[0], **extra)
+    return modes.EvaluationSetup(
+        **common, densities=densities, episodes=config.episodes, robots=config.robots
+    )
+
+
+def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
+    from eldenet.navigation.dqn import DQN
+    from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.training import TrainingSetup
+
+    settings = plain(config)
+    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
+        raise ValueError(
+            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
+        )
+
+    def make_learner() -> DQN:
+        env = ArenaNavVectorEnv(
+            config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
+            time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+        )  # fmt: skip
+        return DQN(env, instantiate(config.learner)(seed=config.seed))
+
+    compared = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
+    return TrainingSetup(
+        make_learner,
+        sensor,
+        config.training.validate,
+        {name: settings[name] for name in compared},
+        settings,
+    )
 
 
 def build_model(config: DictConfig, **arguments: Any) -> Any:
@@ -163,6 +338,8 @@ def build_split(
     augment: bool = False,
     score: bool = False,
     seed: int = 0,
+    input_size: Sequence[int] | None = None,
+    frames: int | None = None,
 ) -> Any:
     """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
 
@@ -173,22 +350,28 @@ def build_split(
         augment: for training.
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
+        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
+        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
     """
-    from eldenet.data.base import Chain
-    from eldenet.data.resize_crop import ResizeCrop
+    from eldenet.data.base import Compose
+    from eldenet.evaluation.protocol_frames import frame_geometry
 
     node = _split_node(config, split)
     steps: list[Any] = []
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
-        steps.append(ResizeCrop.of_protocol(protocol, keep_depth=whole))
+        steps.append(frame_geometry(protocol, keep_depth=whole))
     changes: dict[str, Any] = {}
-    if node.get("load_size") is not None and (score or protocol.changes_frames):
-        changes = {"load_size": None, "cache": "none"}
+    if input_size is not None:
+        changes["input_size"] = list(input_size)
+    if frames is not None:
+        changes["frames"] = frames
+    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
+        changes |= {"resize_on_load": None, "cache": "none"}
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
-                "%s: load_size and cache are off: protocol %s resizes or crops the camera's frames first",
+                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
                 split,
                 protocol.name,
             )
@@ -197,7 +380,7 @@ def build_split(
     dataset = instantiate(
         node,
         **changes,
-        transform=Chain(steps) if steps else None,
+        transform=Compose(steps) if steps else None,
         resize_depth=split == "train" and not score,
         seed=seed,
     )
@@ -207,7 +390,7 @@ def build_split(
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     places = config.data.get("subset", {}).get(split)
-    if places is not None:
+    if places is not None and frames is None:
         dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
         logging.getLogger("eldenet").warning(
@@ -247,3 +430,249 @@ def build_study(config: DictConfig) -> Any:
         rerun=config.rerun,
         given=plain(config.given),
     )
+
+
+def check_data_folders(config: DictConfig) -> None:
+    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
+
+    Rendered data sets, which have no ``on_error``, make their folder themselves.
+    """
+    splits = [plain(config.data.get(split)) for split in SPLITS]
+    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
+    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
+        return
+    if roots[0] is not None:
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+    if not os.environ.get("ELDENET_DATA"):
+        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
+
+
+def build_check_data(config: DictConfig) -> "CheckDataSetup":
+    """The :class:`~eldenet.data.inspection.CheckDataSetup` of ``check_data``.
+
+    Raises:
+        ValueError: ``frames`` or ``samples`` is out of its range.
+        FileNotFoundError: the data set's folder does not exist.
+    """
+    for name, least in (("frames", 1), ("samples", 0)):
+        if config[name] is not None and config[name] < least:
+            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
+    check_data_folders(config)
+    from eldenet.data.inspection import CheckDataSetup
+
+    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
+    subset = plain(config.data.get("subset")) or {}
+    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
+    for split in nodes:
+        first = next(
+            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
+        )
+        if first != split:
+            same[split] = first
+
+    def open_split(split: str) -> Any:
+        node = nodes[split]
+        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
+        if subset.get(split) is not None:
+            dataset.draw_subset(subset[split], config.data.subset_seed)
+        return dataset
+
+    return CheckDataSetup(
+        folder=Path(config.run_dir).expanduser(),
+        name=config.data.name,
+        config=plain(config.data),
+        splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
+        same=same,
+        check_ground_truth=build_protocol(config).check_ground_truth,
+        frames=config.frames,
+        samples=config.samples,
+    )
+
+
+# --- predict, export, benchmark -----------------------------------------------------------------------------
+
+
+def build_prediction(config: DictConfig) -> "PredictionSetup":
+    """What ``configs/predict.yaml`` asks for; torch is not loaded before everything else is checked.
+
+    Raises:
+        ValueError: a setting or the source is wrong.
+        FileNotFoundError: there is no such source.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.outputs import ENDING, Results
+    from eldenet.deploy.prediction import PredictionSetup, find_source
+    from eldenet.geometry import pinhole
+
+    checkpoint, engine = str(config.checkpoint), str(config.engine)
+    one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
+    one_of("on_error", str(config.on_error), ("stop", "skip"))
+    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
+        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    if camera and not (camera[0] > 0 and camera[1] > 0):
+        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    span = _numbers(config, "depth_range", "[near, far] in meters")
+    if span and not 0 <= span[0] < span[1]:
+        raise ValueError(f"depth_range={list(span)}: give [near, far] in meters, 0 <= near < far")
+    size = _size(config, "input_size")
+    output = Path(config.output).expanduser()
+    source = find_source(str(config.source), output, config.frames)
+    formats = (
+        ["color"] if source.is_video else ["depth", "color", *["ply"] * bool(camera and not config.boxes)]
+    )
+    if config.formats is not None:
+        formats = [str(name) for name in listed(config.formats)]
+    for name in formats:
+        if name == "colour":
+            raise ValueError("formats: colour is called color now")
+        one_of("formats", name, tuple(ENDING))
+    if not formats:
+        raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
+    if "ply" in formats and not camera:
+        raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if camera and "ply" not in formats and not config.boxes:
+        raise ValueError(f"formats={formats} does not use intrinsics: add ply for point clouds")
+    results = Results(
+        output,
+        tuple(formats),
+        pinhole(*camera) if camera else None,
+        (span[0], span[1]) if span else None,
+        bool(config.overwrite),
+    )
+    files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
+    results.refuse_to_overwrite(list(map(Path, source.names)), files)
+    boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
+    by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
+    return _filled(
+        PredictionSetup,
+        config,
+        source=source,
+        results=results,
+        resources=choose_resources(**plain(config.runtime), for_torch=by_torch),
+        input_size=size,
+        boxes=boxes,
+        skip_unreadable=config.on_error == "skip",
+    )
+
+
+def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video: bool) -> Callable[..., Any]:
+    """What adds 3D boxes to the results of ``predict``: detector, lifter and, of a video, tracker.
+
+    Raises:
+        ValueError: no intrinsics or no detector were given.
+    """
+    from eldenet.geometry import PinholeCamera, pinhole
+    from eldenet.perception.box_results import box_results
+    from eldenet.perception.scene import Perception
+
+    if camera is None:
+        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if config.perception.detector.get("path", "") is None:
+        raise ValueError(
+            "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
+        )
+    detector = instantiate(config.perception.detector)
+    lifter = instantiate(config.perception.lifter)
+    tracker = instantiate(config.perception.tracker) if is_video else None
+
+    perception = Perception(None, detector, lifter, PinholeCamera(pinhole(*camera)), tracker=tracker)
+    return functools.partial(box_results, perception, is_video=is_video)
+
+
+def build_export(config: DictConfig) -> "ExportSetup":
+    """What ``configs/export.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.exporting import ENDINGS, PRECISIONS, ExportSetup
+
+    kind, precision = str(config.format), str(config.precision)
+    one_of("format", kind, tuple(ENDINGS))
+    if precision not in PRECISIONS[kind]:
+        raise ValueError(
+            f"precision={precision}: format={kind} has {', '.join(PRECISIONS[kind])}"
+            + ("; for bf16 give format=openvino" if precision == "bf16" else "")
+        )
+    output = None if config.output is None else Path(config.output).expanduser()
+    if output is not None and output.suffix != ENDINGS[kind]:
+        raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
+    return _filled(
+        ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
+    )
+
+
+def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
+    """What ``configs/benchmark.yaml`` asks for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.zoo import list_models
+
+    several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
+    lists = {name: tuple(listed(config[name])) for name in several}
+    for runtime in lists["runtimes"]:
+        one_of("runtimes", runtime, RUNTIMES)
+    for precision in lists["precisions"]:
+        one_of("precisions", precision, PRECISIONS)
+    if config.rounds < 1:
+        raise ValueError(f"rounds={config.rounds}: give 1 or more")
+    sizes = plain(config.sizes)
+    if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
+        raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.evaluation.metrics import METRICS
+
+    one_of("accuracy", str(config.accuracy), METRICS)
+    models = list_models() if config.models is None else listed(config.models)
+    return _filled(
+        BenchmarkSetup,
+        config,
+        **lists,
+        models=tuple(map(str, models)),
+        sizes=tuple(map(tuple, sizes)),
+        output=Path(config.output).expanduser(),
+    )
+
+
+def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
+    """A dataclass with the settings that its fields name; ``given`` ones are checked already."""
+    names = [field.name for field in fields(setup) if field.name not in given]
+    return setup(**{name: plain(config[name]) for name in names}, **given)
+
+
+def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
+    """A setting such as ``[near, far] in meters``; None where it is null.
+
+    Raises:
+        ValueError: it is no list of as many finite numbers.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    count = meaning.count(",") + 1
+    try:
+        numbers = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name}={given}: give {meaning}, {count} numbers, or null")
+    return numbers
+
+
+def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
+    """A setting ``[height, width]`` [px]; None where it is null.
+
+    Raises:
+        ValueError: it is no such pair.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
+    if not pair or min(given) < 1:
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+    return given[0], given[1]

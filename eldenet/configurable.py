@@ -1,9 +1,9 @@
-"""Parts that remember how they were built, and a builder that trusts nothing it was not told to trust.
+"""Parts of models that record how they were built, and a safe builder for such records.
 
-A part's ``config`` is what Hydra's YAML would say, such as
+A part's ``config`` has the form of its YAML file, such as
 ``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
-``config.json`` files come from elsewhere, so :func:`build` checks a target's module by name *before* it
-imports anything, and then accepts nothing but subclasses of :class:`Configurable`.
+Saved models come from other people, so :func:`build` checks the name of a target's module *before* it imports
+anything, and then accepts only subclasses of :class:`Configurable`.
 """
 
 import functools
@@ -23,11 +23,14 @@ TRUSTED_MODULES = (
 
 
 class Configurable:
-    """Mixin, placed first: records the constructor's arguments, so that a part can be written down.
+    """Mixin that records the constructor's arguments in ``config``; it must be the first base class.
 
-    ``transient_arguments`` names arguments that say where values came from (such as ``pretrained``) and
-    not what the part is; they are left out. ``supplied_arguments`` names those that the surrounding
-    part fills in (a decoder's ``feature_info``), which makes the written part a partial one.
+    Attributes:
+        transient_arguments: names of arguments that say where weights come from (``pretrained``), not what
+            the part is; they are not recorded.
+        supplied_arguments: names of arguments that the surrounding part supplies (a decoder's
+            ``feature_info``); they are not recorded, and the config becomes a partial one.
+        config: the record, as :func:`build` takes it.
     """
 
     transient_arguments: tuple[str, ...] = ()
@@ -35,14 +38,14 @@ class Configurable:
     config: dict[str, Any]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Note the arguments that ``__init__`` is about to get, defaults included."""
+        """Record the arguments that ``__init__`` will get, including defaults."""
         part = super().__new__(cls)
         signature = inspect.signature(cls.__init__)
         given = signature.bind_partial(part, *args, **kwargs)
         given.apply_defaults()
         arguments = dict(list(given.arguments.items())[1:])
         for parameter in signature.parameters.values():
-            if parameter.kind is parameter.VAR_KEYWORD:  # **options are written as what they are: arguments
+            if parameter.kind is parameter.VAR_KEYWORD:  # **options are arguments like any other
                 arguments |= arguments.pop(parameter.name)
         unsaved = {*cls.transient_arguments, *cls.supplied_arguments}
         config = {"_target_": f"{cls.__module__}.{cls.__qualname__}"}
@@ -54,7 +57,7 @@ class Configurable:
 
 
 def _plain(value: Any) -> Any:
-    """Write an argument as JSON can hold it; a part becomes its own config."""
+    """Return an argument in a form that JSON can hold; a part becomes its config."""
     if isinstance(value, Configurable):
         return value.config
     if isinstance(value, Mapping):
@@ -72,16 +75,16 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
     """Build the part that a ``config`` describes.
 
     Args:
-        config: nested mappings with ``_target_`` (and ``_partial_``), as :class:`Configurable` writes them.
+        config: nested mappings with ``_target_`` (and ``_partial_``), as :class:`Configurable` records them.
         trusted_modules: packages or modules beyond our own model parts whose classes may be built.
 
     Raises:
-        ValueError: a target lies outside the trusted modules (nothing is imported then), is not a
-            :class:`Configurable` class, does not take the arguments given, or asks for weights from
-            somewhere (a transient argument that is not false: it could download or read any file).
+        ValueError: a target is outside the trusted modules (then nothing is imported), is no
+            :class:`Configurable` class, does not take its arguments, or sets a transient argument (which
+            could download or read any file).
     """
     if isinstance(trusted_modules, str):
-        raise ValueError(f"trusted_modules={trusted_modules!r}: a list is needed, [{trusted_modules!r}]")
+        raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
     if isinstance(config, Mapping):
         arguments = {key: build(value, trusted_modules) for key, value in config.items() if key[:1] != "_"}
         if "_target_" not in config:
@@ -90,8 +93,8 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
         for name in part.transient_arguments:
             if arguments.get(name):
                 raise ValueError(
-                    f"refused {name}={arguments[name]!r} of {config['_target_']}: a saved part never says "
-                    "where weights come from; remove that entry"
+                    f"refused {name}={arguments[name]!r} of {config['_target_']}: a saved model must not "
+                    "fetch weights; remove that entry"
                 )
         if config.get("_partial_"):
             return functools.partial(part, **arguments)
@@ -109,13 +112,13 @@ def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     trusted = (*TRUSTED_MODULES, *trusted_modules)
     if not any(module == allowed or module.startswith(f"{allowed}.") for allowed in trusted):
         raise ValueError(
-            f"refused to build {target!r}: its module is not among the trusted ones ({', '.join(trusted)}). "
-            "If you know and trust that code, name it: trusted_modules=[...]"
+            f"refused to build {target!r}: its module is not one of {', '.join(trusted)}. If you trust that "
+            "code, name it: trusted_modules=[...]"
         )
     try:
         part = getattr(importlib.import_module(module), name, None)
     except ModuleNotFoundError as error:
-        raise ValueError(f"can't build {target!r}: {error}") from error
+        raise ValueError(f"cannot build {target!r}: {error}") from error
     if not (isinstance(part, type) and issubclass(part, Configurable)):
         raise ValueError(f"refused to build {target!r}: not a Configurable class of {module}")
     return part

@@ -1,7 +1,7 @@
 """Pinhole geometry: intrinsics under image operations, back-projection, disparity.
 
-Convention: pixel centers lie on whole numbers (the first pixel's center is (0, 0)), x right, y down,
-z forward, as in OpenCV. A resize by s therefore moves a point u to (u + 0.5) * s - 0.5.
+Convention: pixel centers are whole numbers (the center of the first pixel is (0, 0)), x right, y down,
+z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5.
 """
 
 from dataclasses import dataclass, field
@@ -10,31 +10,31 @@ import numpy as np
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    """Build the ``(3, 3)`` intrinsic matrix [px]."""
+    """Intrinsic matrix ``(3, 3)`` [px]."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> None:
-    """Raise ValueError for intrinsics that cannot be of a picture of ``(height, width)`` [px]."""
+    """Raise ValueError if the principal point lies outside an image of ``(height, width)`` [px]."""
     column, row = intrinsics[:2, 2]
     if not (0 <= column < size[1] and 0 <= row < size[0]):
         raise ValueError(
-            f"the camera's principal point ({column:g}, {row:g}) lies outside the picture, which is "
-            f"{size[1]} x {size[0]}: give the intrinsics of pictures of this size"
+            f"the principal point ({column:g}, {row:g}) lies outside the picture, which is {size[1]} x "
+            f"{size[0]}: give the intrinsics of pictures of this size"
         )
 
 
 def resize_intrinsics(
     intrinsics: np.ndarray, size_from: tuple[int, int], size_to: tuple[int, int]
 ) -> np.ndarray:
-    """Intrinsics after a resize; depth does not change. Sizes are ``(height, width)`` [px]."""
+    """Intrinsics after a resize, which leaves depth unchanged. Sizes are ``(height, width)`` [px]."""
     sy, sx = size_to[0] / size_from[0], size_to[1] / size_from[1]
     matrix = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
     return matrix @ intrinsics
 
 
 def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
-    """Intrinsics after ``image[top:, left:]``; depth does not change."""
+    """Intrinsics after the crop ``image[top:, left:]``, which leaves depth unchanged."""
     shifted = np.array(intrinsics, dtype=np.float64)
     shifted[0, 2] -= left
     shifted[1, 2] -= top
@@ -42,7 +42,7 @@ def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
 
 
 def from_corner(pixels: np.ndarray) -> np.ndarray:
-    """Pixel coordinates that count from the picture's corner (COCO, YOLO, torchvision), in the house's.
+    """Convert pixel coordinates counted from the image corner (COCO, YOLO, torchvision) to this module's.
 
     There the first pixel reaches from 0 to 1, here from -0.5 to 0.5.
     """
@@ -50,12 +50,12 @@ def from_corner(pixels: np.ndarray) -> np.ndarray:
 
 
 def to_corner(pixels: np.ndarray) -> np.ndarray:
-    """The other way round."""
+    """Convert this module's pixel coordinates to those counted from the image corner."""
     return np.asarray(pixels, np.float64) + 0.5
 
 
 def extent_of(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Left, top, right, bottom ``(4,)`` of whole pixels, one or more: from border to border."""
+    """Left, top, right, bottom ``(4,)`` of one or more whole pixels, from border to border."""
     return np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
 
 
@@ -63,11 +63,11 @@ def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> 
     """Depth ``baseline * focal / disparity`` ``(H, W)`` float32 [m]; 0 = unknown, in both.
 
     Args:
-        disparity: ``(H, W)`` [px of the picture that ``focal`` speaks of, however it was resized since].
+        disparity: ``(H, W)`` [px of the image that ``focal`` belongs to, even if it was resized since].
         focal: fx [px].
         baseline: distance of the two cameras [m].
     """
-    known = disparity > 0  # no disparity is infinitely far, which no number stands for
+    known = disparity > 0  # 0 would be infinitely far
     depth = baseline * focal / np.where(known, disparity, 1.0).astype(np.float64)
     return np.where(known, depth, 0.0).astype(np.float32)
 
@@ -75,22 +75,32 @@ def disparity_to_depth(disparity: np.ndarray, focal: float, baseline: float) -> 
 def crop_corner(size: tuple[int, int], crop: tuple[int, int], anchor: str) -> tuple[int, int]:
     """Top and left [px] of a crop ``(height, width)`` of a frame of ``size``.
 
-    Convention: "center" rounds half to even, as torchvision's center crop; "bottom" is BTS's KB crop: the
-    lowest rows, ``(width - crop width) // 2`` from the left.
+    Convention: "center" rounds half to even, like torchvision's center crop; "bottom" is the KB crop of BTS:
+    the lowest rows, ``(width - crop width) // 2`` from the left.
     """
     if anchor == "bottom":
         return size[0] - crop[0], (size[1] - crop[1]) // 2
     return round((size[0] - crop[0]) / 2), round((size[1] - crop[1]) / 2)
 
 
-def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Move every known point of ``depth (H, W)`` [m] to its pixel of a map of ``size`` [px].
+def resize_image(image: np.ndarray, size: tuple[int, int], *, area: bool = True) -> np.ndarray:
+    """Image ``(H, W, 3)`` at ``size`` (height, width) [px]: bilinear; averaged by area if it shrinks."""
+    import cv2
 
-    Nothing is interpolated or repeated. Of several points that meet in a pixel the nearest stays: it hides
-    the others. 0 is unknown.
+    shrinks = area and image.shape[:2] > tuple(size)  # in height; in width if the height stays
+    if image.shape[:2] == tuple(size):
+        return image
+    return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Move every known point of ``depth (H, W)`` [m] to its pixel in a map of ``size`` [px]; 0 is unknown.
+
+    Nothing is interpolated or repeated. Of several points in a pixel the nearest stays, as it hides the
+    others.
     """
     rows, cols = np.nonzero(depth)
-    # a pixel's center at u + 0.5 goes to (u + 0.5) * s, so to pixel floor((u + 0.5) * s)
+    # counted from the image corner, a pixel center u + 0.5 moves to (u + 0.5) * s: pixel floor((u + 0.5) * s)
     to_rows = (2 * rows + 1) * size[0] // (2 * depth.shape[0])
     to_cols = (2 * cols + 1) * size[1] // (2 * depth.shape[1])
     return nearest_points(to_rows, to_cols, depth[rows, cols], size)
@@ -99,7 +109,7 @@ def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def nearest_points(
     rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Depth map ``size`` [m] of points ``(N,)`` at whole pixels: a pixel's nearest wins, 0 is unknown."""
+    """Depth map of ``size`` [m] from points ``(N,)`` at whole pixels: the nearest wins, 0 is unknown."""
     points = np.full(size, np.inf, depth.dtype)
     np.minimum.at(points, (rows, cols), depth)
     points[np.isinf(points)] = 0
@@ -107,7 +117,7 @@ def nearest_points(
 
 
 def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth itself."""
+    """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth."""
     rows, cols = np.indices(depth.shape, dtype=np.float64)
     x = (cols - intrinsics[0, 2]) / intrinsics[0, 0] * depth
     y = (rows - intrinsics[1, 2]) / intrinsics[1, 1] * depth
@@ -118,9 +128,9 @@ def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
 class PinholeCamera:
     """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1`` (paper, equation 1).
 
-    ``H`` is the infinite homography (Hartley and Zisserman, section 13.4), ``h`` the depth of pixel (row i,
-    column j). The level frame has x right, y down along gravity, z forward; by default it is the camera's
-    own.
+    ``H`` is the infinite homography (Hartley and Zisserman, section 13.4), ``h`` the depth of the pixel in
+    row i, column j. The level frame has x right, y down along gravity, z forward; by default it is the
+    camera's own frame.
 
     Attributes:
         intrinsics: ``(3, 3)`` K [px].
@@ -135,13 +145,13 @@ class PinholeCamera:
     def __post_init__(self) -> None:
         shapes = tuple(np.shape(part) for part in (self.intrinsics, self.rotation, self.translation))
         if shapes != ((3, 3), (3, 3), (3,)):
-            raise ValueError(f"intrinsics, rotation, translation of shapes {shapes}: give (3,3), (3,3), (3,)")
+            raise ValueError(f"intrinsics, rotation, translation are {shapes}: give (3, 3), (3, 3), (3,)")
         if not (self.intrinsics[0, 0] > 0 and self.intrinsics[1, 1] > 0):
-            raise ValueError("intrinsics without focal lengths above 0: see eldenet.geometry.pinhole")
+            raise ValueError("intrinsics need focal lengths above 0: see eldenet.geometry.pinhole")
 
     @classmethod
     def from_projection(cls, projection: np.ndarray) -> "PinholeCamera":
-        """Camera of a rectified projection ``(3, 4)``, such as KITTI's P2: ``K [I | K^-1 p4]``."""
+        """The camera of a rectified projection ``K [I | K^-1 p4]`` ``(3, 4)``, such as KITTI's P2."""
         intrinsics = np.array(projection[:, :3], dtype=np.float64)
         return cls(intrinsics, translation=-np.linalg.solve(intrinsics, projection[:, 3]))
 
@@ -151,7 +161,7 @@ class PinholeCamera:
         return self.rotation @ np.linalg.inv(self.intrinsics)
 
     def back_project(self, columns: np.ndarray, rows: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Level points ``(..., 3)`` [m] of pixels at ``depth`` [m]: equation 1."""
+        """Level points ``(..., 3)`` [m] of pixels at ``depth`` [m] (equation 1)."""
         pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64)
         return np.asarray(depth)[..., None] * (pixels @ self.homography.T) + self.translation
 

@@ -1,4 +1,4 @@
-"""Heads turn a network's raw map into meters; the range is the head's own."""
+"""Heads turn a network's raw map into meters within a range of their own."""
 
 from torch import Tensor, nn
 
@@ -6,14 +6,22 @@ from eldenet.configurable import Configurable
 
 
 class Head(Configurable, nn.Module):
-    """Raw map ``(B, 1, H, W)`` -> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]`` [m]."""
+    """Raw map ``(B, 1, H, W)`` -> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]``.
 
-    def __init__(self, min_depth: float, max_depth: float) -> None:
+    A new head implements :meth:`to_meters`.
+
+    Args:
+        min_depth: [m].
+        max_depth: [m].
+
+    Raises:
+        ValueError: not ``0 < min_depth < max_depth``.
+    """
+
+    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__()
         if not 0 < min_depth < max_depth:
-            raise ValueError(
-                f"min_depth={min_depth}, max_depth={max_depth}: 0 < min_depth < max_depth is needed [m]"
-            )
+            raise ValueError(f"min_depth={min_depth}, max_depth={max_depth}: give 0 < min_depth < max_depth")
         self.min_depth, self.max_depth = float(min_depth), float(max_depth)
 
     def to_meters(self, raw: Tensor) -> Tensor:
@@ -26,10 +34,7 @@ class Head(Configurable, nn.Module):
 
 
 class LinearHead(Head):
-    """Depth itself is squashed: ``min + (max - min) * sigmoid(raw)``. Errors weigh alike at all distances."""
-
-    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
-        super().__init__(min_depth, max_depth)
+    """``min + (max - min) * sigmoid(raw)``: an error in meters counts the same at every distance."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
@@ -37,10 +42,7 @@ class LinearHead(Head):
 
 
 class InverseHead(Head):
-    """Inverse depth is squashed, as in Monodepth (Godard et al. 2017, eq. 6's range): near is finer."""
-
-    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
-        super().__init__(min_depth, max_depth)
+    """The sigmoid is inverse depth, as in Monodepth (Godard et al. 2017, eq. 6): near depth is finer."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
@@ -49,10 +51,7 @@ class InverseHead(Head):
 
 
 class LogHead(Head):
-    """The logarithm of depth is squashed: an error weighs by its ratio, as delta and AbsRel count it."""
-
-    def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
-        super().__init__(min_depth, max_depth)
+    """The sigmoid is the logarithm of depth: errors count by their ratio, as in AbsRel and delta."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
@@ -61,21 +60,24 @@ class LogHead(Head):
 
 
 class ScaledHead(Head):
-    """The raw map is depth in a unit of its own, clamped to the range: for networks trained elsewhere.
+    """The raw map times a scale, clamped to the range: for networks trained elsewhere.
 
-    Raw values beyond the range get no gradient, so a network that starts far away may not learn; the other
-    heads squash instead.
+    Raw values beyond the range get no gradient, so a network that starts far away may not learn. The other
+    heads do not have this problem.
 
     Args:
         scale: [m] per unit of the raw map; 0.01 for centimeters.
         min_depth: [m].
         max_depth: [m].
+
+    Raises:
+        ValueError: a scale that is not above 0.
     """
 
     def __init__(self, scale: float = 1.0, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
         if scale <= 0:
-            raise ValueError(f"scale={scale}: meters per unit of the raw map, more than 0 is needed")
+            raise ValueError(f"scale={scale}: give more than 0 meters per unit of the raw map")
         self.scale = float(scale)
 
     def to_meters(self, raw: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The few layers that backbones and decoders share."""
+"""Layers that backbones and decoders share."""
 
 from collections.abc import Callable
 
@@ -7,10 +7,10 @@ from torch import Tensor, nn
 
 
 class DepthwiseConv2d(nn.Conv2d):
-    """A depthwise convolution that stays in fp32 under a CPU's bf16 autocast.
+    """A depthwise convolution that stays in fp32 under bf16 autocast on a CPU.
 
-    There is next to nothing to multiply in it, and oneDNN's bf16 backward pass of strided and 5 x 5 depthwise
-    convolutions takes five times as long as the fp32 one: it alone made bf16 training slower than fp32.
+    oneDNN's bf16 backward pass of strided and 5 x 5 depthwise convolutions takes five times as long as the
+    fp32 one, which alone made bf16 training slower than fp32.
     """
 
     def forward(self, input: Tensor) -> Tensor:
@@ -35,7 +35,7 @@ class ConvNormAct(nn.Sequential):
         kernel_size: odd.
         stride: of the convolution.
         groups: ``in_channels`` makes it depthwise.
-        activation: makes the activation; ``nn.Identity`` for none.
+        activation: class of the activation; ``nn.Identity`` for none.
     """
 
     def __init__(
@@ -57,26 +57,25 @@ class ConvNormAct(nn.Sequential):
             stride=stride,
             padding=(kernel_size - 1) // 2,
             groups=groups,
-            bias=False,  # the normalization has one
+            bias=False,  # the normalization adds one
         )
         self.norm = nn.BatchNorm2d(out_channels)
         self.activation = activation()
 
 
 class SqueezeExcite(nn.Module):
-    """Squeeze and excitation: channels weighed by a look at all, ``(B, C, H, W) -> (B, C, H, W)``.
+    """Squeeze and excitation: channels weighted by their global averages, ``(B, C, H, W)`` -> the same shape.
 
-    Hu et al., "Squeeze-and-Excitation Networks" (CVPR 2018), with the hard sigmoid of MobileNetV3 as the
-    gate.
+    Hu et al., "Squeeze-and-Excitation Networks" (CVPR 2018), with MobileNetV3's hard sigmoid as the gate.
 
     Args:
         channels: C, a multiple of ``reduction``.
-        reduction: C is squeezed to ``C / reduction``.
+        reduction: factor by which the channels are squeezed.
     """
 
     def __init__(self, channels: int, *, reduction: int = 4) -> None:
         super().__init__()
-        # Pooled by a module, not by x.mean((2, 3)): it exports as GlobalAveragePool, which every runtime has.
+        # this module exports as GlobalAveragePool, which every runtime has; x.mean((2, 3)) does not
         self.pool = nn.AdaptiveAvgPool2d(1)
         self.reduce = nn.Conv2d(channels, channels // reduction, 1)
         self.activation = nn.ReLU()
@@ -94,17 +93,16 @@ class DepthwiseSeparable(nn.Sequential):
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
-    Both convolutions end in normalization and activation (MobileNetV1, PP-LCNet), and those networks have no
-    shortcut.
+    A normalization and an activation follow both convolutions, as in MobileNetV1 and PP-LCNet.
 
     Args:
         in_channels: channels in.
         out_channels: channels out.
         kernel_size: of the depthwise convolution, odd.
         stride: of the depthwise convolution.
-        squeeze_excite: weigh the depthwise convolution's output by :class:`SqueezeExcite`.
-        shortcut: add the input to the output where both have one shape.
-        activation: makes the activation of both convolutions.
+        squeeze_excite: apply :class:`SqueezeExcite` between the convolutions.
+        shortcut: add the input to the output if their shapes are equal; the papers' networks do not.
+        activation: class of both activations.
     """
 
     def __init__(
@@ -128,17 +126,17 @@ class DepthwiseSeparable(nn.Sequential):
         self.pointwise = ConvNormAct(in_channels, out_channels, 1, activation=activation)
 
     def forward(self, input: Tensor) -> Tensor:
-        """The shapes are above."""
+        """``(B, in, H, W)`` -> ``(B, out, ceil(H / stride), ceil(W / stride))``."""
         output = super().forward(input)
         return input + output if self.shortcut else output
 
 
 def init_kaiming(module: nn.Module) -> None:
-    """Draw the convolutions of ``module`` from Kaiming's normal distribution; biases are 0.
+    """Initialize the convolutions of ``module`` by Kaiming's normal distribution; set biases to 0.
 
-    Convention: fan in and the gain of ReLU, as Paddle does; torchvision's networks take fan out. For a
-    depthwise convolution torch counts the fan out without the groups, which would start it
-    ``sqrt(channels)`` times too small.
+    Convention: fan in and the gain of ReLU, as in Paddle; torchvision's networks use fan out. For a depthwise
+    convolution torch ignores the groups in the fan out, which makes weights ``sqrt(channels)`` times too
+    small.
     """
     for layer in module.modules():
         if isinstance(layer, nn.Conv2d):

@@ -1,4 +1,4 @@
-"""DepthNet: normalize -> network -> head. Written to and read from ``config.json`` + safetensors."""
+"""DepthNet: normalize -> network -> head. Saved as ``config.json`` + safetensors."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone
+from eldenet.backbones.weights import load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.heads import Head
@@ -22,12 +23,12 @@ CONFIG_NAME, WEIGHTS_NAME = "config.json", "model.safetensors"
 
 
 class EncoderDecoder(Configurable, nn.Module):
-    """A backbone and a decoder that fits it: one kind of network.
+    """A network of a backbone and a decoder.
 
     Args:
         backbone: image ``(B, 3, H, W)``, normalized -> features, finest first.
-        decoder: a decoder class with its options but without ``feature_info``, which the backbone supplies
-            (``functools.partial``, or ``_partial_: true`` in YAML).
+        decoder: a decoder class, or a ``functools.partial`` of one (``_partial_: true`` in YAML), which gets
+            ``feature_info`` from the backbone.
     """
 
     def __init__(
@@ -42,23 +43,23 @@ class EncoderDecoder(Configurable, nn.Module):
         """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
         raw = self.decoder(self.backbone(image))
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
-        # a map finer than the finest feature may reach beyond an image of odd size, which no decoder sees
+        # decoders do not know the image size: a map finer than the finest feature may exceed an odd one
         return raw if raw.shape[-2:] == (rows, cols) else raw[..., :rows, :cols]
 
 
 class DepthNet(Configurable, nn.Module):
-    """A depth network that takes camera images and returns meters.
+    """A depth network: camera images in, meters out.
 
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
-        head: raw map -> meters, with the range.
-        refine: optional ``(depth, image) -> depth`` on the finished map.
-        mean: per-channel mean of the normalization, RGB in [0, 1].
-        std: per-channel standard deviation.
+        head: raw map -> meters within a range.
+        refine: optional ``(depth, image) -> depth``, applied last.
+        mean: mean per channel of RGB in [0, 1], for the normalization.
+        std: standard deviation per channel.
 
     Attributes:
-        info: what ``save_pretrained`` was told about these weights (training data, protocol, ...). Of these,
-            :func:`size_of_frames` reads ``input_size`` and ``whole_frame_size``, ``(height, width)`` [px].
+        info: facts about the weights (training data, protocol, ...), saved with them. :func:`size_of_frames`
+            reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px].
     """
 
     mean: Tensor
@@ -88,19 +89,19 @@ class DepthNet(Configurable, nn.Module):
         refine: nn.Module | None = None,
         **normalization: Sequence[float],
     ) -> Self:
-        """``DepthNet(EncoderDecoder(backbone, decoder), head)``: flat, as the model YAMLs write it."""
+        """Return ``DepthNet(EncoderDecoder(backbone, decoder), head)``, for the flat YAML files of models."""
         return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **normalization)
 
     def forward(self, image: Tensor) -> Tensor:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
 
         Raises:
-            ValueError: the image has another shape, or holds no floats.
+            ValueError: an image of another shape, or one that is not floating point.
         """
         if image.ndim != 4 or image.shape[1] != 3:
-            raise ValueError(f"image has shape {tuple(image.shape)}, (B, 3, H, W) is needed")
+            raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")
         if not image.is_floating_point():
-            raise ValueError(f"image is {image.dtype}: floats in [0, 1] are needed, divide bytes by 255")
+            raise ValueError(f"image is {image.dtype}: give floats in [0, 1] (bytes divided by 255)")
         raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
@@ -111,12 +112,12 @@ class DepthNet(Configurable, nn.Module):
         """Write ``config.json`` and ``model.safetensors`` into ``folder``.
 
         Args:
-            folder: made if need be.
-            info: facts worth keeping beside the weights (training data, protocol, metrics): JSON values. They
-                go beside those the model came with, in place of those of the same name.
+            folder: created if it does not exist.
+            info: facts about the weights (training data, protocol, metrics) as JSON values; added to
+                :attr:`info`, replacing entries of the same name.
 
         Raises:
-            ValueError: a part of the network is not :class:`Configurable`, so nobody could rebuild it.
+            ValueError: a part of the network is not :class:`Configurable`, or ``info`` holds other values.
         """
         from safetensors.torch import save_file
 
@@ -127,22 +128,22 @@ class DepthNet(Configurable, nn.Module):
                 {
                     "eldenet_version": __version__,
                     "model": self.config,
-                    "info": merged(self.info, info or {}),
+                    "info": merge_info(self.info, info or {}),
                 },
                 indent=2,
             )
         except TypeError as error:
             raise ValueError(
-                f"this model can't be written down: {error}. Its parts must subclass Configurable and take "
-                "plain values, and so must info hold"
+                f"cannot save this model: {error}. Its parts must subclass Configurable, and their arguments "
+                "and info must be plain values"
             ) from error
         state = {name: value.detach().cpu().contiguous() for name, value in self.state_dict().items()}
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        unfinished = folder / f".{WEIGHTS_NAME}.part"  # a kill leaves the old weights or the new, never half
+        unfinished = folder / f".{WEIGHTS_NAME}.part"  # so that a kill leaves no half-written weights
         save_file(state, unfinished, metadata={"format": "pt"})
         (folder / CONFIG_NAME).write_text(text + "\n")
-        unfinished.chmod((folder / CONFIG_NAME).stat().st_mode)  # safetensors keeps others out
+        unfinished.chmod((folder / CONFIG_NAME).stat().st_mode)  # safetensors makes files private
         unfinished.replace(folder / WEIGHTS_NAME)
         return folder
 
@@ -154,39 +155,32 @@ class DepthNet(Configurable, nn.Module):
         trusted_modules: Sequence[str] = (),
         revision: str | None = None,
     ) -> Self:
-        """Rebuild a model from a folder that :meth:`save_pretrained` wrote, a run folder, or a Hub id.
+        """Read a model from a folder written by :meth:`save_pretrained`, a run folder, or a Hub id.
 
-        Of a run folder it is the best epoch, which a training saves in ``model/``.
+        From a run folder it reads the best epoch, which a training saves in ``model/``.
 
-        Nothing in that folder is executed: the config may name our own model parts only, or classes under
-        ``trusted_modules``, and weights are safetensors.
+        No code in the folder runs: the config may only name our own model parts and classes in
+        ``trusted_modules``, and the weights are safetensors.
 
         Raises:
             FileNotFoundError: neither a folder with both files nor a reachable Hub id.
-            ValueError: the config is damaged or names something outside the trusted modules, or the weights
-                are damaged or do not fit.
+            ValueError: the config is damaged or names something untrusted, or the weights are damaged or do
+                not fit.
         """
-        from safetensors import SafetensorError
-        from safetensors.torch import load_file
-
         folder = _local_folder(source, revision)
         try:
             config = json.loads((folder / CONFIG_NAME).read_text())
-        except ValueError as error:  # no JSON, or no text at all
-            raise ValueError(f"{folder / CONFIG_NAME} can't be read as JSON: {error}") from error
+        except ValueError as error:  # not JSON, or not text
+            raise ValueError(f"{folder / CONFIG_NAME} is not JSON: {error}") from error
         if not isinstance(config, dict) or "model" not in config:
-            raise ValueError(f"{folder / CONFIG_NAME} has no entry 'model': not an eldenet model folder")
+            raise ValueError(f"{folder} is no eldenet model folder: {CONFIG_NAME} has no entry 'model'")
         model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
             raise ValueError(
                 f"{folder / CONFIG_NAME} describes a {type(model).__name__}, not a {cls.__name__}"
             )
-        try:
-            model.load_state_dict(load_file(folder / WEIGHTS_NAME))
-        except SafetensorError as error:
-            raise ValueError(f"{folder / WEIGHTS_NAME} is not a whole safetensors file: {error}") from error
-        except RuntimeError as error:
-            raise ValueError(f"{folder / WEIGHTS_NAME} does not fit its own config: {error}") from error
+        path = folder / WEIGHTS_NAME
+        load_weights(model, read_weights(path), path)
         info = config.get("info")
         model.info = info if isinstance(info, dict) else {}
         return model.eval()
@@ -194,13 +188,13 @@ class DepthNet(Configurable, nn.Module):
     def push_to_hub(
         self, repo_id: str, *, private: bool = False, token: str | None = None, **save_options: Any
     ) -> str:
-        """Upload ``config.json`` and the weights to the Hugging Face Hub; returns the commit's address.
+        """Upload ``config.json`` and the weights to the Hugging Face Hub; return the URL of the commit.
 
         Args:
-            repo_id: "owner/name"; made if need be.
-            private: whether a repository that is made is.
-            token: with the right to write; None: the one that ``hf auth login`` keeps.
-            **save_options: of :meth:`save_pretrained`.
+            repo_id: "owner/name"; created if it does not exist.
+            private: make a new repository private.
+            token: a token with write access; None: the one stored by ``hf auth login``.
+            **save_options: options of :meth:`save_pretrained`.
         """
         import tempfile
 
@@ -214,25 +208,25 @@ class DepthNet(Configurable, nn.Module):
 
 
 def size_of_frames(info: Mapping[str, Any]) -> tuple[int, int] | None:
-    """``(height, width)`` [px] at which weights want to see a camera's whole frame; None: not stated.
+    """Return the ``(height, width)`` [px] that weights expect of a whole camera frame; None: unknown.
 
-    That is the size they were trained at (``input_size``). Those that a protocol showed a part of the frame
-    at that size state what the frame measures at the same scale (``whole_frame_size``), and that counts.
+    This is the size they were trained at (``input_size``). If their training cropped frames to that size, it
+    is the size of the whole frame at the same scale (``whole_frame_size``).
     """
     return info.get("whole_frame_size") or info.get("input_size")
 
 
-def merged(own: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """``own`` facts about weights and ``given`` ones; an ``input_size`` that is given has no older frame."""
-    lost = {"whole_frame_size"} if "input_size" in given else set()
-    return {name: value for name, value in own.items() if name not in lost} | dict(given)
+def merge_info(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``old`` facts about weights updated by ``new`` ones; an ``input_size`` drops the frame size."""
+    outdated = {"whole_frame_size"} if "input_size" in new else set()
+    return {name: value for name, value in old.items() if name not in outdated} | dict(new)
 
 
 def _local_folder(source: str | Path, revision: str | None) -> Path:
     folder = Path(source)
     if folder.is_dir():
-        of_run = folder / "model"
-        return _complete(of_run if (of_run / CONFIG_NAME).is_file() else folder, folder)
+        in_run = folder / "model"
+        return _complete(in_run if (in_run / CONFIG_NAME).is_file() else folder, folder)
     if folder.is_absolute() or str(source).count("/") != 1:
         raise FileNotFoundError(f"{source} is neither a folder here nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download
@@ -241,9 +235,9 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         folder = Path(
             snapshot_download(str(source), revision=revision, allow_patterns=[CONFIG_NAME, WEIGHTS_NAME])
         )
-    except Exception as error:  # the Hub client raises many kinds, offline ones among them
+    except Exception as error:  # the Hub client raises many kinds
         raise FileNotFoundError(
-            f"{source} is no folder here, and the Hub could not give it: {type(error).__name__}: {error}"
+            f"{source} is no folder here, and loading it from the Hub failed: {type(error).__name__}: {error}"
         ) from error
     return _complete(folder, source)
 
@@ -251,13 +245,13 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
 def _complete(folder: Path, source: str | Path) -> Path:
     missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
     if missing:
-        raise FileNotFoundError(f"{source} has no {' and no '.join(missing)}: not an eldenet model folder")
+        raise FileNotFoundError(f"{source} is no eldenet model folder: it has no {' and no '.join(missing)}")
     return folder
 
 
 @contextmanager
 def eval_mode(model: nn.Module) -> Iterator[None]:
-    """Eval mode for ``model``; afterwards every part is back in its own (a frozen part stays frozen)."""
+    """Put ``model`` into eval mode, and every part back into its own mode afterwards."""
     modes = {part: part.training for part in model.modules()}
     model.eval()
     try:

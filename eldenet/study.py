@@ -35,16 +35,16 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 def train_run(overrides: Sequence[str], folder: Path) -> None:
     """Train in ``folder`` as ``eldenet.train`` with these overrides does."""
-    from eldenet.train import train
+    from eldenet.training.run import train
 
-    train(cfg.compose("train", overrides), folder)
+    train(cfg.build_training(cfg.compose("train", overrides), folder))
 
 
 def check_finished(overrides: Sequence[str], stored: Path) -> None:
     """Raise ValueError unless the run that is stored is the one of these overrides."""
     from eldenet.training.resume import finished_run
 
-    finished_run(cfg.compose("train", overrides), stored)
+    finished_run(cfg.build_training(cfg.compose("train", overrides), stored))
 
 
 if __name__ == "__main__":

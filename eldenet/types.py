@@ -1,13 +1,15 @@
-"""The few types that everything else speaks: no project imports here."""
+"""The types that all packages share; no project imports here."""
 
-from typing import NamedTuple, NotRequired, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
-from torch import Tensor
+
+if TYPE_CHECKING:  # a process that only renders frames loads no torch
+    from torch import Tensor
 
 
 class FeatureInfo(NamedTuple):
-    """What a backbone says of one of its feature maps; a decoder looks its skips up by ``stride``."""
+    """Channels and stride of a backbone's feature map; decoders find their skips by ``stride``."""
 
     channels: int
     stride: int
@@ -17,11 +19,11 @@ class Frame(NamedTuple):
     """One frame as an adapter reads it from disk, before augmentation.
 
     Attributes:
-        image: camera frame, ``(H, W, 3)`` uint8 RGB.
+        image: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m], 0 = unknown.
-        intrinsics: ``(3, 3)`` float64 [px of this image], or None where the data set has none.
-        name: unique within the data set, stable over machines.
-        labels: semantic class of each pixel of ``depth``, ``(H, W)`` uint8, 255 = none; None where not read.
+        intrinsics: ``(3, 3)`` float64 [px of this image]; None if the data set has none.
+        name: unique within the data set, the same on all machines.
+        labels: semantic class of each pixel of ``depth``, ``(H, W)`` uint8, 255 = none; None if not read.
     """
 
     image: np.ndarray
@@ -36,18 +38,18 @@ class DepthSample(TypedDict):
 
     Keys:
         image: ``(3, H, W)`` float RGB in [0, 1].
-        depth: ``(1, H, W)`` float [m], 0 = unknown. In evaluation it keeps the ground truth's own
-            resolution, which may differ from the image's.
+        depth: ``(1, H, W)`` float [m], 0 = unknown. In evaluation it has the resolution of the ground truth,
+            which may differ from the image's.
         mask: ``(1, H, W)`` bool, True where the depth is known and within the data set's range.
-        intrinsics: ``(3, 3)`` float [px of this image, after resize and crop]; zeros where unknown.
+        intrinsics: ``(3, 3)`` float [px of this image, after resize and crop]; zeros if unknown.
         name: the frame's name.
-        labels: ``(1, H, W)`` uint8 semantic class of each pixel of ``depth``, 255 = none; only where the
-            data set reads them.
+        labels: ``(1, H, W)`` uint8 semantic class of each pixel of ``depth``, 255 = none; only if the data
+            set reads them.
     """
 
-    image: Tensor
-    depth: Tensor
-    mask: Tensor
-    intrinsics: Tensor
+    image: "Tensor"
+    depth: "Tensor"
+    mask: "Tensor"
+    intrinsics: "Tensor"
     name: str
-    labels: NotRequired[Tensor]
+    labels: NotRequired["Tensor"]

@@ -1,20 +1,24 @@
-"""Pictures of depth: colors, and the row image / ground truth / prediction / error."""
+"""Pictures of depth: colors, a scale in meters, and rows of image, ground truth, prediction and error."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from torch import Tensor
 
 from eldenet.geometry import resize_sparse
+from eldenet.system.files import part_file
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 UNKNOWN = (0, 0, 0)
 PANEL_WIDTH = 256  # [px], about
-WIDEST_PANEL = 480  # [px]: wider maps are made smaller, so that a row of four fits a screen
+WIDEST_PANEL = 480  # [px]; wider maps shrink, so that a row of four fits a screen
 GAP = 2  # [px]
-SMALLEST_HEIGHT = 240  # [px]: below that, the numbers of the scale could not be read
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+SMALLEST_HEIGHT = 240  # [px]; the numbers of a smaller scale would be illegible
+TITLE_HEIGHT = 18  # [px]
 PANELS = ("image", "depth", "prediction", "relative error (0 to 0.5)")
 
 
@@ -27,27 +31,28 @@ def color_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | 
         far: depth of the cool end [m].
         known: bool; where False the picture is black.
     """
-    share = np.clip((np.nan_to_num(depth) - near) / max(far - near, 1e-9), 0, 1)
-    colors = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    if known is not None:
-        colors[~known] = UNKNOWN
-    return colors
+    share = (np.nan_to_num(depth) - near) / max(far - near, 1e-9)
+    return _colors(1 - share, cv2.COLORMAP_TURBO, known)
 
 
 def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Relative error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is 0.5 and more."""
     relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
-    colors = cv2.applyColorMap((255 * np.clip(relative / 0.5, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    colors = colors[..., ::-1].copy()
-    colors[~known] = UNKNOWN
+    return _colors(relative / 0.5, cv2.COLORMAP_INFERNO, known)
+
+
+def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.ndarray:
+    colors = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), palette)[..., ::-1].copy()
+    if known is not None:
+        colors[~known] = UNKNOWN
     return colors
 
 
-def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) -> np.ndarray:
+def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Tensor") -> np.ndarray:
     """One picture ``(H, 4 W, 3)`` uint8: image, ground truth, prediction, relative error, side by side.
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
-    Maps wider than ``WIDEST_PANEL`` are made smaller; known points stay points.
+    Maps wider than ``WIDEST_PANEL`` shrink, and their known points stay points.
     """
     truth, known, guess = (tensor.squeeze(0).cpu().numpy() for tensor in (depth, mask, prediction))
     height, width = truth.shape
@@ -65,76 +70,84 @@ def depth_row(image: Tensor, depth: Tensor, mask: Tensor, prediction: Tensor) ->
         color_depth(guess, near, far),
         color_error(guess, truth, known),
     ]
-    times = max(1, round(PANEL_WIDTH / width))  # small maps are enlarged, pixel by pixel
-    panels = [panel.repeat(times, axis=0).repeat(times, axis=1) for panel in panels]
-    gap = np.full((height * times, GAP, 3), 255, np.uint8)
+    times = max(1, round(PANEL_WIDTH / width))
+    panels = [_enlarged(panel, times) for panel in panels]
+    gap = _blank(height * times, GAP)
     return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
 
 
+def _blank(height: int, width: int) -> np.ndarray:
+    return np.full((height, width, 3), 255, np.uint8)
+
+
+def _enlarged(picture: np.ndarray, times: int) -> np.ndarray:
+    return picture.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) -> None:
+    """Write black letters; ``place`` is their lower left corner (column, row) [px]."""
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
+
+
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Rows below each other, narrow ones filled up, under ``titles`` spread evenly over the width."""
+    """Stack rows below ``titles`` spread evenly over the width; narrow rows are padded."""
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
-    gap = np.full((GAP, width, 3), 255, np.uint8)
+    gap = _blank(GAP, width)
     pieces = [piece for row in rows for piece in (row, gap)][:-1]
     if titles:
-        strip = np.full((18, width, 3), 255, np.uint8)
+        strip = _blank(TITLE_HEIGHT, width)
         for number, title in enumerate(titles):
-            left = number * (width + GAP) // len(titles) + 3
-            cv2.putText(strip, title, (left, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+            _write(strip, title, (number * (width + GAP) // len(titles) + 3, 13), 0.42)
         pieces.insert(0, strip)
     return np.concatenate(pieces, axis=0)
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write ``(H, W, 3)`` uint8 RGB as PNG.
+    """Write ``(H, W, 3)`` uint8 RGB, or ``(H, W)`` uint8 or uint16, as PNG.
 
     Raises:
         OSError: the file could not be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise OSError(f"could not write {path}")
+    pixels = picture[..., ::-1] if picture.ndim == 3 else picture
+    with part_file(path) as unfinished:
+        if not cv2.imwrite(str(unfinished), np.ascontiguousarray(pixels)):
+            raise OSError(f"could not write {path}: no permission, or the disk is full")
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:
-    """Image ``(H, W, 3)`` uint8 above its colored depth [m], both ``PANEL_WIDTH`` wide; unknown is black."""
+    """Image ``(H, W, 3)`` uint8 above its colored depth [m], both ``PANEL_WIDTH`` wide."""
     known = (depth > 0) & (depth <= max_depth)
     near, far = np.percentile(depth[known], (2, 98)) if known.any() else (0.0, 1.0)
     pieces = []
-    for picture, way in (
-        (image, cv2.INTER_AREA),
-        (color_depth(depth, near, far, known), cv2.INTER_NEAREST_EXACT),
-    ):
+    colors = color_depth(depth, near, far, known)
+    for picture, way in ((image, cv2.INTER_AREA), (colors, cv2.INTER_NEAREST_EXACT)):
         height = max(1, round(picture.shape[0] * PANEL_WIDTH / picture.shape[1]))
         pieces.append(np.asarray(cv2.resize(picture, (PANEL_WIDTH, height), interpolation=way), np.uint8))
-    legend = np.full((16, PANEL_WIDTH, 3), 255, np.uint8)
-    text = f"{near:.2f} to {far:.2f} m, {known.mean():.0%} known"
-    cv2.putText(legend, text, (3, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
+    legend = _blank(16, PANEL_WIDTH)
+    _write(legend, f"{near:.2f} to {far:.2f} m, {known.mean():.0%} known", (3, 12), 0.38)
     return np.concatenate([*pieces, legend], axis=0)
 
 
 def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.ndarray:
-    """Titled panels of one width, ``columns`` beside each other; a long title keeps its end."""
+    """Titled panels of one width in rows of ``columns``; a long title keeps its end."""
     width = panels[0][1].shape[1]
     rows = []
     for first in range(0, len(panels), columns):
         row = panels[first : first + columns]
-        height = max(panel.shape[0] for _, panel in row) + 18
-        strip = np.full((height, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+        height = max(panel.shape[0] for _, panel in row) + TITLE_HEIGHT
+        strip = _blank(height, columns * (width + GAP) - GAP)
         for number, (title, panel) in enumerate(row):
             left = number * (width + GAP)
             text = title if len(title) <= 38 else f"...{title[-35:]}"
-            cv2.putText(
-                strip, text, (left + 3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (0, 0, 0), 1, cv2.LINE_AA
-            )
-            strip[18 : 18 + panel.shape[0], left : left + width] = panel
+            _write(strip, text, (left + 3, 13), 0.38)
+            strip[TITLE_HEIGHT : TITLE_HEIGHT + panel.shape[0], left : left + width] = panel
         rows.append(strip)
     return stack_rows(rows)
 
 
 def visible_range(depth: np.ndarray) -> tuple[float, float]:
-    """Nearest and farthest depth [m] worth a color: the 2nd and 98th percentile of what is known."""
+    """The 2nd and the 98th percentile of known depth [m]: the range of its colors."""
     known = depth[np.isfinite(depth) & (depth > 0)]
     if not known.size:
         return 0.0, 1.0
@@ -151,44 +164,40 @@ def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: f
         near: depth of the warm end [m].
         far: depth of the cool end [m].
 
-    The picture is ``H`` high (small photos are enlarged by a whole factor to 240 pixels or more), and its
-    height and width are even, as video codecs want them.
+    Small photos are enlarged by a whole factor to ``SMALLEST_HEIGHT`` or more. Height and width are even, as
+    video codecs need.
     """
     known = np.isfinite(depth) & (depth > 0)
-    panels = [photo, color_depth(depth, near, far, known)]
-    factor = -(-SMALLEST_HEIGHT // photo.shape[0]) if photo.shape[0] < SMALLEST_HEIGHT else 1
-    if factor > 1:
-        panels = [np.repeat(np.repeat(panel, factor, axis=0), factor, axis=1) for panel in panels]
-    height = panels[0].shape[0]
-    gap = np.full((height, 4, 3), 255, np.uint8)
-    row = np.concatenate([panels[0], gap, panels[1], gap, depth_scale(near, far, height)], axis=1)
+    factor = -(-SMALLEST_HEIGHT // photo.shape[0])
+    photo, colors = _enlarged(photo, factor), _enlarged(color_depth(depth, near, far, known), factor)
+    gap = _blank(photo.shape[0], 4)
+    row = np.concatenate([photo, gap, colors, gap, depth_scale(near, far, photo.shape[0])], axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
 def depth_scale(near: float, far: float, height: int) -> np.ndarray:
-    """Colors from ``near`` (top) to ``far`` [m], round numbers beside them: ``(height, w, 3)`` uint8 RGB."""
+    """Colors from ``near`` (top) to ``far`` [m] beside round numbers: ``(height, w, 3)`` uint8 RGB."""
     size = height / 800 + 0.2  # of the letters
     margin, bar = round(24 * size) + 2, max(10, height // 24)
     ticks = round_numbers(near, far)
     digits = max(0, min(2, -int(np.floor(np.log10(ticks[1] - ticks[0]) + 1e-9))))
     labels = [f"{tick:.{digits}f} m" for tick in ticks]
-    wide = cv2.getTextSize("00.00 m", _FONT, size, 1)[0][
-        0
-    ]  # always the same: a video's frames have one width
-    scale = np.full((height, bar + 10 + wide + 6, 3), 255, np.uint8)
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    (wide, _), _ = cv2.getTextSize("00.00 m", font, size, 1)  # constant, as the frames of a video need
+    scale = _blank(height, bar + 10 + wide + 6)
     length = height - 2 * margin
     ramp = np.linspace(near, far, length)[:, None].repeat(bar, axis=1)
     scale[margin : margin + length, :bar] = color_depth(ramp, near, far)
     for tick, label in zip(ticks, labels, strict=True):
         row = margin + round((tick - near) / (far - near) * (length - 1))
         cv2.line(scale, (bar, row), (bar + 5, row), (0, 0, 0), 1)
-        middle = row + cv2.getTextSize(label, _FONT, size, 1)[0][1] // 2
-        cv2.putText(scale, label, (bar + 9, middle), _FONT, size, (0, 0, 0), 1, cv2.LINE_AA)
+        (_, tall), _ = cv2.getTextSize(label, font, size, 1)
+        _write(scale, label, (bar + 9, row + tall // 2), size)
     return scale
 
 
 def round_numbers(near: float, far: float) -> list[float]:
-    """Three to eight numbers that people read easily, evenly spaced within ``[near, far]``."""
+    """Three to eight round numbers, evenly spaced within ``[near, far]``."""
     step = 10.0 ** np.floor(np.log10((far - near) / 3))
     step = next(step * times for times in (5, 2, 1) if (far - near) / (step * times) >= 3 or times == 1)
     first = np.ceil(near / step - 1e-9)

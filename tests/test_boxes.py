@@ -1,4 +1,4 @@
-"""Boxes, the level camera, and their overlap against shapely."""
+"""Boxes, the level camera, and the overlap of boxes against shapely."""
 
 import numpy as np
 import pytest
@@ -18,9 +18,11 @@ def rotation(pitch: float, roll: float) -> np.ndarray:
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ np.array([[k, -t, 0], [t, k, 0], [0, 0, 1]])
 
 
-def cube(y: float = 0.0, yaw: float = 0.0) -> Boxes3D:
-    center, size = np.array([[0.0, y, 0.0]]), np.full((1, 3), 2.0)
-    return Boxes3D(center, size, np.array([yaw]), np.ones(1), np.zeros(1, int), ("car",))
+def cubes(*centers: tuple[float, float, float], yaw: float = 0.0) -> Boxes3D:
+    """Cubes of 2 m."""
+    count = len(centers)
+    center, size = np.array(centers, float), np.full((count, 3), 2.0)
+    return Boxes3D(center, size, np.full(count, yaw), np.ones(count), np.zeros(count, int), ("car",))
 
 
 def random_boxes(count: int, seed: int = 0) -> Boxes3D:
@@ -62,7 +64,7 @@ def test_nearest_is_the_distance_to_the_footprint():
         assert nearest == pytest.approx(Polygon(corners).distance(Point(0, 0)), abs=1e-9)
 
 
-def test_selecting_and_indexing():
+def test_boxes_can_be_selected_and_indexed():
     boxes = random_boxes(4)
     one = boxes[2]
     np.testing.assert_array_equal(one.center, boxes.center[2])
@@ -100,7 +102,7 @@ def test_back_projection_agrees_with_the_depth_maps():
 
 
 def test_a_projection_matrix_with_an_offset():
-    """KITTI's P2: the fourth column is no baseline to be forgotten."""
+    """KITTI's P2: the fourth column matters."""
     matrix = np.array([[721.5, 0, 609.6, 44.86], [0, 721.5, 172.9, 0.2164], [0, 0, 1, 0.00275]])
     point = np.array([2.0, 1.0, 15.0])
     expected = matrix @ np.append(point, 1)
@@ -108,32 +110,24 @@ def test_a_projection_matrix_with_an_offset():
     np.testing.assert_allclose(pixel, expected[:2] / expected[2], atol=1e-9)
 
 
-def test_a_camera_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="shapes"):
+def test_wrong_camera_matrices_are_refused():
+    with pytest.raises(ValueError, match=r"give \(3, 3\)"):
         PinholeCamera(np.eye(4))
     with pytest.raises(ValueError, match="focal"):
         PinholeCamera(np.zeros((3, 3)))
 
 
-def test_boxes_project_into_the_picture_even_from_behind():
-    boxes = corners_of(np.array([[0, 1, 5.0], [0, 1, 0.5], [0, 1, -9.0]]), np.full((3, 3), 2.0), np.zeros(3))
-    assert boxes.shape == (3, 8, 3)
-    three = Boxes3D(
-        np.array([[0, 1, 5.0], [0, 1, 0.5], [0, 1, -9.0]]), np.full((3, 3), 2.0), np.zeros(3), np.ones(3),
-        np.zeros(3, np.int64), ("car",),
-    )  # fmt: skip
-    xyxy = three.project(CAMERA, (256, 832))
-    pixels = CAMERA.project(three.corners[0])
+def test_boxes_project_into_the_image_even_from_behind():
+    boxes = cubes((0, 1, 5), (0, 1, 0.5), (0, 1, -9))
+    xyxy = boxes.project(CAMERA, (256, 832))
+    pixels = CAMERA.project(boxes.corners[0])
     np.testing.assert_allclose(xyxy[0], [*pixels.min(0), *np.minimum(pixels.max(0), [831, 255])])
     assert np.isfinite(xyxy[1]).all()  # partly behind: cut at the near plane
-    assert np.isnan(xyxy[2]).all()  # wholly behind
+    assert np.isnan(xyxy[2]).all()  # behind
 
 
-@pytest.mark.parametrize("center", [(-30, 1, 8.0), (30, 1, 8.0), (0, -30, 8.0), (0, 30, 8.0)])
-def test_boxes_beside_the_view_have_no_place_in_the_picture(center):
-    beside = Boxes3D(
-        np.array([center], float), np.full((1, 3), 2.0), np.zeros(1), np.ones(1), np.zeros(1, int), ("car",)
-    )
+def test_boxes_beside_the_view_have_no_projection():
+    beside = cubes((-30, 1, 8), (30, 1, 8), (0, -30, 8), (0, 30, 8))
     assert np.isnan(beside.project(CAMERA, (256, 832))).all()
 
 
@@ -149,7 +143,7 @@ def test_edges_are_cut_at_the_near_plane():
 
 
 def test_a_box_around_pixels_reaches_from_border_to_border():
-    """Columns 2 to 5, rows 1 to 1: 4 x 1 pixels; counted from the corner, from column 2 to 6."""
+    """Columns 2 to 5 of row 1; counted from the corner, from column 2 to 6."""
     rows, columns = np.array([1, 1]), np.array([5, 2])
     box = extent_of(rows, columns)
     np.testing.assert_array_equal(box, [1.5, 0.5, 5.5, 1.5])
@@ -166,17 +160,12 @@ def test_a_box_around_pixels_reaches_from_border_to_border():
         (np.array([[300.0, 200, 250, 100]]), np.zeros(1, int), "left <= right"),
     ],
 )
-def test_detections_that_do_not_fit_are_refused(xyxy, label, message):
+def test_wrong_detections_are_refused(xyxy, label, message):
     with pytest.raises(ValueError, match=message):
         Detections2D(xyxy, np.ones(1), label, ("car",))
 
 
-def test_scores_that_are_none_are_refused():
-    with pytest.raises(ValueError, match="scores"):
-        Detections2D(np.zeros((1, 4)), np.array([np.nan]), np.zeros(1, int), ("car",))
-
-
-def test_detections_select_and_name():
+def test_detections_can_be_selected_and_named():
     found = Detections2D(
         np.arange(8.0).reshape(2, 4), np.array([0.5, 0.9]), np.array([1, 0]), ("car", "person"),
         track_id=np.array([7, 8]),
@@ -189,7 +178,7 @@ def test_detections_select_and_name():
 # --- overlap ---
 
 
-def test_rotated_overlap_is_shapelys():
+def test_rotated_overlap_equals_shapely():
     first, second = random_boxes(60, seed=2), random_boxes(60, seed=3)
     areas = rotated_intersections(first.bev, second.bev)
     polygons = [[Polygon(corners) for corners in footprints(boxes.bev)] for boxes in (first, second)]
@@ -202,14 +191,16 @@ def test_overlap_of_equal_turned_and_distant_boxes():
     box = random_boxes(1)
     bev, iou = box_ious(box, box)
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), pytest.approx(1))
-    assert box_ious(cube(), cube(yaw=np.pi / 2))[0][0, 0] == pytest.approx(1)
+    cube = cubes((0, 0, 0))
+    assert box_ious(cube, cubes((0, 0, 0), yaw=np.pi / 2))[0][0, 0] == pytest.approx(1)
     shared = 8 * (np.sqrt(2) - 1)  # the regular octagon of width 2
-    assert box_ious(cube(), cube(yaw=np.pi / 4))[0][0, 0] == pytest.approx(shared / (8 - shared))
-    bev, iou = box_ious(cube(), cube(y=-5.0))
+    turned = cubes((0, 0, 0), yaw=np.pi / 4)
+    assert box_ious(cube, turned)[0][0, 0] == pytest.approx(shared / (8 - shared))
+    bev, iou = box_ious(cube, cubes((0, -5, 0)))
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), 0)
 
 
-def test_plain_overlap_is_torchvisions():
+def test_2d_iou_equals_torchvision():
     import torch
     from torchvision.ops import box_iou
 

@@ -1,4 +1,4 @@
-"""Every YAML composes, names classes that exist, shows all of their options, and refuses a typo."""
+"""Every YAML file composes, names existing classes, shows all of their options, and refuses typos."""
 
 import functools
 import inspect
@@ -32,32 +32,32 @@ GROUPS = [
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 
 # Groups of other commands than train.
-COMMAND_OF = dict.fromkeys(("policy", "sensor", "observer", "learner"), "navigate")
+COMMAND_OF = dict.fromkeys(("mode", "policy", "sensor", "observer", "learner"), "navigate")
 
-# Arguments that are no user's choice: the code that builds the object supplies them.
+# Arguments that the calling code supplies, not the user.
 SUPPLIED: dict[str, set[str]] = {
     "eldenet.training.trainer.Trainer": {"optimizer", "scheduler", "seed"},
     "eldenet.training.optim.constant": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.training.optim.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.training.optim.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.training.optim.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.data.": {"transform", "resize_depth", "seed"},  # build_split gives these to every data set
+    "eldenet.data.": {"transform", "resize_depth", "seed"},  # from build_split
     "torch.optim.": {"params"},
     "eldenet.navigation.policy.": {"robots"},
     "eldenet.navigation.planners.": {"robots"},
-    "eldenet.navigation.dqn.DQN": {"env", "seed"},
+    "eldenet.navigation.dqn.DQNSettings": {"seed"},
 }
-# Options that a YAML leaves out on purpose.
+# Options that YAML files leave out on purpose.
 HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet.from_parts": {
         "refine",  # chosen as a group: model/refine=joint_bilateral
         "normalization",  # ImageNet's, which every pretrained backbone expects
     },
-    "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, of networks that are one piece
-    # Numbers of one machine, not of the data set; the default fits every machine.
+    "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, for whole networks
+    # depends on the machine, not on the data set; the default fits every machine
     "eldenet.data.rooms.Rooms": {"workers"},
     "eldenet.data.arenas.Arenas": {"workers"},
-    # torch's own long tail (foreach, capturable, ...): +optimizer.eps=... adds what is needed.
+    # torch's rarely used options; +optimizer.eps=... adds one
     "torch.optim.": {
         *("eps", "amsgrad", "foreach", "maximize", "capturable", "differentiable", "fused"),
         *("dampening", "nesterov", "decoupled_weight_decay"),
@@ -81,14 +81,18 @@ def nodes(node: Any) -> Iterator[dict[str, Any]]:
             yield from nodes(value)
 
 
-# What a data set leaves to the user without a default.
+# Settings without a default.
 GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw", "improved")}
 
 
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *GIVEN.get(choice, [])])
+    given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["run_dir=x"]}.get(group, [])
+    given = given or GIVEN.get(choice, [])
+    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
+    if group == "mode":  # written over the whole config
+        return plain(config)
     if group == "debug":  # written over the whole config
         return {name: plain(config[name]) for name in ("data", "trainer", "model", "loss")}
     node = config
@@ -98,7 +102,7 @@ def section(group: str, choice: str) -> Any:
 
 
 def options(target: Callable[..., Any]) -> tuple[set[str], set[str]]:
-    """Names of all arguments of a callable, and of those without a default."""
+    """Names of a callable's arguments, and of those without a default."""
     required, every = set(), set()
     if isinstance(target, type) and target.__init__ is torch.nn.Module.__init__:
         return every, required  # its *args and **kwargs are not options
@@ -116,7 +120,7 @@ def options(target: Callable[..., Any]) -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
-def test_choice_composes_and_shows_every_option(group: str, choice: str) -> None:
+def test_every_yaml_file_composes_and_shows_every_option(group: str, choice: str) -> None:
     for node in nodes(section(group, choice)):
         target = node["_target_"]
         assert target.startswith(("eldenet.", "torch.optim."))
@@ -134,13 +138,13 @@ def test_choice_composes_and_shows_every_option(group: str, choice: str) -> None
 
 
 @pytest.mark.parametrize("choice", choices("runtime"))
-def test_runtime_shows_every_option(choice: str) -> None:
+def test_every_runtime_shows_every_option(choice: str) -> None:
     given = set(section("runtime", choice))
     assert given == set(inspect.signature(choose_resources).parameters)
 
 
 @pytest.mark.parametrize("experiment", choices("experiment"))
-def test_experiment_composes(experiment: str) -> None:
+def test_every_experiment_composes(experiment: str) -> None:
     config = compose("train", [f"+experiment={experiment}"])
     build_protocol(config)
     for name in ("data", "model", "loss", "optimizer", "scheduler", "trainer"):
@@ -150,7 +154,7 @@ def test_experiment_composes(experiment: str) -> None:
 @pytest.mark.parametrize(
     "command", sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "base")
 )
-def test_command_composes(command: str) -> None:
+def test_every_command_composes(command: str) -> None:
     compose(command, ["model=eldenet"] if command == "zoo" else [])
 
 
@@ -170,7 +174,7 @@ def test_a_typo_in_a_file_is_refused(group: str) -> None:
 
 
 @pytest.mark.parametrize("choice", choices("augmentation"))
-def test_augmentation_runs(choice: str, tmp_path: Path) -> None:
+def test_every_augmentation_runs(choice: str, tmp_path: Path) -> None:
     layouts.folder(tmp_path)
     config = compose("train", ["data=folder", f"data.root={tmp_path}", f"augmentation={choice}"])
     sample = build_split(config, "train", build_protocol(config), augment=True)[0]

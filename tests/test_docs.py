@@ -2,61 +2,100 @@
 
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
-import torch
 
 from eldenet.config import compose, config_folder
 from eldenet.simulation.robot import ROBOT
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [
-    *REPOSITORY.glob("*.md"),
-    *(REPOSITORY / "docs").rglob("*.md"),
-    *(REPOSITORY / "experiments").glob("*/README.md"),
-]
-CONFIGS = sorted(config_folder().rglob("*.yaml"))
+PAGES = sorted(
+    page
+    for pattern in ("*.md", "docs/**/*.md", "experiments/README.md", "experiments/*/README.md")
+    for page in REPOSITORY.glob(pattern)
+)
+CODE = re.compile(r"```.*?```|`[^`\n]+`", re.S)
+BRITISH = re.compile(
+    r"\b(?:colour|metres?\b|centres?\b|grey|neighbour|behaviour|favour|labelled|modelled|licence|analyse"
+    r"|\w*(?:normal|initial|raster|optim|quant|recogn|summar|general)is(?:e|ing|ation))\w*",
+    re.IGNORECASE,
+)
 
 
-def commands() -> list[tuple[str, str]]:
-    """Every ``python -m eldenet.<command> ...`` of the pages and of the comments in the configs."""
+def typed(pattern: str, pages: list[Path]) -> list[str]:
+    """What the pages tell a reader to type: the first group of every match, without the comment behind it."""
     found = set()
-    for page in [*PAGES, *CONFIGS]:
-        for match in re.finditer(r"python -m (eldenet\.\w+[^`\n|]*)", page.read_text()):
-            line = re.split(r"\s{2,}#?|\s#\s|\s&&|`|; ", match.group(1))[0].strip().rstrip(".,:)")
-            found.add((str(page.relative_to(REPOSITORY)), line))
+    for page in pages:
+        for match in re.finditer(pattern, page.read_text().replace("\\\n", " ")):
+            found.add(re.split(r"\s{2,}#|\s#\s|\s{3,}|\s&&|`|; ", match[1])[0].strip().rstrip(".,:)"))
     return sorted(found)
 
 
-def test_there_are_commands_to_check():
-    assert len(commands()) > 20
+COMMANDS = typed(r"-m (eldenet\.\w+[^`\n|]*)", [*PAGES, *sorted(config_folder().rglob("*.yaml"))])
 
 
-@pytest.mark.parametrize(("page", "line"), commands(), ids=lambda value: value[-60:])
-def test_a_documented_command_composes(page, line):
+@pytest.mark.parametrize("line", COMMANDS, ids=lambda line: line[-60:])
+def test_every_documented_command_has_settings_that_exist(line):
     name, *arguments = shlex.split(line)
-    name = name.removeprefix("eldenet.")
     sweep = "-m" in arguments
     overrides = []
     for argument in arguments:
-        if argument in ("-m", "...", "--help", "--cfg", "job") or argument.startswith("-"):
+        if argument in ("...", "job") or argument.startswith("-"):
             continue
         if argument == "my_configs" or argument.endswith("backbone=mine"):
-            continue  # made by test_packaging.py's project
-        if argument.startswith(("hydra/launcher=", "hydra.launcher.")):
-            continue  # of the [cluster] extra, which need not be installed
+            continue  # made by the project in test_packaging.py
+        if argument.startswith(("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")):
+            continue  # need the [cluster] extra
         key, _, value = argument.partition("=")
         overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
-    config = compose(name, overrides)
-    assert config is not None
+    assert compose(name.removeprefix("eldenet."), overrides) is not None
 
 
-def test_links_lead_somewhere():
+def test_documented_scripts_options_and_extras_exist():
+    sources = "".join(file.read_text() for file in (REPOSITORY / "experiments").rglob("*.py"))
+    for line in typed(r"python3? (experiments/[\w/]+\.py[^`\n|]*)", PAGES):
+        script, *arguments = shlex.split(line)
+        assert (REPOSITORY / script).is_file()
+        for option in {argument.split("=")[0] for argument in arguments if argument.startswith("--")}:
+            assert option == "--help" or f'"{option}"' in sources, f"{script} has no option {option}"
+    extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for named in typed(r"pip install [^\n`]*\[([\w,]+)\]", PAGES):
+        assert set(named.split(",")) <= set(extras)
+
+
+def anchors(page: Path) -> set[str]:
+    """The names under which GitHub links to the headings of a page."""
+    lines = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", page.read_text(), flags=re.S), re.M)
+    return {re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines}
+
+
+def test_links_lead_to_files_and_headings_that_exist():
     for page in PAGES:
-        for link in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        for link in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"```.*?```", "", page.read_text(), flags=re.S)):
+            path, _, anchor = link.partition("#")
+            target = page.parent / path if path else page
             if not link.startswith("http"):
-                assert (page.parent / link).exists(), f"{page.name}: {link}"
+                assert target.exists(), f"{page.relative_to(REPOSITORY)}: {link}"
+                assert not anchor or anchor in anchors(target), f"{page.relative_to(REPOSITORY)}: {link}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md", "docs/training.md"])
+def test_lines_and_tables_are_short(page):
+    text = (REPOSITORY / page).read_text()
+    assert [line for line in text.splitlines() if len(line) > 120] == []
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.M):
+        assert table.count("\n") - 2 <= 8, table
+
+
+def test_pages_use_american_spelling():
+    found = {}
+    for page in PAGES:
+        prose = re.sub(r"\]\([^)]*\)", "]", CODE.sub("", page.read_text()))
+        if words := BRITISH.findall(prose):
+            found[str(page.relative_to(REPOSITORY))] = words
+    assert found == {}
 
 
 def python_blocks(page: str) -> list[str]:
@@ -68,16 +107,6 @@ def test_the_readme_snippet_runs():
     names: dict = {}
     exec(block, names)
     assert names["depth"].shape == (1, 1, 480, 640)
-
-
-def test_the_backbone_of_contributing_works():
-    block = next(text for text in python_blocks("CONTRIBUTING.md") if "class Mine" in text)
-    names: dict = {"__name__": "mine"}
-    exec(block, names)
-    backbone = names["Mine"]()
-    features = backbone(torch.rand(1, 3, 64, 96))
-    for feature, info in zip(features, backbone.feature_info, strict=True):
-        assert feature.shape[1:] == (info.channels, 64 // info.stride, 96 // info.stride)
 
 
 def test_sharing_as_documented(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Models of the Hub and of torch.hub."""
+"""Models from the Hugging Face Hub and from torch.hub."""
 
 import importlib.util
 import sys
@@ -16,7 +16,7 @@ from eldenet.model import DepthNet
 REPOSITORY = Path(__file__).parents[1]
 
 
-def test_offline_hub_says_so_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreachable_hub_fails_within_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     def offline(*_: Any, **__: Any) -> str:
         raise ConnectionError("no route to host")
 
@@ -29,7 +29,7 @@ def test_offline_hub_says_so_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     assert time.perf_counter() - start < 5
 
 
-def test_hub_folder_is_read_like_any_other(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hub_id_loads_like_a_folder(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
 
     def download(repo_id: str, **options: Any) -> str:
@@ -43,18 +43,18 @@ def test_hub_folder_is_read_like_any_other(saved: Path, monkeypatch: pytest.Monk
         "repo_id": "somebody/depth", "revision": "v2", "allow_patterns": ["config.json", "model.safetensors"],
     }  # fmt: skip
     (saved / "model.safetensors").unlink()
-    with pytest.raises(FileNotFoundError, match=r"somebody/depth has no model\.safetensors"):
+    with pytest.raises(FileNotFoundError, match=r"no eldenet model folder: it has no model\.safetensors"):
         eldenet.load("somebody/depth")
 
 
 @pytest.mark.parametrize("source", ["/no/such/folder", "a/b/c", "./nothing/here"])
-def test_paths_that_are_nowhere_do_not_ask_the_hub(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_paths_are_not_looked_up_on_the_hub(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **__: pytest.fail("asked the Hub"))
     with pytest.raises(FileNotFoundError, match="neither a folder here nor a Hub id"):
         eldenet.load(source)
 
 
-def test_push_uploads_both_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_push_uploads_config_and_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     calls: list[tuple[str, Any]] = []
 
     class Api:
@@ -81,7 +81,7 @@ def test_push_uploads_both_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     assert same_model(DepthNet.from_pretrained(tmp_path), model)
 
 
-def test_torch_hub_offers_the_same_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torch_hub_offers_every_model_with_a_description(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = importlib.util.spec_from_file_location("hubconf", REPOSITORY / "hubconf.py")
     hubconf = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hubconf)

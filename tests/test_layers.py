@@ -1,10 +1,11 @@
-"""The house keeps its floors: who may import whom, and what an import costs."""
+"""The packages keep their order, and an import costs what it must."""
 
 import ast
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,94 +17,130 @@ from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 
 PACKAGE = Path(__file__).parents[1] / "eldenet"
-LONGEST_FILE = 320  # lines
-
-# A file or package may import from its own layer and from those below it; in layer 2 from those below alone.
-LAYERS = {
-    0: "types configurable robot bootstrap stopping",
-    1: "boxes layers geometry heads protocol refinement resources modes",
-    2: "backbones decoders baselines losses data simulation",
-    3: "model metrics",
-    4: "averaging benchmarking checkpoint comparison evaluation exporting folding legend meter normalization "
-    "pictures pointcloud predictions predictor profiling quantization record runlog runtimes schedules "
-    "sources tables written",
-    5: "trainer",
-    6: "perception",
-    7: "navigation",
-    8: "config usage command zoo scoring resuming report "  # these, and the entry points, see everything
-    "studies study train evaluate benchmark benchmark_rows benchmark_tables predict predict_boxes "
-    "predict_videos export check_data train_detector navigate",
-}
-LAYER_OF = {name: layer for layer, names in LAYERS.items() for name in names.split()}
-# the rendered data sets; whole networks share helpers with the parts
-SIBLINGS_THAT_MAY = {("data", "simulation"), ("baselines", "backbones"), ("baselines", "decoders")}
-
 FILES = sorted(PACKAGE.rglob("*.py"))
 
+# Bottom up. A module imports from its own package and from the lines above its own, never from its line.
+ORDER = """
+types configurable renames weights
+system layers
+geometry heads
+boxes refinement losses visualization
+backbones decoders
+baselines model
+simulation
+data
+evaluation
+results
+training
+deploy
+perception
+navigation
+config
+zoo
+cli
+train evaluate predict export benchmark report study check_data train_detector navigate
+"""
+FLOOR_OF = {name: floor for floor, line in enumerate(ORDER.split("\n")) for name in line.split()}
+COMMANDS = ORDER.split("\n")[-2].split()
+HIGHEST_HOUSE = 11  # floors of packages and top-level modules, by the longest chain of imports
+MOST_FILES, MOST_FOLDERS = 24, 14  # at the top of the package; weights/ and configs/ hold no code
 
-def part_of(file: Path) -> str:
-    """``eldenet/data/nyu.py`` is of "data", ``eldenet/model.py`` of "model"."""
-    return file.relative_to(PACKAGE).with_suffix("").parts[0]
+
+def room_of(module: str) -> str:
+    """``eldenet.data.nyu`` is of "data", ``eldenet.model`` of "model"."""
+    return module.split(".")[1] if "." in module else "__init__"
 
 
-def imports(file: Path) -> Iterator[tuple[int, str]]:
-    """Line and part of every import from eldenet, those inside functions too."""
+def module_of(file: Path) -> str:
+    parts = file.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(file) for file in FILES}
+
+
+def imported_modules(file: Path) -> Iterator[tuple[int, str]]:
+    """Line and module of every import from eldenet, those inside functions and for type checkers too."""
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{file}:{node.lineno}: relative import"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                yield node.lineno, whole if whole in MODULES else str(node.module)
         elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        else:
-            continue
-        for name in names:
-            root, _, rest = name.partition(".")
-            if root == "eldenet" and rest != "__version__":
-                yield node.lineno, rest.partition(".")[0]
+            for alias in node.names:
+                yield node.lineno, alias.name
+
+
+def own_imports(file: Path) -> list[tuple[int, str]]:
+    """Imports from the package, without ``import eldenet``: the lazy public names."""
+    return [(line, name) for line, name in imported_modules(file) if name.startswith("eldenet.")]
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
 def test_imports_go_down(file: Path) -> None:
-    part = part_of(file)
-    if part == "__init__":
+    room = room_of(module_of(file))
+    if room == "__init__":
         return  # the public names, each loaded when it is first used
-    assert part in LAYER_OF, f"{part} has no layer: give it one in the table above"
-    for line, other in imports(file):
-        where = f"{file.name}:{line}: {part} (layer {LAYER_OF[part]}) imports {other or 'eldenet'}"
-        assert LAYER_OF.get(other, 8) <= LAYER_OF[part], where
-        if LAYER_OF[part] == 2 and other != part and (part, other) not in SIBLINGS_THAT_MAY:
-            assert LAYER_OF[other] < 2, f"{where}, a sibling"
+    assert room in FLOOR_OF, f"{room} has no place in ORDER"
+    for line, name in own_imports(file):
+        other = room_of(name)
+        assert other == room or FLOOR_OF[other] < FLOOR_OF[room], f"{file}:{line}: {room} imports {other}"
 
 
-def test_the_architecture_page_names_every_module() -> None:
-    page = (PACKAGE.parent / "docs" / "architecture.md").read_text()
-    rows = re.findall(r"^\| (\d) \| (.*) \|$", page, re.M)
-    named = {(int(layer), name) for layer, row in rows for name in re.findall(r"`(\w+)`", row)}
-    assert named == {(layer, name) for name, layer in LAYER_OF.items()}
-    assert set(LAYER_OF) == {part_of(file) for file in FILES} - {"__init__"}
+def test_modules_of_a_package_import_each_other_in_one_direction() -> None:
+    graph = {module_of(file): {name for _, name in own_imports(file)} & MODULES for file in FILES}
+    done: set[str] = set()
+
+    def visit(module: str, path: tuple[str, ...]) -> None:
+        assert module not in path, f"imports run in a circle: {' -> '.join((*path, module))}"
+        if module not in done:
+            for other in sorted(graph[module] - {module}):
+                visit(other, (*path, module))
+            done.add(module)
+
+    for module in sorted(graph):
+        visit(module, ())
 
 
-def test_hydra_and_omegaconf_stay_on_the_top_floor() -> None:
+def test_the_house_stays_low_and_its_top_floor_short() -> None:
+    rooms: dict[str, set[str]] = {}
     for file in FILES:
-        tree = ast.parse(file.read_text())
-        in_signatures = {
-            id(child)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-            for child in ast.walk(node)
-        }
-        modules = {
-            (node.module or "") if isinstance(node, ast.ImportFrom) else node.names[0].name
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in in_signatures
-        }
-        found = {name for name in modules if name.partition(".")[0] in ("hydra", "omegaconf")}
-        assert not found or LAYER_OF[part_of(file)] == 8, f"{file.name} imports {found}"
+        room = room_of(module_of(file))
+        if room != "__init__":
+            rooms.setdefault(room, set()).update(room_of(name) for _, name in own_imports(file))
+
+    @cache
+    def floor(room: str) -> int:
+        return 1 + max((floor(other) for other in rooms[room] - {room}), default=0)
+
+    assert max(map(floor, rooms)) <= HIGHEST_HOUSE
+    top = [file for file in PACKAGE.glob("*.py") if file.stem != "__main__"]
+    folders = [
+        folder
+        for folder in PACKAGE.iterdir()
+        if (folder / "__init__.py").is_file() and folder.name != "weights"
+    ]
+    assert (len(top) <= MOST_FILES, len(folders) <= MOST_FOLDERS) == (True, True)
 
 
-def test_no_file_is_too_long() -> None:
-    lengths = {str(file.relative_to(PACKAGE)): len(file.read_text().splitlines()) for file in FILES}
-    assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
+def test_the_architecture_page_names_every_package_and_module_at_the_top() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text()
+    named = set(re.findall(r"`(\w+)/?`", page))
+    assert set(FLOOR_OF) - named == set()
+    assert set(FLOOR_OF) == {room_of(module_of(file)) for file in FILES} - {"__init__"}
+
+
+def test_the_config_ends_in_one_module() -> None:
+    """Only ``config.py`` and the command line name OmegaConf; a command passes its config straight on."""
+    for file in FILES:
+        text, room = file.read_text(), room_of(module_of(file))
+        if room in ("config", "cli"):
+            continue
+        typed = re.sub(r"if TYPE_CHECKING:\n(    .*\n|\n)+", "", text)
+        found = re.search(r"\b(from|import) (hydra|omegaconf)\b|OmegaConf", typed)
+        assert not found, f"{file}: {found and found.group(0)}"
+        assert "DictConfig" not in text or room in COMMANDS, f"{file} names DictConfig"
 
 
 # --- what an import costs ---
@@ -143,3 +180,8 @@ def test_loading_a_saved_model_stays_light(tmp_path: Path) -> None:
     )
     by_name = loaded_after(f"import eldenet; eldenet.load({str(tmp_path)!r})")
     assert by_name & HEAVY <= {"hydra", "omegaconf"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_starts_without_torch(command: str) -> None:
+    assert "torch" not in loaded_after(f"import eldenet.{command}")

@@ -1,4 +1,4 @@
-"""The whole network: images in, meters out."""
+"""DepthNet: images in, meters out."""
 
 import copy
 import pickle
@@ -8,18 +8,16 @@ import torch
 from support.networks import picture, same_model, small_net
 from torch import Tensor, nn
 
-from eldenet.decoders.base import Decoder
 from eldenet.heads import Head, InverseHead, LinearHead, LogHead
 from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
-from eldenet.types import FeatureInfo
 
 HEADS = [LinearHead, InverseHead, LogHead]
 
 
 @pytest.mark.parametrize("head", HEADS)
 @pytest.mark.parametrize("size", [(64, 96), (97, 131), (33, 47), (120, 160)])
-def test_meters_at_the_images_size(size: tuple[int, int], head: type[Head]) -> None:
+def test_depth_has_the_images_size_and_the_heads_range(size: tuple[int, int], head: type[Head]) -> None:
     model = small_net(head=head(0.5, 4.0))
     with torch.inference_mode():
         depth = model(picture(*size))
@@ -28,7 +26,7 @@ def test_meters_at_the_images_size(size: tuple[int, int], head: type[Head]) -> N
     assert 0.5 <= depth.min() < depth.max() <= 4.0 + 1e-6
 
 
-def test_the_network_gets_normalized_images() -> None:
+def test_the_network_sees_normalized_images() -> None:
     seen: list[Tensor] = []
 
     class Spy(nn.Module):
@@ -44,7 +42,7 @@ def test_the_network_gets_normalized_images() -> None:
     torch.testing.assert_close(seen[1], (image - 0.5) / 2)
 
 
-def test_half_precision_networks_still_give_float32_meters() -> None:
+def test_a_half_precision_network_returns_float32_meters() -> None:
     model = small_net().bfloat16()
     with torch.inference_mode():
         assert model(picture(32, 32).bfloat16()).dtype == torch.float32
@@ -53,18 +51,18 @@ def test_half_precision_networks_still_give_float32_meters() -> None:
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (torch.rand(3, 32, 32), r"shape \(3, 32, 32\), \(B, 3, H, W\) is needed"),
-        (torch.rand(1, 32, 32, 3), "is needed"),
-        (torch.rand(1, 1, 32, 32), "is needed"),
-        (torch.zeros(1, 3, 32, 32, dtype=torch.uint8), r"uint8: floats in \[0, 1\]"),
+        (torch.rand(3, 32, 32), r"shape \(3, 32, 32\): give \(B, 3, H, W\)"),
+        (torch.rand(1, 32, 32, 3), "give"),
+        (torch.rand(1, 1, 32, 32), "give"),
+        (torch.zeros(1, 3, 32, 32, dtype=torch.uint8), r"uint8: give floats in \[0, 1\]"),
     ],
 )
-def test_wrong_images_say_so(image: Tensor, message: str) -> None:
+def test_images_of_wrong_shape_or_type_are_refused(image: Tensor, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         small_net()(image)
 
 
-def test_copies_and_pickles() -> None:
+def test_copies_and_pickles_equal_the_model() -> None:
     model = small_net(refine=JointBilateral())
     copied, pickled = copy.deepcopy(model), pickle.loads(pickle.dumps(model))
     assert same_model(model, copied)
@@ -73,10 +71,3 @@ def test_copies_and_pickles() -> None:
         next(copied.parameters()).add_(1)
     copied.config["network"]["backbone"]["scale"] = 9
     assert same_model(model, pickled)
-
-
-def test_base_classes_do_nothing_by_themselves() -> None:
-    with pytest.raises(NotImplementedError):
-        Decoder((FeatureInfo(8, 2),))([torch.zeros(1, 8, 4, 4)])
-    with pytest.raises(NotImplementedError):
-        Head(0.1, 10)(torch.zeros(1))

@@ -1,6 +1,7 @@
-"""What is installed elsewhere: the wheel carries its configs, another project adds its parts."""
+"""The wheel holds all it needs, and another project can add parts of its own."""
 
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -41,28 +42,19 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
 
 
 def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
-    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    site = tmp_path / "site"
+    zipfile.ZipFile(wheel).extractall(site)
     (tmp_path / "elsewhere").mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
-    where = subprocess.run(
-        [sys.executable, "-c", "import eldenet; print(eldenet.__file__)"],
-        **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
-        check=True,
-    )
-    assert str(tmp_path / "site") in where.stdout
-    shown = subprocess.run(
-        [sys.executable, "-m", "eldenet.train", "--cfg", "job"],
-        **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
-        check=True,
-    )
-    assert "eldenet.backbones.pplcnet.PPLCNet" in shown.stdout
-    assert str(tmp_path / "site" / "eldenet" / "configs") in (
-        subprocess.run(
-            [sys.executable, "-c", "from eldenet.config import config_folder; print(config_folder())"],
-            **{"cwd": tmp_path / "elsewhere", "env": environment, "capture_output": True, "text": True},
-            check=True,
+
+    def printed(*arguments: str) -> str:
+        options = {"cwd": tmp_path / "elsewhere", "env": {**os.environ, "PYTHONPATH": str(site)}}
+        return subprocess.run(
+            [sys.executable, *arguments], capture_output=True, text=True, check=True, **options
         ).stdout
-    )
+
+    where = printed("-c", "from eldenet.config import config_folder; print(config_folder())")
+    assert where.strip() == str(site / "eldenet" / "configs")
+    assert "eldenet.backbones.pplcnet.PPLCNet" in printed("-m", "eldenet.train", "--cfg", "job")
 
 
 @pytest.mark.net
@@ -84,32 +76,6 @@ def test_a_clean_environment_installs_and_trains(wheel, tmp_path):
     )
     assert (tmp_path / "run" / "run.json").is_file()
 
-
-BACKBONE = '''
-from torch import Tensor, nn
-
-from eldenet.backbones.base import Backbone
-from eldenet.types import FeatureInfo
-
-
-class Pyramid(Backbone):
-    """Five strided convolutions."""
-
-    def __init__(self, width: int = 8) -> None:
-        super().__init__()
-        widths = [3] + [width * 2**step for step in range(5)]
-        self.steps = nn.ModuleList(
-            nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), nn.ReLU()) for a, b in zip(widths, widths[1:])
-        )
-        self.feature_info = tuple(FeatureInfo(c, 2 ** (k + 1)) for k, c in enumerate(widths[1:]))
-
-    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        features = []
-        for step in self.steps:
-            image = step(image)
-            features.append(image)
-        return tuple(features)
-'''
 
 APPLICATION = """
 import hydra
@@ -139,14 +105,14 @@ main()
 """
 
 
-def test_another_project_adds_a_backbone_trains_and_reloads_it(tmp_path, cache):
+def test_another_project_adds_the_backbone_of_contributing_trains_and_reloads_it(tmp_path, cache):
     project = tmp_path / "project"
     (project / "my_configs" / "model" / "backbone").mkdir(parents=True)
     (project / "conf").mkdir()
-    (project / "my_backbones.py").write_text(BACKBONE)
-    (project / "my_configs" / "model" / "backbone" / "pyramid.yaml").write_text(
-        "_target_: my_backbones.Pyramid\nwidth: 8\n"
-    )
+    blocks = re.findall(r"```python\n(.*?)```", (REPOSITORY / "CONTRIBUTING.md").read_text(), re.S)
+    (project / "my_backbones.py").write_text(next(block for block in blocks if "class Mine" in block))
+    yaml = project / "my_configs" / "model" / "backbone" / "mine.yaml"
+    yaml.write_text("_target_: my_backbones.Mine\nwidth: 8\n")
     (project / "conf" / "app.yaml").write_text("word: none\nfolder: ???\n")
     (project / "app.py").write_text(APPLICATION)
     options = {
@@ -159,14 +125,14 @@ def test_another_project_adds_a_backbone_trains_and_reloads_it(tmp_path, cache):
     }
     finished = subprocess.run(
         [
-            *(sys.executable, "-m", "eldenet.train", "--config-dir", "my_configs", "model/backbone=pyramid"),
+            *(sys.executable, "-m", "eldenet.train", "--config-dir", "my_configs", "model/backbone=mine"),
             *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 16, val: 8, test: 8}"),
-            *("trainer.epochs=1", "trainer.batch_size=8", "run_dir=run", "model_name=pyramid"),
+            *("trainer.epochs=1", "trainer.batch_size=8", "run_dir=run", "model_name=mine"),
         ],
         **options,
     )
     assert finished.returncode == 0, finished.stderr + finished.stdout
-    assert "pyramid" in finished.stdout
+    assert "mine" in finished.stdout
     finished = subprocess.run([sys.executable, "app.py", "folder=run/model", "word=hello"], **options)
     assert finished.returncode == 0, finished.stderr
-    assert "app ran Pyramid hello" in finished.stdout
+    assert "app ran Mine hello" in finished.stdout

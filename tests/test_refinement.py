@@ -1,4 +1,4 @@
-"""Depth that follows the image's edges."""
+"""Refinement: depth edges follow the edges of the image."""
 
 import pytest
 import torch
@@ -19,7 +19,7 @@ def scene() -> tuple[Tensor, Tensor]:
     return blurred, image
 
 
-def test_constant_depth_stays() -> None:
+def test_constant_depth_stays_constant() -> None:
     depth = torch.full((2, 1, 20, 30), 3.25)
     torch.testing.assert_close(JointBilateral()(depth, torch.rand(2, 3, 20, 30)), depth)
 
@@ -40,7 +40,7 @@ def test_refinement_follows_the_images_edges() -> None:
     assert jump[0] < jump[1] < jump[2]
 
 
-def test_model_with_refinement_hands_over_the_image() -> None:
+def test_a_model_gives_the_image_to_its_refinement() -> None:
     seen: list[Tensor] = []
 
     class Keep(Configurable, nn.Module):
@@ -57,5 +57,5 @@ def test_model_with_refinement_hands_over_the_image() -> None:
 
 
 def test_even_windows_are_refused() -> None:
-    with pytest.raises(ValueError, match="kernel_size=4: an odd number"):
+    with pytest.raises(ValueError, match="kernel_size=4: give an odd number"):
         JointBilateral(4)

@@ -1,7 +1,6 @@
-"""Networks written down and read back."""
+"""Networks are saved and read back."""
 
 import functools
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -14,48 +13,35 @@ import eldenet
 from eldenet.backbones.mobilenet import MobileNetV2, MobileNetV3
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.backbones.resnet import ResNet
+from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
-from eldenet.config import compose
+from eldenet.config import build_training, compose
 from eldenet.configurable import build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.decoders.upconv import UpConvDecoder
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import InverseHead, LinearHead, LogHead
-from eldenet.model import DepthNet, EncoderDecoder
+from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
 from eldenet.results.run_log import RunLog
-from eldenet.train import build_seeded_model
+from eldenet.training.initialization import initial_model
 
 
 def timm_backbone() -> nn.Module:
-    if importlib.util.find_spec("timm") is None:
-        pytest.skip("timm is not installed")
-    from eldenet.backbones.timm import TimmBackbone
-
+    pytest.importorskip("timm")
     return TimmBackbone("lcnet_035")
-
-
-BACKBONES = {
-    "pplcnet": functools.partial(PPLCNet, 0.25, stem_feature=True),
-    "mobilenet_v2": MobileNetV2,
-    "mobilenet_v3": functools.partial(MobileNetV3, "small"),
-    "resnet": functools.partial(ResNet, 18),
-    "vgg": functools.partial(VGG16, batch_norm=True),
-    "timm": timm_backbone,
-}
-
-
-@pytest.mark.parametrize("name", BACKBONES)
-def test_every_backbone_comes_back(name: str, tmp_path: Path) -> None:
-    model = small_net(backbone=BACKBONES[name]())
-    model.save_pretrained(tmp_path)
-    assert same_model(DepthNet.from_pretrained(tmp_path), model)
 
 
 @pytest.mark.parametrize(
     "options",
     [
+        {"backbone": lambda: PPLCNet(0.25, stem_feature=True)},
+        {"backbone": MobileNetV2},
+        {"backbone": lambda: MobileNetV3("small")},
+        {"backbone": lambda: ResNet(18)},
+        {"backbone": lambda: VGG16(batch_norm=True)},
+        {"backbone": timm_backbone},
         {"head": InverseHead(0.2, 80.0)},
         {"head": LogHead(max_depth=20)},
         {"refine": JointBilateral(3, sigma_color=0.2)},
@@ -67,25 +53,19 @@ def test_every_backbone_comes_back(name: str, tmp_path: Path) -> None:
         {"mean": (0.5, 0.5, 0.5), "std": [0.25, 0.25, 0.25]},
     ],
 )
-def test_every_part_comes_back(options: dict[str, Any], tmp_path: Path) -> None:
+def test_every_part_is_saved_and_read_back(options: dict[str, Any], tmp_path: Path) -> None:
+    if "backbone" in options:
+        options = {"backbone": options["backbone"]()}
     model = small_net(**options)
     assert model.save_pretrained(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
     back = eldenet.load(tmp_path / "new" / "folder")
     assert same_model(back, model)
     assert not back.training
-    back.save_pretrained(tmp_path / "again")
+    back.train().save_pretrained(tmp_path / "again")
     assert same_model(eldenet.load(str(tmp_path / "again")), model)
 
 
-def test_hand_built_model_comes_back(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    network = EncoderDecoder(MobileNetV3(size="small"), FastUpConvDecoder)
-    model = DepthNet(network, LogHead(0.5, 6), refine=JointBilateral())
-    model.train().save_pretrained(tmp_path)
-    assert same_model(DepthNet.from_pretrained(tmp_path), model)
-
-
-def test_run_folders_and_info(tmp_path: Path) -> None:
+def test_a_run_folder_loads_with_its_info(tmp_path: Path) -> None:
     model = small_net()
     info = {"data": "rooms", "delta1": 0.5}
     model.save_pretrained(tmp_path / "run" / "model", info=info)
@@ -98,18 +78,18 @@ def test_run_folders_and_info(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "copy").iterdir()) == ["config.json", "model.safetensors"]
 
 
-def test_info_that_is_given_goes_beside_what_is_known(tmp_path: Path) -> None:
+def test_new_info_is_added_to_the_old(tmp_path: Path) -> None:
     model = small_net()
     model.info = {"input_size": [48, 64], "whole_frame_size": [60, 76], "data": "kitti"}
     model.save_pretrained(tmp_path / "model", info={"trained_on": "streets", "data": "mine"})
     shared = eldenet.load(tmp_path / "model")
     assert shared.info == {**model.info, "trained_on": "streets", "data": "mine"}
     assert DepthPredictor(shared).size_for(120, 152) == DepthPredictor(model).size_for(120, 152) == (60, 76)
-    model.save_pretrained(tmp_path / "tuned", info={"input_size": [96, 128]})  # at another size, whole frames
+    model.save_pretrained(tmp_path / "tuned", info={"input_size": [96, 128]})  # drops the old frame size
     assert DepthPredictor(eldenet.load(tmp_path / "tuned")).size_for(120, 152) == (96, 128)
 
 
-def test_pretrained_is_not_saved(tmp_path: Path) -> None:
+def test_a_saved_model_does_not_name_its_pretrained_file(tmp_path: Path) -> None:
     torch.save(ResNet(18).state_dict(), tmp_path / "resnet18.pth")
     model = small_net(backbone=ResNet(18, pretrained=str(tmp_path / "resnet18.pth")))
     model.save_pretrained(tmp_path / "model")
@@ -118,7 +98,7 @@ def test_pretrained_is_not_saved(tmp_path: Path) -> None:
     assert same_model(eldenet.load(tmp_path / "model"), model)
 
 
-def test_what_nobody_could_rebuild_is_refused(tmp_path: Path) -> None:
+def test_a_model_that_cannot_be_rebuilt_is_not_saved(tmp_path: Path) -> None:
     model = DepthNet(nn.Conv2d(3, 1, 1), LinearHead())
     with pytest.raises(ValueError, match=r"Conv2d is not JSON serializable.*subclass Configurable"):
         model.save_pretrained(tmp_path / "model")
@@ -128,13 +108,13 @@ def test_what_nobody_could_rebuild_is_refused(tmp_path: Path) -> None:
 
 
 class Wide(FastUpConvDecoder):
-    """Somebody's own decoder, with options that it only passes on."""
+    """A user's decoder that passes options on."""
 
     def __init__(self, feature_info: Any, **options: Any) -> None:
         super().__init__(feature_info, **{"width": 16} | options)
 
 
-def test_passed_on_options_are_written_down(tmp_path: Path) -> None:
+def test_options_that_are_passed_on_are_saved(tmp_path: Path) -> None:
     model = small_net(decoder=functools.partial(Wide, min_channels=4, fusion="none"))
     assert model.config["network"]["decoder"] == {
         "_target_": f"{__name__}.Wide",
@@ -146,7 +126,7 @@ def test_passed_on_options_are_written_down(tmp_path: Path) -> None:
     assert same_model(DepthNet.from_pretrained(tmp_path, trusted_modules=[__name__]), model)
 
 
-def test_parts_know_how_they_were_built() -> None:
+def test_a_parts_config_rebuilds_it() -> None:
     assert ResNet(18, pretrained=False).config == {"_target_": "eldenet.backbones.resnet.ResNet", "depth": 18}
     assert LinearHead(max_depth=4).config == {
         "_target_": "eldenet.heads.LinearHead", "min_depth": 0.1, "max_depth": 4,
@@ -156,19 +136,19 @@ def test_parts_know_how_they_were_built() -> None:
         LinearHead(max_dept=4)
 
 
-def test_saved_files_are_as_readable_as_any_other(tmp_path):
+def test_both_saved_files_have_the_same_permissions(tmp_path):
     eldenet.load("eldenet_s").save_pretrained(tmp_path)
     modes = {(tmp_path / name).stat().st_mode for name in ("config.json", "model.safetensors")}
     assert len(modes) == 1
 
 
-def test_weights_of_another_network_are_no_start(tmp_path: Path) -> None:
-    """What the two happen to share is not worth the name: the training would be one from scratch."""
-    config = compose("train", ["model=eldenet", "weights=eldenet_rooms"])
+def test_a_training_starts_from_fitting_weights_only(tmp_path: Path) -> None:
+    config = compose("train", ["model=eldenet", "model_name=e", "weights=eldenet_rooms"])
     log = RunLog(tmp_path, quiet=True)
-    ours = build_seeded_model(config, log).state_dict()
+    ours = initial_model(build_training(config, tmp_path), log).state_dict()
     assert all(
         torch.equal(ours[name], value) for name, value in eldenet.load("eldenet_rooms").state_dict().items()
     )
+    other = compose("train", ["model=resnet18_upconv", "model_name=r", "weights=eldenet_rooms"])
     with pytest.raises(ValueError, match=r"eldenet_rooms: they fit \d % of this network"):
-        build_seeded_model(compose("train", ["model=resnet18_upconv", "weights=eldenet_rooms"]), log)
+        initial_model(build_training(other, tmp_path), log)

@@ -1,4 +1,4 @@
-"""What every backbone is: an image in, feature maps out, each described by channels and stride."""
+"""The base class of backbones: an image in, feature maps out, each described by channels and stride."""
 
 from torch import Tensor, nn
 
@@ -7,19 +7,18 @@ from eldenet.types import FeatureInfo
 
 
 class Backbone(Configurable, nn.Module):
-    """An encoder that decoders can read without knowing which one it is.
+    """Base of encoders; decoders need to know nothing but ``feature_info``.
 
-    A subclass sets ``feature_info`` in its constructor and writes ``forward``. That, and one YAML file in
-    ``configs/model/backbone/``, is all a new backbone takes; ``tests/test_backbones.py`` then measures it.
+    A new backbone sets ``feature_info`` in its constructor, implements ``forward`` and gets one YAML file in
+    ``configs/model/backbone/``; ``tests/backbones/test_backbones.py`` then checks it.
 
-    Convention: the feature of stride s of an ``(H, W)`` image is ``(ceil(H / s), ceil(W / s))``, whatever
-    the size.
+    Convention: an ``(H, W)`` image has a feature of ``(ceil(H / s), ceil(W / s))`` at stride s, for any size.
 
     Attributes:
-        feature_info: channels and stride of each feature map, finest first; no stride occurs twice.
+        feature_info: channels and stride of each feature map, finest first; strides are distinct.
     """
 
-    transient_arguments = ("pretrained",)  # a saved model brings its own weights: it must not download others
+    transient_arguments = ("pretrained",)  # a saved model has weights of its own and downloads none
 
     feature_info: tuple[FeatureInfo, ...]
 
@@ -33,3 +32,10 @@ class Backbone(Configurable, nn.Module):
             One map ``(B, channels, ceil(H / stride), ceil(W / stride))`` per entry of ``feature_info``.
         """
         raise NotImplementedError(f"{type(self).__name__} has no forward")
+
+
+def five_stages(*channels: int) -> tuple[FeatureInfo, ...]:
+    """Return the ``feature_info`` of maps with these channels at strides 2, 4, 8, 16 and 32."""
+    return tuple(
+        FeatureInfo(width, stride) for width, stride in zip(channels, (2, 4, 8, 16, 32), strict=True)
+    )

@@ -1,13 +1,12 @@
-"""PP-LCNet, the light-weight CPU network that ELDE-Net encodes with."""
+"""PP-LCNet, a light-weight network for CPUs and ELDE-Net's encoder."""
 
 from typing import NamedTuple
 
 from torch import Tensor, nn
 
-from eldenet.backbones.base import Backbone
+from eldenet.backbones.base import Backbone, five_stages
 from eldenet.backbones.pplcnet_weights import load_pplcnet_weights
 from eldenet.layers import ConvNormAct, DepthwiseSeparable, init_kaiming
-from eldenet.types import FeatureInfo
 
 
 class Block(NamedTuple):
@@ -20,8 +19,8 @@ class Block(NamedTuple):
     squeeze_excite: bool
 
 
-# The paper's table of blocks (PaddleClas: NET_CONFIG). After the stem, which has stride 2, every stage but
-# blocks2 opens with a stride of 2: blocks2 to blocks6 end at strides 2, 4, 8, 16, 32.
+# The paper's table of blocks (NET_CONFIG in PaddleClas). The stem has stride 2, and every stage but blocks2
+# starts with a stride of 2, so blocks2 to blocks6 end at strides 2, 4, 8, 16, 32.
 STAGES: dict[str, tuple[Block, ...]] = {
     #                 k   in  out  s  SE
     "blocks2": (Block(3, 16, 32, 1, False),),
@@ -31,12 +30,11 @@ STAGES: dict[str, tuple[Block, ...]] = {
     "blocks6": (Block(5, 256, 512, 2, True), Block(5, 512, 512, 1, True)),
 }
 STEM_CHANNELS = 16
-HEAD_CHANNELS = 1280  # the classifier's, not scaled
 SCALES = (0.25, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5)
 
 
 def scale_channels(channels: int, scale: float, divisor: int = 8) -> int:
-    """``channels * scale`` as the nearest multiple of ``divisor``, never more than 10 % below it."""
+    """Round ``channels * scale`` to the nearest multiple of ``divisor``, never more than 10 % down."""
     wanted = channels * scale
     rounded = max(divisor, int(wanted + divisor / 2) // divisor * divisor)
     return rounded + divisor if rounded < 0.9 * wanted else rounded
@@ -53,18 +51,17 @@ class PPLCNet(Backbone):
 
     Args:
         scale: width; one of 0.25, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5.
-        stem_feature: give the stem's output as the stride 2 feature in place of that of blocks2, which has
-            the same stride and more channels. Nothing else changes: blocks2 still feeds blocks3.
-        squeeze_excite: False leaves squeeze-excitation out of the last two blocks, for ablations.
-        shortcuts: add a block's input to its output wherever both have one shape. The paper's network has
-            none, and neither have its published weights.
-        pretrained: ``True`` for timm's ImageNet weights of this scale (0.5, 0.75 and 1.0 have them), their
-            name (``"lcnet_050.ra2_in1k"``), or a local file: see
+        stem_feature: return the stem's output as the stride 2 feature, not the wider output of blocks2.
+        squeeze_excite: False removes squeeze-excitation from the last two blocks, for ablations.
+        shortcuts: add a block's input to its output wherever their shapes are equal. The paper's network and
+            its published weights have no shortcuts.
+        pretrained: ``True`` for timm's ImageNet weights of this scale (for 0.5, 0.75 and 1.0), their name
+            (``"lcnet_050.ra2_in1k"``), or a local file, see
             :func:`~eldenet.backbones.pplcnet_weights.load_pplcnet_weights`.
 
     Raises:
-        ValueError: for a scale or weights that do not exist, or ``shortcuts`` beside published weights.
-        RuntimeError: where weights cannot be downloaded.
+        ValueError: a scale or weights that do not exist, or ``shortcuts`` together with ``pretrained``.
+        RuntimeError: the weights cannot be downloaded.
     """
 
     def __init__(
@@ -82,7 +79,7 @@ class PPLCNet(Backbone):
         if shortcuts and pretrained:
             raise ValueError(
                 f"pretrained={pretrained}: PP-LCNet's published weights were trained without shortcuts; "
-                "give model.backbone.shortcuts=false too"
+                "also give model.backbone.shortcuts=false"
             )
         self.scale = scale
         self.stem_feature = stem_feature
@@ -100,16 +97,13 @@ class PPLCNet(Backbone):
         channels = [scale_channels(stage[-1].out_channels, scale) for stage in STAGES.values()]
         if stem_feature:
             channels[0] = scale_channels(STEM_CHANNELS, scale)
-        self.feature_info = tuple(
-            FeatureInfo(width, stride) for width, stride in zip(channels, (2, 4, 8, 16, 32), strict=True)
-        )
-
+        self.feature_info = five_stages(*channels)
         init_kaiming(self)
         if pretrained:
             load_pplcnet_weights(self, pretrained, scale)
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Encode ``(B, 3, H, W)``; the maps are described in the base class."""
+        """Return the features of ``(B, 3, H, W)``, finest first."""
         stem = self.stem(image)
         stride2 = self.blocks2(stem)
         stride4 = self.blocks3(stride2)
@@ -117,38 +111,6 @@ class PPLCNet(Backbone):
         stride16 = self.blocks5(stride8)
         stride32 = self.blocks6(stride16)
         return (stem if self.stem_feature else stride2), stride4, stride8, stride16, stride32
-
-
-class PPLCNetClassifier(nn.Module):
-    """The whole PP-LCNet of the paper: ``(B, 3, H, W) -> (B, num_classes)`` logits.
-
-    Depth does not need it. It stands here because the published parameter and operation counts are the
-    classifier's, and so that the published classification weights can be tried as what they are.
-
-    Args:
-        scale: width, as of :class:`PPLCNet`.
-        num_classes: of the last layer.
-        head_bias: give the 1 x 1 convolution of the head a bias: timm's weights have one, the paper's do not.
-        dropout: before the last layer.
-    """
-
-    def __init__(
-        self, scale: float = 1.0, num_classes: int = 1000, *, head_bias: bool = False, dropout: float = 0.2
-    ) -> None:
-        super().__init__()
-        self.encoder = PPLCNet(scale)
-        self.pool = nn.AdaptiveAvgPool2d(1)
-        self.last_conv = nn.Conv2d(self.encoder.feature_info[-1].channels, HEAD_CHANNELS, 1, bias=head_bias)
-        self.activation = nn.Hardswish()
-        self.dropout = nn.Dropout(dropout)
-        self.fc = nn.Linear(HEAD_CHANNELS, num_classes)
-        init_kaiming(self.last_conv)
-
-    def forward(self, image: Tensor) -> Tensor:
-        """``(B, 3, H, W) -> (B, num_classes)``."""
-        features = self.encoder(image)[-1]
-        hidden = self.activation(self.last_conv(self.pool(features)))
-        return self.fc(self.dropout(hidden.flatten(1)))
 
 
 def _stage(blocks: tuple[Block, ...], scale: float, shortcuts: bool) -> nn.Sequential:

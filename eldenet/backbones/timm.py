@@ -12,19 +12,18 @@ from eldenet.types import FeatureInfo
 
 
 class TimmBackbone(Backbone):
-    """A network of the timm library by its name, with every stage it offers as a feature.
+    """A network of the timm library, with every stage that timm offers as a feature.
 
     Needs the extra ``pip install eldenet[timm]``. Channels and strides are those that timm declares for
-    ``features_only=True``; most networks begin at stride 2, some at 1 or 4. Networks that keep one stride
-    (plain vision transformers) cannot feed a decoder and are refused, as are those whose input size is
-    fixed to something else than the image's, by timm, when they run.
+    ``features_only=True``; most networks start at stride 2, some at 1 or 4. Networks with a single stride
+    (plain vision transformers) cannot feed a decoder and are refused here; those with a fixed input size
+    are refused by timm when they run.
 
-    Convention: how odd sizes are rounded is the network's own affair; most round up, some (EdgeNeXt, VGG)
-    down.
+    Convention: the network decides how odd sizes are rounded; most round up, some (EdgeNeXt, VGG) down.
 
     Args:
         name: such as ``"mobilenetv4_conv_small"``; ``timm.list_models("*mobile*")`` finds more.
-        pretrained: ``True`` for timm's default weights of that name, or a local file of timm's layout.
+        pretrained: ``True`` for timm's default weights of that name, or a local file with timm's names.
 
     Raises:
         ImportError: timm is not installed.
@@ -37,21 +36,21 @@ class TimmBackbone(Backbone):
         try:
             import timm
         except ImportError as error:
-            raise ImportError("timm's backbones need the package timm: pip install eldenet[timm]") from error
+            raise ImportError("TimmBackbone needs the package timm: pip install eldenet[timm]") from error
 
         weights = read_weights(pretrained) if isinstance(pretrained, str) else None
         overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None
         if not timm.is_model(name):
-            similar = ", ".join(timm.list_models(f"*{name.split('_')[0]}*")[:10]) or "nothing like it"
-            raise ValueError(f"timm has no network {name!r}; it has {similar}")
+            similar = ", ".join(timm.list_models(f"*{name.split('_')[0]}*")[:10])
+            raise ValueError(f"timm has no network {name!r}; similar names: {similar or 'none'}")
         try:
             self.body = timm.create_model(
                 name, pretrained=bool(pretrained), features_only=True, pretrained_cfg_overlay=overlay
             )
         except OSError as error:
             raise RuntimeError(
-                f"could not fetch timm's weights of {name} ({error}). Fetch them where there is a network "
-                "and give the file instead: pretrained: /path/to/file"
+                f"could not download timm's weights of {name} ({error}). Download them where there is a "
+                "network and give the file: pretrained: /path/to/file"
             ) from error
         except RuntimeError as error:  # shapes that differ
             raise ValueError(f"{name} cannot load the weights {pretrained!r}: {error}") from error
@@ -61,20 +60,22 @@ class TimmBackbone(Backbone):
         info: Any = self.body.feature_info
         channels, strides = info.channels(), info.reduction()
         if strides != sorted(set(strides)):
-            raise ValueError(f"{name} has features of strides {strides}; a decoder needs each stride once")
+            raise ValueError(
+                f"{name} has features of strides {strides}; a decoder needs increasing, distinct strides"
+            )
         self.feature_info = tuple(map(FeatureInfo, channels, strides))
         # Swin and its kin put channels last.
         self.channels_last = str(getattr(self.body, "output_fmt", "NCHW")).endswith("NHWC")
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Encode ``(B, 3, H, W)``; the maps are described in the base class."""
+        """Return the features of ``(B, 3, H, W)``, finest first."""
         features = self.body(image)
         if self.channels_last:
             features = [feature.permute(0, 3, 1, 2).contiguous() for feature in features]
         return tuple(features)
 
     def _check_all_loaded(self, weights: Weights, what: str) -> None:
-        # timm leaves a parameter without weights as it is, and the network would pass for a trained one.
+        # timm skips a parameter that the file lacks, and the network would pass for a trained one
         missing = [
             name
             for name, parameter in self.body.named_parameters()
@@ -82,6 +83,6 @@ class TimmBackbone(Backbone):
         ]
         if missing:
             raise ValueError(
-                f"loading {what} left {len(missing)} parameters untouched, {missing[0]} the first of them: "
-                "the file is not of timm's layout of this network"
+                f"loading {what} left {len(missing)} parameters untouched, the first of them {missing[0]}: "
+                "give a file with timm's names for this network"
             )

@@ -1,6 +1,7 @@
-"""Where weights come from (a local file, torchvision, the Hugging Face hub) and how they get in."""
+"""Read weights from a local file, torchvision or the Hugging Face Hub, and load them into a network."""
 
 import pickle
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,12 +10,22 @@ from torch import Tensor, nn
 
 Weights = dict[str, Tensor]
 
+# timm's names inside a depthwise separable block -> ours.
+_TIMM_LAYERS = {
+    "conv_dw": "depthwise.conv",
+    "bn1": "depthwise.norm",
+    "se.conv_reduce": "squeeze_excite.reduce",
+    "se.conv_expand": "squeeze_excite.expand",
+    "conv_pw": "pointwise.conv",
+    "bn2": "pointwise.norm",
+}
+
 
 def read_weights(path: str | Path) -> Weights:
-    """Read a state dict from a local file of safetensors or ``torch.save``, without running any code of it.
+    """Read a state dict from a safetensors file or one of ``torch.save``, without running code from it.
 
     Raises:
-        ValueError: there is no such file, or it holds something other than a state dict of tensors.
+        ValueError: no such file, or one that holds no state dict of tensors.
     """
     path = Path(path).expanduser()
     if not path.is_file():
@@ -26,26 +37,26 @@ def read_weights(path: str | Path) -> Weights:
         try:
             return load_file(path)
         except SafetensorError as error:
-            raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+            raise ValueError(f"{path} is not a complete safetensors file: {error}") from error
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
         raise ValueError(
-            f"{path} is not a state dict of tensors alone; nothing else is loaded, as a pickle can run code. "
-            f"Save one from where the model runs: torch.save(model.state_dict(), path). {error}"
+            f"{path} holds more than a state dict of tensors, and a pickle can run code: save one with "
+            f"torch.save(model.state_dict(), path). {error}"
         ) from error
     if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
-        content = content["state_dict"]  # the usual wrapping of a training checkpoint
+        content = content["state_dict"]  # as training checkpoints usually store it
     if not (isinstance(content, Mapping) and all(isinstance(value, Tensor) for value in content.values())):
-        raise ValueError(f"{path} holds no state dict: expected names with tensors")
+        raise ValueError(f"{path} holds no state dict: give a mapping of names to tensors")
     return dict(content)
 
 
 def load_weights(module: nn.Module, weights: Weights, source: str | Path) -> None:
-    """Load ``weights`` into ``module``, all of them and nothing missing.
+    """Load ``weights`` into ``module``; every tensor must have a place and every place a tensor.
 
     Raises:
-        ValueError: names or shapes differ; says which, and from which ``source``.
+        ValueError: names or shapes differ; the message names them and ``source``.
     """
     try:
         module.load_state_dict(weights)
@@ -53,36 +64,57 @@ def load_weights(module: nn.Module, weights: Weights, source: str | Path) -> Non
         raise ValueError(f"the weights of {source} do not fit: {error}") from error
 
 
+def rename_timm(weights: Weights, stages: Mapping[int, tuple[str, int]]) -> Weights:
+    """Return a timm state dict of depthwise separable blocks under our names, without its classifier.
+
+    A file that does not start with timm's stem is returned unchanged.
+
+    Args:
+        weights: of a whole network of timm's, or of its ``features_only`` form.
+        stages: timm's number of a stage -> our stage, and the number of its first block there.
+    """
+    if "conv_stem.weight" not in weights:
+        return weights
+    found = {}
+    for name, tensor in weights.items():
+        block = re.fullmatch(r"blocks[._](\d+)\.(\d+)\.([\w.]+)\.(\w+)", name)
+        if block and int(block[1]) in stages and block[3] in _TIMM_LAYERS:
+            stage, first = stages[int(block[1])]
+            found[f"{stage}.{first + int(block[2])}.{_TIMM_LAYERS[block[3]]}.{block[4]}"] = tensor
+        elif not name.startswith(("classifier.", "conv_head.")):
+            found[name.replace("conv_stem.", "stem.conv.").replace("bn1.", "stem.norm.")] = tensor
+    return found
+
+
 def download_from_hub(repository: str, filename: str = "model.safetensors") -> Path:
-    """Fetch one file of a Hugging Face repository, or find it in the local cache.
+    """Return the local path of a file of a Hugging Face repository, downloaded if it is not in the cache.
 
     Raises:
-        RuntimeError: it is not in the cache and cannot be reached.
+        RuntimeError: it is not in the cache and cannot be downloaded.
     """
     from huggingface_hub import hf_hub_download
 
     try:
         return Path(hf_hub_download(repository, filename))
-    except Exception as error:  # the kinds differ between versions of the hub's client and its HTTP library
+    except Exception as error:  # which ones depends on the versions of the Hub client and its HTTP library
         raise RuntimeError(
-            f"could not fetch {filename} from https://huggingface.co/{repository} ({error}). Fetch it where "
-            "there is a network and give its path instead: pretrained: /path/to/file"
+            f"could not download {filename} from https://huggingface.co/{repository} ({error}). Download it "
+            "where there is a network and give its path: pretrained: /path/to/file"
         ) from error
 
 
 def load_torchvision_weights(
     module: nn.Module, name: str, pretrained: bool | str, *, by_order: bool = False
 ) -> None:
-    """Load torchvision's weights, or a local file of them, into a backbone that keeps torchvision's names.
+    """Load torchvision's weights, or a local file of them, into a backbone with torchvision's names.
 
     Args:
-        module: the backbone; the file's classifier (``fc.*``, ``classifier.*``) is left out.
+        module: the backbone; weights of a classifier (``fc.*``, ``classifier.*``) are ignored.
         name: torchvision's name of the network, such as ``"resnet18"``.
-        pretrained: ``True`` for its first ImageNet weights (those that the literature's baselines start
-            from), the name of others (``"IMAGENET1K_V2"``), or a local file.
-        by_order: where a file's names differ from torchvision's, take its tensors in their order. Only for
-            networks of which such files are known to be around; refused unless number and shapes agree, one
-            by one.
+        pretrained: ``True`` for ``IMAGENET1K_V1``, from which the baselines in the literature start; the
+            name of others (``"IMAGENET1K_V2"``); or a local file.
+        by_order: if the names in a file differ from torchvision's, match its tensors by order, provided that
+            their number and every shape agree. For networks of which such files are in use.
 
     Raises:
         ValueError: no such weights, or they do not fit.
@@ -91,7 +123,7 @@ def load_torchvision_weights(
     from torchvision.models import get_model_weights
 
     published = {weights.name: weights for weights in get_model_weights(name)}
-    # VGG's IMAGENET1K_FEATURES expects another mean and standard deviation than DepthNet's normalization.
+    # VGG's IMAGENET1K_FEATURES expect a mean and standard deviation that DepthNet does not use
     published.pop("IMAGENET1K_FEATURES", None)
     choice = "IMAGENET1K_V1" if pretrained is True else str(pretrained)
     if choice in published:
@@ -100,8 +132,8 @@ def load_torchvision_weights(
             weights = dict(published[choice].get_state_dict(progress=False, check_hash=True))
         except OSError as error:
             raise RuntimeError(
-                f"could not fetch {source} ({error}). Fetch it where there is a network and give its path "
-                f"instead (pretrained: /path/to/{Path(source).name}), or put it into "
+                f"could not download {source} ({error}). Download it where there is a network and give its "
+                f"path (pretrained: /path/to/{Path(source).name}), or put it into "
                 f"{torch.hub.get_dir()}/checkpoints"
             ) from error
     elif Path(choice).expanduser().is_file():
@@ -120,13 +152,14 @@ def load_torchvision_weights(
 def _rename_by_order(weights: Weights, expected: Weights, source: str) -> Weights:
     if len(weights) != len(expected):
         raise ValueError(
-            f"{source} has other names and {len(weights)} tensors where {len(expected)} are needed"
+            f"{source} has other names than this network, and {len(weights)} tensors instead of "
+            f"{len(expected)}"
         )
     pairs = zip(weights.items(), expected.items(), strict=True)
     for (name, tensor), (expected_name, expected_tensor) in pairs:
         if tensor.shape != expected_tensor.shape:
             raise ValueError(
-                f"{source} has other names, and its tensors do not fit by order either: {name} "
+                f"{source} has other names than this network, and its tensors do not fit by order: {name} "
                 f"{tuple(tensor.shape)} would become {expected_name} {tuple(expected_tensor.shape)}"
             )
     return dict(zip(expected, weights.values(), strict=True))

@@ -1,7 +1,5 @@
 """DDRNet-23-slim, GuideDepth's feature extractor: a fine and a coarse branch that exchange features."""
 
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -22,14 +20,14 @@ def _norm_act_conv(in_channels: int, out_channels: int, kernel_size: int = 1) ->
 
 
 class Residual(nn.Module):
-    """A residual block without activation at its end: two 3x3 convolutions, or a bottleneck.
+    """A residual block without a final activation: two 3x3 convolutions, or a bottleneck.
 
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
     Args:
         in_channels: channels in.
         out_channels: channels out.
-        stride: of the (first) 3x3 convolution.
+        stride: of the first 3x3 convolution.
         bottleneck: 1x1, 3x3 and 1x1 convolutions, the first two with half of ``out_channels``.
     """
 
@@ -64,31 +62,22 @@ def _stage(in_channels: int, out_channels: int, stride: int = 1) -> nn.Sequentia
 
 
 class PyramidPooling(nn.Module):
-    """DAPPM (the paper's section 3.3): means over growing windows, each fused with the one before it.
+    """DAPPM (section 3.3 of the paper): averages over growing windows, each fused with the one before.
 
-    ``(B, in_channels, H, W) -> (B, out_channels, H, W)``. One window is the whole map, so training needs
-    batches of two images or more.
+    ``(B, in_channels, H, W) -> (B, out_channels, H, W)``. The largest window is the whole map, so training
+    needs batches of two images or more.
 
     Args:
         in_channels: channels in.
-        branch_channels: of each scale.
+        branch_channels: channels of each window's branch.
         out_channels: channels out.
-        windows: (size, stride) of the averages between the map itself and the whole map's mean.
     """
 
-    def __init__(
-        self,
-        in_channels: int,
-        branch_channels: int,
-        out_channels: int,
-        *,
-        windows: Sequence[tuple[int, int]] = ((5, 2), (9, 4), (17, 8)),
-    ) -> None:
+    def __init__(self, in_channels: int, branch_channels: int, out_channels: int) -> None:
         super().__init__()
-        self.pools = nn.ModuleList(
-            [nn.AvgPool2d(size, stride=stride, padding=size // 2) for size, stride in windows]
-        )
-        self.pools.append(nn.AdaptiveAvgPool2d(1))
+        windows = ((5, 2), (9, 4), (17, 8))  # (size, stride)
+        pools = [nn.AvgPool2d(size, stride, padding=size // 2) for size, stride in windows]
+        self.pools = nn.ModuleList([*pools, nn.AdaptiveAvgPool2d(1)])
         self.scales = nn.ModuleList(_norm_act_conv(in_channels, branch_channels) for _ in range(5))
         self.fuse = nn.ModuleList(_norm_act_conv(branch_channels, branch_channels, 3) for _ in range(4))
         self.compress = _norm_act_conv(branch_channels * 5, out_channels)
@@ -106,23 +95,18 @@ class DDRNet(nn.Module):
     """DDRNet-23-slim: ``(B, 3, H, W) -> (B, out_channels, ceil(H / 8), ceil(W / 8))``.
 
     Hong et al., "Deep Dual-resolution Networks for Real-time and Accurate Semantic Segmentation of Road
-    Scenes" (arXiv 2101.06085), with its segmentation head as the last layer, as GuideDepth uses it.
+    Scenes" (arXiv 2101.06085), ending in its segmentation head, as in GuideDepth.
 
-    Convention: convolutions that a normalization follows have no bias (the published stem's have one, which
-    the normalization takes out again).
+    Convention: convolutions before a normalization have no bias (those of the published stem have one, which
+    the normalization cancels).
 
     Args:
-        out_channels: of the head.
-        width: of the stem; the paper's "slim" has 32.
-        pooling_width: of each scale of the pyramid pooling.
-        head_width: of the head's 3x3 convolution.
+        out_channels: channels of the output.
     """
 
-    def __init__(
-        self, out_channels: int, *, width: int = 32, pooling_width: int = 128, head_width: int = 64
-    ) -> None:
+    def __init__(self, out_channels: int) -> None:
         super().__init__()
-        fine = 2 * width
+        width, fine, head = 32, 64, 64  # channels of the stem, the fine branch and the head
         self.stem = nn.Sequential(ConvNormAct(3, width, 3, stride=2), ConvNormAct(width, width, 3, stride=2))
         self.shared = nn.Sequential(_stage(width, width), nn.ReLU(), _stage(width, fine, stride=2))
         self.coarse = nn.ModuleList(
@@ -140,17 +124,17 @@ class DDRNet(nn.Module):
         self.to_fine = nn.ModuleList([_conv_norm(4 * width, fine, 1), _conv_norm(8 * width, fine, 1)])
         self.coarse_end = Residual(8 * width, 16 * width, stride=2, bottleneck=True)
         self.fine_end = Residual(fine, 2 * fine, bottleneck=True)
-        self.pooling = PyramidPooling(16 * width, pooling_width, 2 * fine)
+        self.pooling = PyramidPooling(16 * width, 128, 2 * fine)
         self.head = nn.Sequential(
-            _norm_act_conv(2 * fine, head_width, 3),
-            nn.BatchNorm2d(head_width),
+            _norm_act_conv(2 * fine, head, 3),
+            nn.BatchNorm2d(head),
             nn.ReLU(),
-            nn.Conv2d(head_width, out_channels, 1),
+            nn.Conv2d(head, out_channels, 1),
         )
         init_kaiming(self)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalized image -> features at stride 8."""
+        """Normalized image ``(B, 3, H, W)`` -> features at stride 8."""
         fine = coarse = self.shared(self.stem(image)).relu()
         for index in range(2):
             coarse, fine = self.coarse[index](coarse), self.fine[index](fine)

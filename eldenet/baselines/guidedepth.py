@@ -1,4 +1,4 @@
-"""GuideDepth: depth features doubled in size three times, each time guided by the image."""
+"""GuideDepth: three steps double the depth features in size, each guided by the image."""
 
 from itertools import pairwise
 
@@ -11,16 +11,16 @@ from eldenet.configurable import Configurable
 from eldenet.decoders.base import crop_or_pad
 from eldenet.layers import ConvNormAct
 
-# Channels of the depth features at strides 8, 4, 2; the published code's ``up_features``.
+# Channels of the depth features at strides 8, 4, 2 (``up_features`` in the published code).
 SIZES = {"full": (64, 32, 16), "small": (32, 8, 4)}
 
 
 class GuidedUpsampling(nn.Module):
-    """The guided upsampling block: features of the depth and of the image, weighed, make a residual.
+    """The guided upsampling block: weighted features of depth and image are added to the depth features.
 
     Args:
-        channels: of the depth features.
-        out_channels: after the block.
+        channels: channels of the depth features.
+        out_channels: channels out.
     """
 
     def __init__(self, channels: int, out_channels: int) -> None:
@@ -53,11 +53,11 @@ class GuideDepth(Configurable, nn.Module):
     Rudolph et al., "Lightweight Monocular Depth Estimation through Guided Decoding" (ICRA 2022, arXiv
     2203.04206). The raw map has the image's size.
 
-    Convention: convolutions that a normalization follows have no bias (the published ones have: 624 numbers
-    of 5.8 million, which the normalization takes out again). Training needs batches of two images or more.
+    Convention: convolutions before a normalization have no bias (the published ones have: 624 of 5.8 million
+    parameters, which the normalization cancels). Training needs batches of two images or more.
 
     Args:
-        size: ``"full"``, or ``"small"`` for GuideDepth-S, whose decoder is thinner.
+        size: ``"full"``, or ``"small"`` for GuideDepth-S, whose decoder is narrower.
 
     Raises:
         ValueError: an unknown size.

@@ -1,4 +1,4 @@
-"""Lite-Mono: dilated depthwise convolutions for near context, attention over channels for the far one."""
+"""Lite-Mono: dilated depthwise convolutions for local context, attention over channels for global context."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from eldenet.layers import DepthwiseConv2d, init_kaiming
 
 
 class Size(NamedTuple):
-    """One network of the paper: widths at strides 4, 8, 16, and rounds of three dilations in stage three."""
+    """Channels of a network at strides 4, 8, 16, and rounds of three dilations in its third stage."""
 
     widths: tuple[int, int, int]
     rounds: int
@@ -28,9 +28,9 @@ SIZES = {
     "base": Size((48, 80, 128), 2),
     "8m": Size((64, 128, 224), 2),
 }
-# Dilations of a round, and of the last round of stage three (the paper's table 2 and the published code).
+# Dilations of a round, and of the last round of stage three (table 2 of the paper and the published code).
 DILATIONS = {"low": ((1, 2, 3), (2, 4, 6)), "high": ((1, 2, 5), (2, 4, 10))}
-EXPANSION, HEADS, LAYER_SCALE = 6, 8, 1e-6
+EXPANSION, HEADS, FREQUENCIES, LAYER_SCALE = 6, 8, 16, 1e-6
 
 
 class DilatedBlock(nn.Module):
@@ -39,7 +39,7 @@ class DilatedBlock(nn.Module):
     Args:
         channels: C.
         dilation: of the depthwise 3x3 convolution.
-        drop_path: share of samples that skip the branch in training.
+        drop_path: probability that a sample skips the branch in training.
     """
 
     def __init__(self, channels: int, dilation: int, *, drop_path: float = 0.0) -> None:
@@ -62,7 +62,7 @@ class DilatedBlock(nn.Module):
 
 
 class CrossCovarianceAttention(nn.Module):
-    """XCA (El-Nouby et al., NeurIPS 2021): channels attend to channels, ``(B, N, C) -> (B, N, C)``."""
+    """XCA (El-Nouby et al., NeurIPS 2021): attention between channels, ``(B, N, C) -> (B, N, C)``."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -83,16 +83,15 @@ class CrossCovarianceAttention(nn.Module):
 class FourierPosition(nn.Module):
     """Sines and cosines of row and column at 16 frequencies, projected to C channels."""
 
-    def __init__(self, channels: int, *, frequencies: int = 16) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
-        self.frequencies = frequencies
-        self.project = nn.Conv2d(4 * frequencies, channels, 1)
+        self.project = nn.Conv2d(4 * FREQUENCIES, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """``(B, C, H, W)``, of which the size alone counts -> ``(1, C, H, W)``."""
+        """``(B, C, H, W)``, of which only the size matters -> ``(1, C, H, W)``."""
         height, width = x.shape[-2:]
-        steps = torch.arange(self.frequencies, device=x.device, dtype=torch.float32)
-        rates = 10000 ** (-steps / self.frequencies)
+        steps = torch.arange(FREQUENCIES, device=x.device, dtype=torch.float32)
+        rates = 10000 ** (-steps / FREQUENCIES)
 
         def waves(count: int) -> Tensor:
             positions = torch.arange(1, count + 1, device=x.device, dtype=torch.float32)
@@ -105,15 +104,15 @@ class FourierPosition(nn.Module):
 
 
 class GlobalBlock(nn.Module):
-    """LGFI, the block at the end of each stage: attention over channels, then an MLP; ``(B, C, H, W)``.
+    """LGFI, the last block of each stage: attention over channels, then an MLP; ``(B, C, H, W)``.
 
-    Convention: as in the published code, the residual around the whole block starts before the attention,
-    whose result reaches the output through the MLP alone.
+    Convention: as in the published code, the residual of the whole block starts before the attention, whose
+    result reaches the output only through the MLP.
 
     Args:
         channels: C.
         position: add a positional encoding.
-        drop_path: share of samples that skip the block in training.
+        drop_path: probability that a sample skips the block in training.
     """
 
     def __init__(self, channels: int, *, position: bool, drop_path: float = 0.0) -> None:
@@ -141,14 +140,14 @@ class GlobalBlock(nn.Module):
 
 
 class ReflectConv(nn.Sequential):
-    """3x3 convolution on a reflected border, and ELU: ``(B, in, H, W) -> (B, out, H, W)``."""
+    """3x3 convolution with reflected padding, and ELU: ``(B, in, H, W) -> (B, out, H, W)``."""
 
     def __init__(self, in_channels: int, out_channels: int) -> None:
         super().__init__(nn.Conv2d(in_channels, out_channels, 3, padding=1, padding_mode="reflect"), nn.ELU())
 
 
 class Encoder(nn.Module):
-    """Image ``(B, 3, H, W)`` -> features of strides 4, 8, 16; the shrunk image joins before every stride."""
+    """Image ``(B, 3, H, W)`` -> features at strides 4, 8, 16; each stage also sees the shrunk image."""
 
     def __init__(
         self, widths: Sequence[int], dilations: Sequence[Sequence[int]], *, drop_path: float
@@ -190,19 +189,19 @@ class LiteMono(Configurable, nn.Module):
     """Lite-Mono: 3.07 M parameters, tiny 2.15 M, small 2.47 M, 8M 8.77 M.
 
     Zhang et al., "Lite-Mono: A Lightweight CNN and Transformer Architecture for Self-Supervised Monocular
-    Depth Estimation" (CVPR 2023, arXiv 2211.13202). The raw map has stride 2 and is what the paper's sigmoid
-    gets; that sigmoid is inverse depth there (``model/head=inverse``).
+    Depth Estimation" (CVPR 2023, arXiv 2211.13202). The raw map has stride 2; the paper's sigmoid of it is
+    inverse depth (``model/head=inverse``).
 
-    Convention: only the finest of the paper's three outputs is built (the others serve its self-supervised
-    training), nor is the layer normalization that the published CDC blocks hold but do not use: 0.1 to 0.2 %
-    fewer parameters. Images need 17 pixels on each side.
+    Convention: this network has 0.1 to 0.2 % fewer parameters than the published one. It lacks the two
+    coarser outputs, which serve self-supervised training, and layer normalizations that the published code
+    holds but does not use. Images need at least 17 pixels on each side.
 
     Args:
         size: ``"tiny"``, ``"small"``, ``"base"`` or ``"8m"``.
         dilations: ``"low"``, the paper's for images of 640 x 192, or ``"high"``, for 1024 x 320 (the
-            published 8M network has those of ``"low"`` for both).
-        drop_path: share of residual branches left out in training, at the deepest block; it grows linearly
-            from 0.
+            published 8M network uses ``"low"`` for both).
+        drop_path: probability of skipping the deepest residual branch in training; it grows linearly from 0
+            at the first.
 
     Raises:
         ValueError: an unknown size or set of dilations.

@@ -2,6 +2,7 @@
 
 import re
 from collections import OrderedDict
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,11 +17,11 @@ from eldenet.layers import ConvNormAct
 
 
 class Size(NamedTuple):
-    """One network of the paper.
+    """Sizes of one network of the paper.
 
     Attributes:
-        widths: channels of the stem, then at strides 2, 4, 8, 16, 32, then of the encoder's last convolution.
-        expansion: of the MobileNetV2 blocks.
+        widths: channels of the stem, at strides 2, 4, 8, 16, 32, and of the encoder's last convolution.
+        expansion: expansion factor of the MobileNetV2 blocks.
         tokens: channels of the transformers at strides 8, 16, 32.
         decoder: channels of the decoder at strides 32, 16, 8, 4.
     """
@@ -41,7 +42,7 @@ HEADS, HEAD_CHANNELS, PATCH = 4, 8, 2
 
 
 def _conv_pair(in_channels: int, out_channels: int, stride: int = 1) -> nn.Sequential:
-    """3x3 and 1x1 convolution, no bias. METER's code calls them separable; the first mixes all channels."""
+    """3x3 and 1x1 convolution without bias; the first is not depthwise, though METER calls them separable."""
     first = nn.Conv2d(in_channels, out_channels, 3, stride=stride, padding=1, bias=False)
     second = nn.Conv2d(out_channels, out_channels, 1, bias=False)
     return nn.Sequential(OrderedDict(spatial=first, pointwise=second))
@@ -88,13 +89,12 @@ class Attention(nn.Module):
 class TransformerBlock(nn.Module):
     """METER's block, after MobileViT's (Mehta and Rastegari, ICLR 2022): ``(B, C, H, W)`` -> the same.
 
-    Every second pixel in each direction attends to every other such pixel; sizes that 2 does not divide are
-    padded for it.
+    The pixels at one place of all 2x2 patches attend to each other; odd sizes are padded for it.
 
     Args:
         channels: C.
         width: channels of the tokens.
-        mlp_ratio: hidden channels of the transformer's MLP over ``width``.
+        mlp_ratio: hidden channels of the transformer's MLP divided by ``width``.
     """
 
     def __init__(self, channels: int, width: int, *, mlp_ratio: int) -> None:
@@ -125,7 +125,7 @@ class TransformerBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """Transposed convolution to twice the size, the encoder's feature beside it, convolutions, ReLU."""
+    """Transposed convolution to twice the size, concatenation with a skip, convolutions, ReLU."""
 
     def __init__(self, in_channels: int, skip_channels: int, out_channels: int) -> None:
         super().__init__()
@@ -143,17 +143,17 @@ class METER(Configurable, nn.Module):
     """METER: XXS 0.713 M parameters, XS 1.450 M, S 3.295 M.
 
     Papa et al., "METER: A Mobile Vision Transformer Architecture for Monocular Depth Estimation" (IEEE TCSVT
-    2023), built so that its published weights fit. The raw map has stride 4.
+    2023); the published weights fit. The raw map has stride 4.
 
     Args:
         size: ``"xxs"``, ``"xs"`` or ``"s"``.
         weights: a file of published weights, see :func:`load_published`.
 
     Raises:
-        ValueError: an unknown size, or weights that are not there or do not fit.
+        ValueError: an unknown size, or weights that do not exist or do not fit.
     """
 
-    transient_arguments = ("weights",)  # a saved model brings its own
+    transient_arguments = ("weights",)  # a saved model has weights of its own
 
     def __init__(self, size: str = "xxs", *, weights: str | None = None) -> None:
         super().__init__()
@@ -162,17 +162,10 @@ class METER(Configurable, nn.Module):
         widths, expansion, tokens, decoder = SIZES[size]
         stem, w2, w4, w8, w16, w32, last = widths
         self.stem = _pair_norm_act(3, stem, stride=2)
-        steps = (
-            (stem, w2, 1),
-            (w2, w4, 2),
-            (w4, w4, 1),
-            (w4, w4, 1),
-            (w4, w8, 2),
-            (w8, w16, 2),
-            (w16, w32, 2),
-        )
+        channels, strides = (stem, w2, w4, w4, w4, w8, w16, w32), (1, 2, 1, 1, 2, 2, 2)
         self.convolutions = nn.ModuleList(
-            InvertedResidual(wide, out, expansion=expansion, stride=stride) for wide, out, stride in steps
+            InvertedResidual(*pair, expansion=expansion, stride=stride)
+            for pair, stride in zip(pairwise(channels), strides, strict=True)
         )
         self.transformers = nn.ModuleList(
             TransformerBlock(channels, width, mlp_ratio=ratio)
@@ -238,19 +231,19 @@ _RENAMES = (
 
 
 def load_published(network: METER, path: str | Path) -> None:
-    """Load a file of METER's published weights: every tensor finds its place, and none is missing.
+    """Load a file of METER's published weights, without running code from it.
 
-    Convention: what the two published networks take and give (measured, the repository does not say):
+    Convention: inputs and outputs of the published networks (measured, the repository does not state them):
     NYU: ImageNet's normalization, 256 x 192 images, centimeters: ``ScaledHead(0.01)``;
     KITTI: no normalization (``mean=(0, 0, 0), std=(1, 1, 1)``), 636 x 192 images, decimeters:
     ``ScaledHead(0.1, max_depth=80)``.
 
     Args:
-        network: of the file's size (XXS is what was published).
-        path: the state dict of https://github.com/lorenzopapa5/METER, or one of this class's own names.
+        network: a network of the file's size (only XXS is published).
+        path: the state dict of https://github.com/lorenzopapa5/METER, or one with this class's names.
 
     Raises:
-        ValueError: no such file, or one that does not fit; nothing of it is executed.
+        ValueError: no such file, or one with missing, surplus or differently shaped tensors.
     """
     weights: Weights = {}
     for name, tensor in read_weights(path).items():

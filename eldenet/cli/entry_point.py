@@ -1,7 +1,8 @@
-"""A command of ours: Hydra's command line, errors that a user can act on, what was set and what was meant."""
+"""The entry point of every command: Hydra's command line, and errors that a user can act on."""
 
 import functools
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,59 +15,88 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue
 
-from eldenet.cli.help import explained
-from eldenet.config import USER_ERRORS, config_folder
+from eldenet.cli.help import advice, help_template
+from eldenet.config import USER_ERRORS, config_folder, resolver
 
 
-def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], Any]]:
+def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
     """Make ``main(config, run_folder)`` a command with Hydra's command line.
 
     A user's mistake (a wrong value, a missing file) ends in one line and exit code 1; ``hydra.verbose=true``
-    shows its traceback. Anything else is our bug and shows its traceback. In a sweep the other jobs go on.
+    shows its traceback. Any other error is a bug and shows its traceback. A sweep continues with its other
+    jobs.
     """
 
-    def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], Any]:
+    def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], None]:
+        composed = False
+
         @functools.wraps(main)
         def task(config: DictConfig) -> Any:
-            hydra_config = HydraConfig.get()
-            folder = Path(hydra_config.runtime.output_dir)
-            sweep = hydra_config.mode == RunMode.MULTIRUN
-            try:
-                if sweep and any(word.startswith("run_dir=") for word in hydra_config.overrides.task):
-                    raise ValueError(
-                        "run_dir is the folder of a single run: give a sweep's as hydra.sweep.dir=..., and "
-                        "each job's name in it as hydra.sweep.subdir=..."
-                    )
-                return main(config, folder)
-            except MissingMandatoryValue as error:
-                print(f"error: give {error.full_key}=... on the command line", file=sys.stderr)  # noqa: T201
-                if sweep:
-                    raise
-                raise SystemExit(1) from None
-            except USER_ERRORS as error:
-                logging.getLogger("eldenet").debug("", exc_info=True)
-                print(f"error: {error}", file=sys.stderr)  # noqa: T201
-                if sweep:
-                    raise  # Hydra notes it, runs the other jobs and fails at the end
-                raise SystemExit(1) from None
-            finally:
-                if not sweep and "run_dir" not in given_settings() and folder != Path.cwd():
-                    with suppress(OSError):
-                        folder.rmdir()  # Hydra made it; a mistake leaves it empty
+            nonlocal composed
+            composed = True
+            return _run(main, config)
 
-        parsed = hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)
-        return explained(config_name, sys.modules[main.__module__].__doc__ or "")(parsed(task))
+        @functools.wraps(main)
+        def command() -> None:
+            about = sys.modules[main.__module__].__doc__ or ""
+            resolver("command_help")(lambda: help_template(config_name, about))
+            words = sys.argv[1:]
+            try:
+                hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)(
+                    task
+                )()
+                sys.stdout.flush()
+            except SystemExit as end:
+                may_be_unknown = not composed or any(word.startswith("+") for word in words)
+                if end.code and may_be_unknown and (line := advice(config_name, words)):
+                    _print_error(line)
+                raise
+            except BrokenPipeError:  # as after `| head`
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for Python's last flush
+
+        return command
 
     return decorate
 
 
-def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
-    """What the command line set, ``{"policy.walkers": "policy.walkers=true"}``.
+def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
+    """Run a job and turn a user's mistake into one line."""
+    hydra_config = HydraConfig.get()
+    folder = Path(hydra_config.runtime.output_dir)
+    sweep = hydra_config.mode == RunMode.MULTIRUN
+    try:
+        if sweep and any(word.startswith("run_dir=") for word in hydra_config.overrides.task):
+            raise ValueError(
+                "run_dir is the folder of a single run: give a sweep's as hydra.sweep.dir=..., and the name "
+                "of each job in it as hydra.sweep.subdir=..."
+            )
+        return main(config, folder)
+    except (MissingMandatoryValue, *USER_ERRORS) as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        logging.getLogger("eldenet").debug("", exc_info=True)
+        if isinstance(error, MissingMandatoryValue):
+            _print_error(f"give {error.full_key}=... on the command line")
+        else:
+            _print_error(str(error))
+        if sweep:
+            raise  # Hydra runs the other jobs and fails at the end
+        raise SystemExit(1) from None
+    finally:
+        if not sweep and "run_dir" not in given_settings() and folder != Path.cwd():
+            with suppress(OSError):
+                folder.rmdir()  # Hydra made it; a mistake leaves it empty
 
-    A composed config does not tell it from the defaults.
+
+def _print_error(line: str) -> None:
+    print(f"error: {line}", file=sys.stderr)  # noqa: T201
+
+
+def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
+    """Return what the command line sets, as ``{"policy.walkers": "policy.walkers=true"}``.
 
     Args:
-        overrides: as typed; None: those of the command, or of the sweep's job, that runs.
+        overrides: as typed; None: those of the running command or job of a sweep.
     """
     if overrides is None:
         overrides = HydraConfig.get().overrides.task
@@ -75,7 +105,7 @@ def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
 
 
 def refuse_unread(names: Sequence[str], because: str) -> None:
-    """Raise ValueError if the command line sets one of these, or a part of it, which nothing would read."""
+    """Raise ``ValueError`` if the command line sets one of these settings, or a part of one."""
     unread = [key for key in given_settings() if key.partition(".")[0] in names]
     if unread:
         raise ValueError(f"{', '.join(unread)}: {because}")

@@ -1,107 +1,86 @@
-"""What a command says of itself: its help, and what was probably meant by a setting that it does not have."""
+"""Help texts of the commands, and advice on settings that do not exist."""
 
 import difflib
-import functools
-import os
 import re
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
-from omegaconf import DictConfig, OmegaConf
 
-from eldenet.config import compose, config_folder
+from eldenet.config import compose, config_folder, plain
+from eldenet.renames import KEYS, OPTIONS
 
-QUOTES = "a value with spaces or signs goes into two pairs of quotes: 'source=\"my photo (1).jpg\"'"
+QUOTES = "a value with spaces or special characters needs two pairs of quotes: 'source=\"my photo (1).jpg\"'"
 
 
-def explained(config_name: str, about: str) -> Callable[[Callable[[], Any]], Callable[[], Any]]:
-    """Decorate a command of Hydra's: ``--help`` shows its YAML file; a mistyped setting is answered.
+def help_template(config_name: str, about: str) -> str:
+    """Return Hydra's help template of a command: what it does, its YAML file with comments, all choices."""
+    settings = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
+    if "\n  - mode: " in settings:  # each mode adds settings of its own
+        for file in sorted((config_folder() / "mode").glob("*.yaml")):
+            settings += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
+    shown = f"{about.replace('``', '').strip()}\n\n{settings}".replace("$", "$$")
+    return (
+        f"{shown}\n\nChoices of all commands' groups:\n$APP_CONFIG_GROUPS\n"
+        f"Every setting: python -m eldenet.{config_name} --cfg job"
+    )
 
-    Hydra's own help has the settings without their comments and the groups of all commands. With a
-    ``--config-dir`` it stays, for it knows what lies there.
+
+def advice(config_name: str, words: Sequence[str]) -> str:
+    """Return one line on the override that made a command fail, or "" if none did.
 
     Args:
         config_name: of the command's YAML file.
-        about: what the command is for.
+        words: of the command line.
     """
-
-    def decorate(command: Callable[[], Any]) -> Callable[[], Any]:
-        @functools.wraps(command)
-        def run() -> Any:
-            words = sys.argv[1:]
-            if {"--help", "-h"} & set(words) and not any(
-                word.startswith(("--config", "-c")) for word in words
-            ):
-                _show(help_text(config_name, about))
-                return None
-            try:
-                return command()
-            except SystemExit as end:
-                if end.code and (meant := what_was_meant(config_name, words)):
-                    print(f"error: {meant}", file=sys.stderr)  # noqa: T201
-                raise
-
-        return run
-
-    return decorate
-
-
-def _show(text: str) -> None:
-    """Print, also into a pager that is left before the end (``| head``)."""
-    try:
-        print(text, flush=True)  # noqa: T201
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
-
-
-def help_text(config_name: str, about: str) -> str:
-    """What the command does, its YAML file with the comments, and the choices of its groups."""
-    folder = config_folder()
-    settings = (folder / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
-    groups = re.findall(r"^  - (?:optional )?(\w+): ", settings, re.MULTILINE)
-    groups += dict.fromkeys(re.findall(r"\+(\w+)=", settings))  # such as +experiment=...
-    inner = [f"{group}/{part.name}" for group in groups for part in sorted((folder / group).glob("*/"))]
-    choices = [
-        f"{group}: {', '.join(sorted(path.stem for path in (folder / group).glob('*.yaml')))}"
-        for group in [*groups, *inner]
-    ]
-    whole = f"Every setting there is: python -m eldenet.{config_name} --cfg job"
-    return "\n\n".join([about.replace("``", "").strip(), settings, *choices, whole])
-
-
-def what_was_meant(config_name: str, words: Sequence[str]) -> str:
-    """Of the words of a command that failed: the settings nearest to one that does not exist, or ""."""
     words = [word for word in words if "=" in word and not word.startswith("-")]
     try:
+        if renamed := _renamed(config_name, words):
+            return renamed
         compose(config_name, words)
+    except OverrideParseException:
+        return QUOTES
     except ValueError as error:
-        if isinstance(error.__cause__, OverrideParseException):
-            return QUOTES
         unknown = re.search(r"Could not override '(.+?)'", str(error))
-        return nearest(config_name, unknown[1], words) if unknown else ""
+        return _nearest(unknown[1], _settings(config_name, words)) if unknown else ""
     return ""
 
 
-def nearest(config_name: str, key: str, words: Sequence[str]) -> str:
-    """The settings that ``key`` may stand for, in words: those of its last name, or the one spelt alike."""
-    try:
-        known = settings_of(compose(config_name, [word for word in words if word.partition("=")[0] != key]))
-    except ValueError:  # another word is wrong, too
-        known = settings_of(compose(config_name))
+def _renamed(config_name: str, words: Sequence[str]) -> str:
+    """Return a line on the first override whose setting has another name now, or ""."""
+    known = _settings(config_name, words)
+    for override in OverridesParser.create().parse_overrides(list(words)):
+        *parents, last = str(override.key_or_group).split(".")
+        new_parents = [KEYS.get(part, part) for part in parents]
+        target = known.get(".".join([*new_parents, "_target_"]))
+        new = ".".join([*new_parents, (KEYS | OPTIONS.get(str(target), {})).get(last, last)])
+        if new != override.key_or_group:
+            return f"{override.key_or_group} is called {new} now"
+    return ""
+
+
+def _nearest(key: str, known: dict[str, Any]) -> str:
+    """Return the question whether the settings with the same last name, or a similar one, are meant."""
     last = key.rpartition(".")[2]
     alike = [name for name in known if name.rpartition(".")[2] == last]
     alike = alike or difflib.get_close_matches(key, known, 1)
     return f"there is no setting {key}: is {' or '.join(alike[:3])} meant?" if alike else ""
 
 
-def settings_of(config: DictConfig) -> list[str]:
-    """Dotted names of all settings and sections."""
+def _settings(config_name: str, words: Sequence[str]) -> dict[str, Any]:
+    """Return all settings and sections by dotted name, with the groups that ``words`` choose."""
+    config = None
+    for chosen in ([word for word in words if "." not in word.partition("=")[0]], []):
+        try:
+            config = compose(config_name, chosen)
+            break
+        except ValueError:  # a wrong choice
+            continue
 
-    def names(node: Any, prefix: str) -> list[str]:
-        if not isinstance(node, dict):
-            return []
-        return [name for key in node for name in (f"{prefix}{key}", *names(node[key], f"{prefix}{key}."))]
+    def flat(node: Any, prefix: str) -> dict[str, Any]:
+        entries = {f"{prefix}{key}": value for key, value in node.items()}
+        inner = [flat(value, f"{key}.") for key, value in entries.items() if isinstance(value, dict)]
+        return {key: value for part in (entries, *inner) for key, value in part.items()}
 
-    return names(OmegaConf.to_container(config, resolve=False), "")
+    return flat(plain(config, resolve=False), "")

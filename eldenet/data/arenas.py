@@ -1,16 +1,16 @@
-"""``arenas``: what the navigating robot's camera sees, rendered with rays; needs no download either."""
+"""``arenas``: the view of the navigating robot's camera, rendered with rays; needs no download."""
 
 from eldenet.data.rendered import RenderedScenes
-from eldenet.data.shards import Generator
+from eldenet.data.rendering import Generator
 
 
 class Arenas(RenderedScenes):
-    """Arenas with 0 to 80 obstacles and walking people, from dim to bright light, by the robot's camera.
+    """Arenas with 0 to 80 obstacles and walking people, in dim to bright light, as the robot sees them.
 
     The camera is level, 0.4 m above the floor, with a field of view of 69.4 degrees. Train, val and test
-    hold different arenas, all of navigation's training stream: drivers are chosen and reported on others.
+    hold different arenas, all of navigation's training stream; drivers are evaluated on other arenas.
     """
 
     generator = Generator(
-        "arenas", 1, "eldenet.simulation.arena_frames.render_arena", {(96, 128): "0223d0934865"}
+        "arenas", 1, "eldenet.simulation.arena_view.render_arena", {(96, 128): "0223d0934865"}
     )

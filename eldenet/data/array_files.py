@@ -1,4 +1,4 @@
-"""Files of plain numbers: ``.npy``, PFM and OpenEXR. A whole file, or a ``ValueError`` that names it."""
+"""Read bytes, text and arrays (``.npy``, PFM, OpenEXR); a damaged file is an error that names it."""
 
 import io
 import math
@@ -9,77 +9,75 @@ import numpy as np
 
 
 def read_bytes(path: Path) -> bytes:
-    """A file's content.
+    """Return a file's content.
 
     Raises:
-        FileNotFoundError: where there is no such file.
+        FileNotFoundError: there is no such file.
     """
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist{_or_folder(path)}: check root, or fetch the file again"
-        )
+    _check_file(path, "check data.root, or fetch the file again")
     return path.read_bytes()
 
 
 def read_text(path: Path, advice: str = "fetch it again") -> str:
-    """A text file's content.
+    """Return a text file's content.
 
     Args:
         path: of the file.
-        advice: what to do where it is not there or no text.
+        advice: what to do if it is missing or no text, for the message.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: it is no text.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is no text.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist{_or_folder(path)}: {advice}")
+    _check_file(path, advice)
     try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
+        text = path.read_text(encoding="utf-8-sig")  # some editors start files with a byte-order mark
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text file: {advice}") from error
     if "\0" in text:
-        raise ValueError(f"{path} is damaged (it holds zero bytes, text has none): {advice}")
+        raise ValueError(f"{path} is damaged (it contains zero bytes): {advice}")
     return text
 
 
-def _or_folder(path: Path) -> str:
-    return " as a file: it is a folder" if path.is_dir() else ""
+def _check_file(path: Path, advice: str) -> None:
+    if not path.is_file():
+        folder = " as a file, it is a folder" if path.is_dir() else ""
+        raise FileNotFoundError(f"{path} does not exist{folder}: {advice}")
 
 
 def read_array(path: Path) -> np.ndarray:
-    """A plain ``.npy`` file.
+    """Read a plain ``.npy`` file.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged or holds Python objects.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is cut, damaged or holds Python objects.
     """
     content = read_bytes(path)
     if content.startswith(b"PK"):
-        raise ValueError(f"{path} is an .npz archive, not an .npy file: write its array with numpy.save")
+        raise ValueError(f"{path} is an .npz archive, not an .npy file: store its array with numpy.save")
     try:
-        # No pickles: a data file must not run code.
+        # no pickles: a data file must not run code
         return np.load(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # a damaged header ends in anything from SyntaxError to MemoryError
+    except Exception as error:  # a damaged header raises anything from SyntaxError to MemoryError
         raise ValueError(
             f"{path} is cut or is no plain .npy file ({_short(error)}): fetch or write it again"
         ) from error
 
 
 def read_pfm(path: Path) -> np.ndarray:
-    """A portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
+    """Read a portable float map, ``(H, W)`` or ``(H, W, 3)`` float32.
 
-    Convention: rows come from the bottom up; the third line's sign is the byte order, and its size is not
-    multiplied in, as in Middlebury's and MiDaS's own readers.
+    Convention: rows are stored from the bottom up; the sign of the third line is the byte order, and its size
+    is ignored, as in Middlebury's and MiDaS's readers.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut or is no PFM.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is cut or is no PFM.
     """
     content = read_bytes(path)
     header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+]?[\d.]+(?:[eE][-+]?\d+)?)[ \t\r]*\n", content)
     if header is None:
-        raise ValueError(f"{path} is no PFM file, or is cut within its header: fetch or write it again")
+        raise ValueError(f"{path} is no PFM file, or is cut in its header: fetch or write it again")
     shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
     wanted, have = 4 * math.prod(shape), len(content) - header.end()
     if have < wanted:
@@ -90,12 +88,12 @@ def read_pfm(path: Path) -> np.ndarray:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """The one channel of an OpenEXR file, or any of several that are equal (gray), ``(H, W)``.
+    """Read the one channel of an OpenEXR file, or any of several equal ones (gray), ``(H, W)``.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ImportError: OpenEXR is not installed; OpenCV's wheels come without it.
-        ValueError: where the file is cut, damaged, or its channels differ.
+        FileNotFoundError: there is no such file.
+        ImportError: OpenEXR is not installed (OpenCV's wheels do not include it).
+        ValueError: the file is cut, damaged, or its channels differ.
     """
     read_bytes(path)
     try:
@@ -105,18 +103,18 @@ def read_exr(path: Path) -> np.ndarray:
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except Exception as error:  # the library raises several kinds
+    except Exception as error:  # the library raises several types
         raise ValueError(
             f"{path} is cut or is no OpenEXR file ({_short(error)}): fetch or write it again"
         ) from error
     if not channels:
-        raise ValueError(f"{path} has no channels: write depth as one channel")
+        raise ValueError(f"{path} has no channels: store depth as one channel")
     first, *others = channels.values()
     if not all(np.array_equal(first, other) for other in others):
-        raise ValueError(f"{path} has the channels {', '.join(channels)}: write depth alone, as one channel")
+        raise ValueError(f"{path} has the channels {', '.join(channels)}: store depth alone, as one channel")
     return first
 
 
 def _short(error: Exception) -> str:
-    """The first line of a library's message: some go on for a page."""
+    """Return the first line of a library's message, which may fill a page."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]

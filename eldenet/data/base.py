@@ -1,27 +1,28 @@
-"""What every data set shares: frames in, samples out, seeded per sample, split named by a hash."""
+"""The base classes of all data sets: frames in, samples out, seeded per sample."""
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, Unpack
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldenet.data.cache import FrameStore, open_store
-from eldenet.data.paths import check_files, missing_files, one_of
-from eldenet.geometry import resize_intrinsics, resize_sparse
+from eldenet.data.cache import FrameCache, open_cache
+from eldenet.data.paths import check_files, missing_files
+from eldenet.geometry import resize_image, resize_intrinsics, resize_sparse
+from eldenet.system.checks import one_of
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int]
 SPARSE = ("sparse", "improved")
-"""Kinds of ground truth that are single points: a resize moves them, and never mixes or multiplies them."""
+"""Kinds of ground truth that consist of single points: a resize moves each one and never mixes two."""
 
 
 class SampleOptions(TypedDict, total=False):
-    """The keyword arguments that every data set takes and hands on to :class:`DepthDataset`."""
+    """The keyword arguments that every data set passes on to :class:`DepthDataset`."""
 
     min_depth: float
     max_depth: float
@@ -29,110 +30,93 @@ class SampleOptions(TypedDict, total=False):
     transform: Transform | None
     resize_depth: bool
     seed: int
-    load_size: Sequence[int] | None
+    resize_on_load: Sequence[int] | None
     cache: str
     on_error: str
 
 
 class DepthDataset(Dataset[DepthSample]):
-    """A list of frames with depth. An adapter fills ``names`` and implements :meth:`load_frame`.
+    """A list of frames with depth. An adapter passes ``names`` and implements :meth:`load_frame`.
 
-    An index may be ``i`` or ``(epoch, i)``: the augmentation of a sample is drawn from
-    ``(seed, epoch, i)`` alone, so neither the number of workers nor a resumed run changes it.
+    An index is ``i`` or ``(epoch, i)``: the augmentation of a sample is drawn from ``(seed, epoch, i)``
+    alone, so neither the number of workers nor a resumed run changes it.
 
     Args:
         names: the frames of this split, in a fixed order.
-        min_depth: nearest depth that counts as known [m].
-        max_depth: farthest depth that counts as known [m].
-        input_size: ``(height, width)`` of the image that leaves the data set [px]; None keeps the frame's.
+        min_depth: nearest depth that counts as known [m]; None for the adapter's usual one.
+        max_depth: farthest depth that counts as known [m]; None for the adapter's usual one.
+        input_size: ``(height, width)`` of a sample's image [px]; None keeps the frame's.
         transform: augmentation or protocol geometry, ``(frame, generator) -> frame``.
-        resize_depth: True brings depth to ``input_size`` too (training); False keeps the ground truth's
-            own resolution (evaluation).
+        resize_depth: True resizes depth to ``input_size`` too (training); False keeps the ground truth's own
+            resolution (evaluation).
         seed: of the augmentation.
-        load_size: ``(height, width)`` a frame is resized to as soon as it is read, before the transform [px]:
-            an augmentation at the training size costs a tenth of one at the camera's. None keeps the frame's.
-        cache: keep the frames once read (and resized): "disk" for this run and later ones, "ram" for this
-            run alone, one copy for all workers; or "none". See :mod:`eldenet.data.cache`.
-        on_error: "stop" at a frame whose files are missing or cannot be read, or "skip": leave it out of
-            ``names`` and list it in ``skipped``. Missing files are found at once, the others by
-            :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
+        resize_on_load: ``(height, width)`` to which a frame is resized as soon as it is read, before the
+            transform [px]: augmenting at the training size costs a tenth of augmenting at the camera's. None
+            keeps the frame's.
+        cache: keeps frames once they are read (and resized): "disk" for this run and later ones, "ram" for
+            this run alone, one copy for all workers; or "none". See :mod:`eldenet.data.cache`.
+        on_error: what to do about a frame whose files are missing or cannot be read: "stop", or "skip", which
+            leaves it out of ``names`` and lists it in ``skipped``. Missing files are found at once, the
+            others by :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
 
     Attributes:
         names: the frames, in order.
         skipped: name -> reason of the frames that were left out.
 
     Raises:
-        ValueError: there are no frames, or a size is none.
+        ValueError: there are no frames, or an argument is out of its range.
     """
 
     ground_truth = "raw"
+    depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
-    class_names: tuple[str, ...] = ()  # of the semantic labels, by their number; none where they are not read
+    class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
         self,
         names: Sequence[str],
         *,
-        min_depth: float,
-        max_depth: float,
+        min_depth: float | None = None,
+        max_depth: float | None = None,
         input_size: Sequence[int] | None = None,
         transform: Transform | None = None,
         resize_depth: bool = True,
         seed: int = 0,
-        load_size: Sequence[int] | None = None,
+        resize_on_load: Sequence[int] | None = None,
         cache: str = "none",
         on_error: str = "stop",
     ) -> None:
         if not names:
-            raise ValueError(f"{type(self).__name__} found no frames: check root and split")
+            raise ValueError(f"{type(self).__name__} found no frames: check data.root and the split")
         one_of("on_error", on_error, ("stop", "skip"))
         one_of("cache", cache, ("none", "ram", "disk"))
-        self.on_error = on_error
-        self.skipped: dict[str, str] = {}
+        nearest = self.depth_range[0] if min_depth is None else min_depth
+        farthest = self.depth_range[1] if max_depth is None else max_depth
+        if nearest is None or farthest is None:
+            raise ValueError("min_depth or max_depth is missing: give the depth that counts as known [m]")
+        self.min_depth, self.max_depth = nearest, farthest
         self.names = list(names)
-        self.min_depth, self.max_depth = min_depth, max_depth
-        if input_size is not None and (not isinstance(input_size, Sequence) or len(input_size) != 2):
-            raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
-        self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
-        self.transform = transform
-        self.resize_depth = resize_depth
-        self.seed = seed
-        self.load_size = None if load_size is None else (int(load_size[0]), int(load_size[1]))
-        self.cache = cache
-        self._store: FrameStore | None = None
+        self.skipped: dict[str, str] = {}
+        self.input_size = _size("input_size", input_size)
+        self.resize_on_load = _size("resize_on_load", resize_on_load)
+        self.transform, self.seed, self.resize_depth = transform, seed, resize_depth
+        self.cache, self.on_error = cache, on_error
+        self._cache: FrameCache | None = None
 
     def load_frame(self, index: int) -> Frame:
         """Read frame ``index`` from disk, decoded to RGB and meters."""
         raise NotImplementedError
 
     def frame_files(self, index: int) -> Sequence[Path]:
-        """The files that frame ``index`` is read from: where one changes, a disk cache reads it again."""
+        """Return the files that frame ``index`` is read from; a disk cache watches them for changes."""
         raise ValueError(
-            f"{type(self).__name__} does not say which files a frame is read from, so a disk cache would not "
-            "notice when they change: write its frame_files, or take cache=ram"
+            f"{type(self).__name__} has no frame_files method, so a disk cache cannot notice when files "
+            "change: add one, or set cache=ram"
         )
 
     def frame_settings(self) -> dict[str, object]:
-        """The adapter's own settings that :meth:`load_frame` depends on, as plain values: for a cache."""
+        """Return the adapter's settings that :meth:`load_frame` depends on, as plain values for a cache."""
         return {}
-
-    def check_frames(self, root: Path, files: Sequence[Sequence[str]]) -> None:
-        """Stop at frames whose files are not there, or leave them out; an adapter's constructor ends with it.
-
-        Args:
-            root: of the data set.
-            files: of every frame, relative to ``root``.
-
-        Raises:
-            FileNotFoundError: naming the missing files, where ``on_error`` is "stop".
-        """
-        every = [file for frame in files for file in frame]
-        if self.on_error == "stop":
-            check_files(root, every)
-            return
-        missing = set(missing_files(root, every))
-        reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
-        self.leave_out({i: f"missing: {', '.join(lost)}" for i, lost in reasons.items() if lost})
 
     def leave_out(self, reasons: Mapping[int, str]) -> None:
         """Drop the frames of these indices and remember why.
@@ -148,16 +132,26 @@ class DepthDataset(Dataset[DepthSample]):
             raise ValueError(f"all {len(self)} frames were left out, such as: {some}")
         self._keep([index for index in range(len(self)) if index not in reasons])
 
+    def leave_out_unreadable(self) -> None:
+        """Read every frame once and leave out those that cannot be read."""
+        reasons = {}
+        for index in range(len(self)):
+            try:
+                self.load_frame(index)
+            except (ValueError, OSError) as error:
+                reasons[index] = str(error)
+        self.leave_out(reasons)
+
     def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
-        """Keep a draw of the frames, in their order: the same ones on every machine.
+        """Keep a random subset of the frames, in their order: the same one on every machine.
 
         Args:
-            places: how many, or ``(first, end)``: these places of the frames shuffled by ``seed``. Ranges
-                that do not overlap share no frame.
-            seed: of the draw.
+            places: how many, or ``(first, end)``: this range of the frames shuffled by ``seed``. Ranges that
+                do not overlap share no frame.
+            seed: of the shuffle.
 
         Raises:
-            ValueError: there are fewer.
+            ValueError: there are fewer frames.
         """
         span = [0, places] if isinstance(places, int) else list(places)
         if len(span) != 2 or not 0 <= span[0] < span[1] <= len(self):
@@ -171,25 +165,15 @@ class DepthDataset(Dataset[DepthSample]):
         for name in self.frame_lists:
             entries = getattr(self, name)
             setattr(self, name, [entries[index] for index in indices])
-        self._store = None
-
-    def leave_out_unreadable(self) -> None:
-        """Read every frame once and leave out those that cannot be read."""
-        reasons = {}
-        for index in range(len(self)):
-            try:
-                self.load_frame(index)
-            except (ValueError, OSError) as error:
-                reasons[index] = str(error)
-        self.leave_out(reasons)
+        self._cache = None
 
     @property
     def split_hash(self) -> str:
-        """First 16 hex digits of the SHA-256 over the frame names in order: names the split in reports."""
+        """First 16 hex digits of the SHA-256 over the frame names in order; names the split in reports."""
         return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
 
     def size_group(self, index: int) -> Hashable:
-        """Frames of one group have one size, which a cache makes room for; by default all are of one."""
+        """Return a key that frames of one size share; by default all frames have one size."""
         return None
 
     def __len__(self) -> int:
@@ -197,7 +181,11 @@ class DepthDataset(Dataset[DepthSample]):
 
     def __getitem__(self, key: SampleKey) -> DepthSample:
         epoch, index = key if isinstance(key, tuple) else (0, key)
-        frame = self._ready_frame(index)
+        self.open_cache()
+        if self._cache is None:
+            frame = self.read_ready(index)
+        else:
+            frame = self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
         if self.transform is not None:
             frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
         if self.input_size is not None:
@@ -205,47 +193,104 @@ class DepthDataset(Dataset[DepthSample]):
         return to_sample(frame, self.min_depth, self.max_depth)
 
     def open_cache(self) -> None:
-        """Open the frame cache, if there is to be one: once, before worker processes that shall share it.
+        """Open the frame cache, if ``cache`` asks for one; call it before starting workers that share it.
 
         Raises:
             ValueError: cache=ram and too little memory, or cache=disk and no ``frame_files``.
         """
-        if self.cache != "none" and self._store is None:
-            self._store = open_store(self)
-            if self._store is None:
+        if self.cache != "none" and self._cache is None:
+            self._cache = open_cache(self)
+            if self._cache is None:
                 self.cache = "none"
 
-    def _ready_frame(self, index: int) -> Frame:
-        self.open_cache()
-        if self._store is None:
-            return self.read_ready(index)
-        return self._store.frame(index, self.names[index], self.frame_files, self.read_ready)
-
     def read_ready(self, index: int) -> Frame:
-        """Frame ``index`` read from its files and brought to ``load_size``; what a cache keeps."""
+        """Read frame ``index`` from its files and resize it to ``resize_on_load``: what a cache stores."""
         frame = self.load_frame(index)
-        return frame if self.load_size is None else self._resized(frame, self.load_size)
+        return frame if self.resize_on_load is None else self._resized(frame, self.resize_on_load)
 
     def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
         sparse = self.ground_truth in SPARSE
         return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 
 
-def resize_frame(
-    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False
-) -> Frame:
-    """Resize image (area or bilinear) and, if asked, depth (nearest: meters of two surfaces do not mix).
+class FileDataset(DepthDataset):
+    """Frames of a few files each, such as a picture and a depth map.
 
-    Sparse depth keeps its points instead (:func:`~eldenet.geometry.resize_sparse`): nearest would lose most.
+    Args:
+        root: of the data set.
+        names: of the frames.
+        files: of each frame, relative to ``root``.
+        **options: see :class:`DepthDataset`.
+
+    Raises:
+        FileNotFoundError: files are missing, and ``on_error`` is "stop".
+    """
+
+    frame_lists: tuple[str, ...] = ("names", "files")
+    where_files_are = ""  # added to the error about missing files
+
+    def __init__(
+        self,
+        root: Path,
+        names: Sequence[str],
+        files: Sequence[Sequence[str]],
+        **options: Unpack[SampleOptions],
+    ) -> None:
+        super().__init__(names, **options)
+        self.root, self.files = root, list(files)
+        every = [file for frame in files for file in frame]
+        if self.on_error == "stop":
+            check_files(root, every, self.where_files_are)
+            return
+        missing = set(missing_files(root, every))
+        reasons = {i: [str(root / f) for f in frame if f in missing] for i, frame in enumerate(files)}
+        self.leave_out(
+            {i: f"missing: {', '.join(lost)}{self.where_files_are}" for i, lost in reasons.items() if lost}
+        )
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Return every file of the frame."""
+        return [self.root / file for file in self.files[index]]
+
+
+def check_pair(one: tuple[int, ...], file: Path, other: tuple[int, ...], other_file: Path) -> None:
+    """Raise ``ValueError`` if two files of a frame, of shapes ``(height, width, ...)``, differ in size."""
+    if one[:2] != other[:2]:
+        raise ValueError(
+            f"{file} is {one[0]}x{one[1]}, {other_file} is {other[0]}x{other[1]} (height x "
+            "width): the files of a frame must have one size"
+        )
+
+
+def _size(name: str, size: Sequence[int] | None) -> tuple[int, int] | None:
+    if size is None:
+        return None
+    if not isinstance(size, Sequence) or len(size) != 2:
+        raise ValueError(f"{name}={size}: give [height, width] in pixels, or null")
+    return int(size[0]), int(size[1])
+
+
+def resize_frame(
+    frame: Frame, size: tuple[int, int], *, resize_depth: bool = True, sparse: bool = False, area: bool = True
+) -> Frame:
+    """Resize the image and, if asked, depth and labels (nearest, so that no two surfaces mix).
+
+    Sparse depth keeps its points (:func:`~eldenet.geometry.resize_sparse`); nearest would lose most of them.
+
+    Args:
+        frame: to resize.
+        size: ``(height, width)`` [px].
+        resize_depth: whether depth and labels are resized too.
+        sparse: whether depth consists of single points.
+        area: shrink the image by averaging areas; False takes bilinear interpolation for that too.
     """
     import cv2
 
     image, depth, intrinsics, name, labels = frame
     if image.shape[:2] != size:
-        shrink = image.shape[:2] > tuple(size)  # in height; in width where that stays
         if intrinsics is not None:
             intrinsics = resize_intrinsics(intrinsics, (image.shape[0], image.shape[1]), size)
-        image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+        image = resize_image(image, size, area=area)
     if resize_depth and depth.shape != size:
         if labels is not None:
             labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
@@ -257,7 +302,7 @@ def resize_frame(
 
 
 def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
-    """Turn a camera frame into tensors; depth outside the range is unknown from here on."""
+    """Turn a frame into tensors; depth outside the range becomes unknown."""
     known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
     depth = np.where(known, frame.depth, 0.0).astype(np.float32)
     intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
@@ -273,8 +318,8 @@ def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
     return sample
 
 
-class Chain:
-    """Several transforms one after the other, drawing from one generator."""
+class Compose:
+    """Several transforms one after the other, which draw from one generator."""
 
     def __init__(self, steps: Sequence[Transform]) -> None:
         self.steps = list(steps)

@@ -1,70 +1,37 @@
-"""Decoded frames kept for the next epoch, on disk or in memory, shared by every process that reads them.
+"""The frame cache of a data set: frames as they are once read and resized, kept for the next epoch.
 
-One store is one memory-mapped file of slots, a frame in each: a header, the image as uint8, the depth as
-float32. The header is written after the pixels and holds their checksum, which every read checks. So whatever
-a killed process, a lost power supply or two writers leave in a slot is whole, or is read again from the files
-of the frame. "disk" is a file below the cache folder; "ram" is a file without a name that lives in memory and
-ends with its processes.
+"disk" is a file below the cache folder, for this run and later ones; "ram" is a file in memory for this run
+alone. Either is one :class:`~eldenet.data.frame_store.FrameStore` for all worker processes.
 """
 
 import hashlib
 import inspect
 import json
 import logging
-import mmap
 import os
 import shutil
-import struct
-import tempfile
-import zlib
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from multiprocessing.context import get_spawning_popen
-from multiprocessing.reduction import DupFd
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from eldenet.data.shards import default_cache
+from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
+from eldenet.data.paths import default_cache
 from eldenet.system.resources import available_memory
 from eldenet.types import Frame
 
-#: Of the slots, and of how eldenet's data sets read a frame: raise it when either changes.
+if TYPE_CHECKING:
+    from eldenet.data.base import DepthDataset
+
+#: Version of the slots and of how eldenet's data sets read a frame: raise it when either changes.
 VERSION = 2
-# stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of these and pixels
-_FIELDS, _SUM = struct.Struct("<16s4ii9d"), struct.Struct("<I")
-HEADER = _FIELDS.size + _SUM.size
-PAGE = 4096
 _LOG = logging.getLogger("eldenet")
 
 
-class CachedFrames(Protocol):
-    """What a store has to know of a data set (:class:`~eldenet.data.base.DepthDataset`)."""
-
-    cache: str
-    ground_truth: str
-    load_size: tuple[int, int] | None
-    resize_depth: bool
-
-    @property
-    def split_hash(self) -> str: ...  # noqa: D102
-
-    def __len__(self) -> int: ...
-
-    def frame_settings(self) -> Mapping[str, object]: ...  # noqa: D102
-
-    def frame_files(self, index: int) -> Sequence[Path]: ...  # noqa: D102
-
-    def size_group(self, index: int) -> Hashable: ...  # noqa: D102
-
-    def read_ready(self, index: int) -> Frame: ...  # noqa: D102
-
-
-def open_store(dataset: CachedFrames) -> "FrameStore | None":
-    """The store of a data set whose ``cache`` is "ram" or "disk"; None where the disk does not take it.
+def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
+    """Open the cache of a data set whose ``cache`` is "ram" or "disk"; None if the folder cannot be written.
 
     Raises:
-        ValueError: the memory does not hold it, or a data set that no disk cache can watch.
+        ValueError: the memory is too small, or a disk cache cannot notice changes of this data set.
     """
     slot = _slot_bytes(dataset)
     size = len(dataset) * slot
@@ -72,23 +39,23 @@ def open_store(dataset: CachedFrames) -> "FrameStore | None":
         free = available_memory() // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
         if size > free:
             raise ValueError(
-                f"cache=ram wants {_gigabytes(size)} for {len(dataset)} frames, {_gigabytes(free)} are free: "
-                "take cache=disk, cache=none, or a smaller load_size"
+                f"cache=ram needs {_gigabytes(size)} for {len(dataset)} frames, {_gigabytes(free)} are free: "
+                "set cache=disk, cache=none, or a smaller resize_on_load"
             )
         _LOG.info("frame cache in memory: up to %s for %d frames", _gigabytes(size), len(dataset))
-        return FrameStore(None, len(dataset), slot)
-    folder = default_cache().expanduser() / "frames" / _folder_name(dataset, slot)
+        return FrameCache(None, len(dataset), slot)
+    folder = default_cache() / "frames" / _folder_name(dataset, slot)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "about.json").write_text(json.dumps(_identity(dataset), indent=1))
-        store = FrameStore(folder / "frames.bin", len(dataset), slot)
+        cache = FrameCache(folder / "frames.bin", len(dataset), slot)
         held = (folder / "frames.bin").stat().st_blocks * 512
         free = shutil.disk_usage(folder).free
     except OSError as error:
         _LOG.warning("no frame cache in %s (%s): every frame is read from its files", folder, error)
         return None
     _LOG.info(
-        "frame cache: %s, %s once all %d frames are in it (now %s); remove the folder to be rid of it",
+        "frame cache: %s, %s once all %d frames are in it (now %s); to free the space, remove the folder",
         folder,
         _gigabytes(size),
         len(dataset),
@@ -96,56 +63,30 @@ def open_store(dataset: CachedFrames) -> "FrameStore | None":
     )
     if size - held > free:
         _LOG.warning(
-            "frame cache: %s are free there, %s are missing: frames that find no room are read from their "
-            "files each time",
-            _gigabytes(free),
+            "frame cache: %s are needed, %s are free: frames that do not fit are read from their files",
             _gigabytes(size - held),
+            _gigabytes(free),
         )
-    return store
+    return cache
 
 
-class FrameStore:
-    """``count`` slots of ``slot`` bytes in a file that any number of processes read and write at once.
-
-    Args:
-        path: of the file, made where it is not there; None for one in memory. Pickled to a worker process
-            that is being started, either is the same store there.
-        count: frames.
-        slot: bytes of each, header included.
-        handle: of an open file to use instead.
-
-    Raises:
-        OSError: the file cannot be made.
-    """
+class FrameCache(FrameStore):
+    """The frames of a data set, each read from its files once and again when they change."""
 
     def __init__(self, path: Path | None, count: int, slot: int, handle: int | None = None) -> None:
-        self.path, self.count, self.slot = path, count, slot
-        self.handle = _open(path) if handle is None else handle
-        if os.fstat(self.handle).st_size < count * slot:
-            os.ftruncate(self.handle, count * slot)  # sparse: takes no room yet
-        self._map = mmap.mmap(self.handle, count * slot, access=mmap.ACCESS_READ)
+        super().__init__(path, count, slot, handle)
         self._stamps: dict[int, bytes] = {}
         self._warned: set[str] = set()
-
-    def __del__(self) -> None:
-        if hasattr(self, "handle"):
-            os.close(self.handle)
-
-    def __reduce__(self) -> Any:
-        if self.path is None and get_spawning_popen() is None:
-            return type(None), ()  # a copy that is no worker's gets a memory of its own
-        shared = DupFd(self.handle) if self.path is None else None
-        return _reopened, (self.path, self.count, self.slot, shared)
 
     def frame(
         self, index: int, name: str, files: Callable[[int], Sequence[Path]], read: Callable[[int], Frame]
     ) -> Frame:
-        """Frame ``index`` from its slot, else from ``read(index)``, and into the slot.
+        """Return frame ``index`` from its slot, else from ``read(index)``, which then fills the slot.
 
         Args:
             index: of the frame.
             name: of the frame.
-            files: the files that a frame is read from; asked for a store on disk, at the frame's first read.
+            files: returns the files that a frame is read from; called for a cache on disk alone.
             read: reads a frame.
         """
         stamp = self._stamps.get(index)
@@ -154,71 +95,31 @@ class FrameStore:
         frame = self.get(index, stamp, name)
         if frame is None:
             frame = read(index)
-            # files that changed while they were read, or since: the next process looks again
+            # if the files changed while they were read, or since, the next process reads them again
             if "full" not in self._warned and self._stamp(name, files, index) == stamp:
-                self.put(index, stamp, frame)
+                self._keep(index, stamp, frame)
         return frame
 
-    def get(self, index: int, stamp: bytes, name: str) -> Frame | None:
-        """A copy of the frame in a slot, or None if there is no whole one with this stamp."""
-        start = index * self.slot
-        header = self._map[start : start + HEADER]
-        if header[:16] != stamp:
-            return None
-        _, rows, cols, depth_rows, depth_cols, has_intrinsics, *camera = _FIELDS.unpack_from(header)
-        pixels, points = rows * cols * 3, depth_rows * depth_cols
-        if min(pixels, points) < 0 or HEADER + pixels + 4 * points > self.slot:
-            return None
-        image = np.frombuffer(self._map, np.uint8, pixels, start + HEADER).reshape(rows, cols, 3).copy()
-        depth = np.frombuffer(self._map, np.float32, points, start + HEADER + pixels).copy()
-        # of the copies: nobody writes to these any more
-        if _checksum(header[: _FIELDS.size], image, depth) != _SUM.unpack_from(header, _FIELDS.size)[0]:
-            return None
-        intrinsics = np.array(camera).reshape(3, 3) if has_intrinsics else None
-        return Frame(image, depth.reshape(depth_rows, depth_cols), intrinsics, name)
-
-    def put(self, index: int, stamp: bytes, frame: Frame) -> None:
-        """Write a frame into its slot: pixels first, header last.
-
-        Raises:
-            ValueError: image or depth are of another type than :class:`~eldenet.types.Frame` says, or it has
-                labels, which a slot has no room for.
-        """
-        if frame.labels is not None:
-            raise ValueError(f"{frame.name}: a cache keeps no labels, take labels=false or cache=none")
-        image, depth = np.ascontiguousarray(frame.image), np.ascontiguousarray(frame.depth)
-        if image.dtype != np.uint8 or depth.dtype != np.float32:
-            raise ValueError(
-                f"{frame.name}: load_frame gave {image.dtype} image and {depth.dtype} depth, a cache keeps "
-                "uint8 and float32"
-            )
-        if HEADER + image.nbytes + depth.nbytes > self.slot:
-            self._warn("large", f"{frame.name} is larger than the first frame: frames like it are not cached")
-            return
-        camera = np.zeros(9) if frame.intrinsics is None else np.asarray(frame.intrinsics).ravel()
-        has_intrinsics = int(frame.intrinsics is not None)
-        fields = _FIELDS.pack(stamp, *image.shape[:2], *depth.shape, has_intrinsics, *camera)
-        header = fields + _SUM.pack(_checksum(fields, image, depth))
-        start = index * self.slot
+    def _keep(self, index: int, stamp: bytes, frame: Frame) -> None:
         try:
-            # not through the map: a full disk would end the process there, and gives an error here
-            _write(self.handle, image.tobytes() + depth.tobytes(), start + HEADER)
-            _write(self.handle, header, start)
+            if not self.put(index, stamp, frame):
+                self._warn(
+                    "large", f"{frame.name} is larger than the first frame: frames like it are not cached"
+                )
         except OSError as error:
             self._warn(
                 "full",
-                f"the frame cache takes no more frames ({error}): {self.path or 'memory'}. The work goes on, "
-                "the others are read from their files; make room, or take another $ELDENET_CACHE",
+                f"the frame cache {self.path or 'in memory'} is full ({error}): the others are read "
+                "from their files; free some space, or set $ELDENET_CACHE to another folder",
             )
 
     def _stamp(self, name: str, files: Callable[[int], Sequence[Path]], index: int) -> bytes:
-        """Sixteen bytes that change with the frame's files."""
         state = [name]
         if self.path is not None:
             for file in files(index):
                 found = os.stat(file)
                 state.append(f"{file}|{found.st_size}|{found.st_mtime_ns}|{found.st_ctime_ns}")
-        return hashlib.sha256("\n".join(state).encode()).digest()[:16]
+        return make_stamp(*state)
 
     def _warn(self, what: str, message: str) -> None:
         if what not in self._warned:
@@ -226,43 +127,15 @@ class FrameStore:
             _LOG.warning("%s", message)
 
 
-def _open(path: Path | None) -> int:
-    if path is not None:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("eldenet-frames")
-    with tempfile.TemporaryFile() as file:  # no Linux: without a name, in memory if it fits
-        return os.dup(file.fileno())
-
-
-def _reopened(path: Path | None, count: int, slot: int, shared: Any) -> "FrameStore | None":
-    try:
-        return FrameStore(path, count, slot, None if shared is None else shared.detach())
-    except OSError as error:
-        _LOG.warning("no frame cache in %s (%s): every frame is read from its files", path, error)
-        return None
-
-
-def _write(handle: int, content: bytes, start: int) -> None:
-    done = 0
-    while done < len(content):
-        done += os.pwrite(handle, content[done:], start + done)
-
-
-def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:
-    return zlib.crc32(depth.data, zlib.crc32(image.data, zlib.crc32(fields)))
-
-
-def _slot_bytes(dataset: CachedFrames) -> int:
-    """Room for the largest frame, as far as the first one of every size group tells."""
+def _slot_bytes(dataset: "DepthDataset") -> int:
+    """Bytes for the largest frame, judged by the first frame of every size group."""
     first = {dataset.size_group(index): index for index in reversed(range(len(dataset)))}
     frames = [dataset.read_ready(index) for index in first.values()]
-    largest = max(frame.image.nbytes + frame.depth.nbytes for frame in frames)
-    return -(-(HEADER + largest) // PAGE) * PAGE
+    return slot_size(max(frame.image.nbytes + frame.depth.nbytes for frame in frames))
 
 
-def _identity(dataset: CachedFrames) -> dict[str, object]:
-    """Everything that a store's frames depend on except the files: each slot has a stamp of its own."""
+def _identity(dataset: "DepthDataset") -> dict[str, Any]:
+    """Everything that the cached frames depend on except the files, which each slot has a stamp of."""
     import cv2
 
     kind = type(dataset)
@@ -276,14 +149,14 @@ def _identity(dataset: CachedFrames) -> dict[str, object]:
     except (TypeError, OSError) as error:
         raise ValueError(
             f"{kind.__name__} is defined in no file, so a disk cache cannot notice when its code changes: "
-            "move it into a module, or use cache=ram"
+            "move it into a module, or set cache=ram"
         ) from error
     return {
         "version": VERSION,
         "data set": f"{kind.__module__}.{kind.__qualname__}",
         "settings": dataset.frame_settings(),
         "ground truth": dataset.ground_truth,
-        "load_size": dataset.load_size,
+        "resize_on_load": dataset.resize_on_load,
         "resize_depth": dataset.resize_depth,
         "frames": dataset.split_hash,
         "first files": [str(file) for file in dataset.frame_files(0)],
@@ -292,7 +165,7 @@ def _identity(dataset: CachedFrames) -> dict[str, object]:
     }
 
 
-def _folder_name(dataset: CachedFrames, slot: int) -> str:
+def _folder_name(dataset: "DepthDataset", slot: int) -> str:
     identity = json.dumps([_identity(dataset), slot], sort_keys=True)
     return f"{type(dataset).__name__}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
 

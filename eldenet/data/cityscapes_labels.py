@@ -1,4 +1,4 @@
-"""Semantic labels of Cityscapes: the official pictures of ids, and MTAN's arrays, as numbers of classes."""
+"""Semantic labels of Cityscapes as class numbers: the official label pictures, and MTAN's arrays."""
 
 from pathlib import Path
 
@@ -29,34 +29,34 @@ CLASS_IDS = {
     "motorcycle": 32,
     "bicycle": 33,
 }
-"""The 19 classes that are scored, in the order of the official train ids 0 to 18, with their label id."""
+"""The 19 scored classes, in the order of the official train ids 0 to 18, with their label ids."""
 _LARGEST_ID = 33
 _CLASS_OF_ID = np.full(256, NO_CLASS, np.uint8)
 _CLASS_OF_ID[list(CLASS_IDS.values())] = np.arange(len(CLASS_IDS))
 
 
 def read_label_ids(path: Path) -> np.ndarray:
-    """Classes ``(H, W)`` uint8, 0 to 18, 255 = none of them, of a ``*_gtFine_labelIds.png``.
+    """Read a ``*_gtFine_labelIds.png`` as classes ``(H, W)`` uint8, 0 to 18, 255 = none.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: it is damaged, or holds something else than ids.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, or holds no label ids.
     """
     ids = read_raw_depth(path)
     if ids.dtype != np.uint8 or (ids[ids != NO_CLASS] > _LARGEST_ID).any():
         raise ValueError(
-            f"{path} holds {ids.dtype} up to {ids.max(initial=0)}, wanted label ids 0 to {_LARGEST_ID} in "
-            "eight bits: is it *_gtFine_labelIds.png? fetch gtFine_trainvaltest.zip"
+            f"{path} holds {ids.dtype} up to {ids.max(initial=0)}, expected label ids 0 to {_LARGEST_ID} in "
+            "8 bits: is it *_gtFine_labelIds.png? If not, fetch gtFine_trainvaltest.zip"
         )
     return _CLASS_OF_ID[ids]
 
 
 def read_label_array(path: Path, classes: int) -> np.ndarray:
-    """Classes ``(H, W)`` uint8, 255 = none, of an ``.npy`` of whole numbers; below 0, and 255, is none.
+    """Read an ``.npy`` of whole numbers as classes ``(H, W)`` uint8; below 0 and 255 become 255 = none.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: it is damaged, or holds numbers that are no class.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, or holds numbers that are no class.
     """
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -65,21 +65,21 @@ def read_label_array(path: Path, classes: int) -> np.ndarray:
     fit = values.ndim == 2 and values.dtype.kind in "iuf" and np.isfinite(values).all()
     if not fit or (values[known] >= classes).any() or (values[known] % 1 != 0).any():
         raise ValueError(
-            f"{path} is {values.shape} {values.dtype}, wanted (H, W) of whole numbers 0 to {classes - 1}, "
-            "-1 for none: fetch it again, or do without (data.labels=false)"
+            f"{path} is {values.shape} {values.dtype}, expected (H, W) of whole numbers 0 to {classes - 1} "
+            "or -1 for none: fetch it again, or set data.labels=false"
         )
     return np.where(known, values, NO_CLASS).astype(np.uint8)
 
 
 def wanted_labels(labels: bool | str, found: bool, where: str) -> bool:
-    """Whether labels are to be read; ``labels`` is True, False or "auto", which takes what is there.
+    """Whether to read labels; ``labels`` is True, False or "auto", which reads them if they exist.
 
     Raises:
-        FileNotFoundError: they are asked for and not there.
-        ValueError: for another setting.
+        FileNotFoundError: ``labels`` is True and there are none.
+        ValueError: ``labels`` is something else.
     """
     if labels not in (True, False, "auto"):
         raise ValueError(f"labels={labels!r}: give true, false or auto")
     if labels is True and not found:
-        raise FileNotFoundError(f"labels=true, but there is no {where}: fetch the labels, or labels=auto")
+        raise FileNotFoundError(f"labels=true, but there is no {where}: fetch the labels, or set labels=auto")
     return found and labels is not False

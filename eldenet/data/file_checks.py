@@ -1,40 +1,18 @@
-"""Is a picture's file whole? One check per format, on its bytes: decoders pass over much in silence.
+"""Checks that a picture's file is whole: OpenCV returns a full-size picture from a third of a file.
 
-A check returns what is wrong, or "". A new format is one row in ``FORMATS``.
+One check per format, on its bytes, returns what is wrong or "". A new format is one row in ``FORMATS``.
 """
 
-import os
 import re
-import sys
-import tempfile
-import threading
 import zlib
 from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
-_JPEG_MARKER = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # any marker that ends entropy-coded data
-
-
-def _jpeg_fault(content: bytes) -> str:
-    """Walk the segments to the end-of-image marker; what follows it (a camera's padding) does not matter."""
-    if content.endswith(b"\xff\xd9"):
-        return ""  # compressed data cannot hold this marker, so there is nothing to look for
-    at = 2
-    while found := _JPEG_MARKER.search(content, at):
-        marker, at = content[found.end() - 1], found.end()
-        if marker == 0xD9:
-            return ""
-        if marker not in (0x01, 0xD8):
-            if at + 2 > len(content):
-                break
-            at += int.from_bytes(content[at : at + 2], "big")
-    return "no end-of-image marker"
-
 
 def _png_fault(content: bytes) -> str:
-    """Walk the chunks to IEND, checking each check sum."""
+    """Check every chunk's checksum up to IEND."""
     at = 8
     while at + 12 <= len(content):
         length = int.from_bytes(content[at : at + 4], "big")
@@ -42,17 +20,20 @@ def _png_fault(content: bytes) -> str:
         if end > len(content):
             return f"chunk at byte {at} is incomplete"
         if zlib.crc32(memoryview(content)[at + 4 : end - 4]) != int.from_bytes(content[end - 4 : end], "big"):
-            return f"wrong check sum in the chunk at byte {at}"
+            return f"wrong checksum in the chunk at byte {at}"
         if content[at + 4 : at + 8] == b"IEND":
             return ""
         at = end
     return "no IEND chunk"
 
 
+# a number of a header, after white space and comments; possessive, so that no input takes quadratic time
+_NUMBER = rb"(?:\s|#[^\n]*+\n)++(\d{1,9}+)"
+_NETPBM = re.compile(rb"P([56])" + 3 * _NUMBER + rb"\s")
+
+
 def _netpbm_fault(content: bytes) -> str:
-    header = re.match(
-        rb"P([56])(?:\s+|#[^\n]*\n)+(\d+)\s+(?:#[^\n]*\n)*(\d+)\s+(?:#[^\n]*\n)*(\d+)\s", content
-    )
+    header = _NETPBM.match(content)
     if header is None:
         return "incomplete header"
     kind, width, height, peak = (int(g) for g in header.groups())
@@ -67,7 +48,7 @@ def _bmp_fault(content: bytes) -> str:
 
 
 def _tiff_fault(content: bytes) -> str:
-    """Every strip or tile of every directory must lie within the file."""
+    """Check that every strip or tile lies within the file."""
     order: Literal["little", "big"] = "little" if content[:2] == b"II" else "big"
 
     def number(at: int, size: int) -> int:
@@ -81,7 +62,7 @@ def _tiff_fault(content: bytes) -> str:
         for entry in range(number(directory, 2)):
             at = directory + 2 + 12 * entry
             tag, kind, count = number(at, 2), number(at + 2, 2), number(at + 4, 4)
-            if tag in (273, 279, 324, 325) and kind in (3, 4):  # where strips or tiles lie, and their lengths
+            if tag in (273, 279, 324, 325) and kind in (3, 4):  # places and lengths of strips or tiles
                 size = 2 if kind == 3 else 4
                 first = at + 8 if size * count <= 4 else number(at + 8, 4)
                 lists[tag] = [number(first + size * i, size) for i in range(count)]
@@ -94,7 +75,7 @@ def _tiff_fault(content: bytes) -> str:
 
 
 FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
-    (b"\xff\xd8\xff", _jpeg_fault),
+    (b"\xff\xd8\xff", lambda content: ""),  # its strict decoder, below, finds cuts and damage
     (b"\x89PNG\r\n\x1a\n", _png_fault),
     (b"P5", _netpbm_fault),
     (b"P6", _netpbm_fault),
@@ -102,50 +83,51 @@ FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
     (b"II*\0", _tiff_fault),
     (b"MM\0*", _tiff_fault),
 )
-"""First bytes of a file, and the check of its format; the one table."""
+"""First bytes of a file, and the check of its format."""
 
 
-# libjpeg's words for damage that it paints over. One to nine bytes too many are a habit of webcams: harmless.
-_COMPLAINT = re.compile(r"(?!.*: \d extraneous byte)(Corrupt JPEG data|Premature end of JPEG file).*")
-_STANDARD_ERROR = threading.Lock()  # of this process: one decoder at a time is listened to
+# A warning of libjpeg that means no damage: webcams often write one to nine bytes too many.
+_HARMLESS = re.compile(r".*: \d extraneous byte")
 
 
 def decode_picture(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
-    """The picture as OpenCV decodes it, and what is wrong with it, or ""."""
-    if content.startswith(b"\xff\xd8"):
-        return _decode_jpeg(content, flags)
-    return _decode(content, flags)
+    """Return the picture as OpenCV decodes it (BGR), and what is wrong with it, or "".
 
-
-def _decode(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
+    Args:
+        content: of the file.
+        flags: of ``cv2.imdecode``.
+    """
     import cv2
 
+    if content.startswith(b"\xff\xd8"):
+        picture, fault = _decode_jpeg(content)
+        upright = not flags & cv2.IMREAD_IGNORE_ORIENTATION
+        if fault or not (picture is None or upright):
+            return picture, fault
     try:
         return cv2.imdecode(np.frombuffer(content, np.uint8), flags), ""
     except cv2.error as error:  # such as a size that no memory holds
         return None, str(error).strip().splitlines()[0]
 
 
-def _decode_jpeg(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
-    """Libjpeg goes on past damaged pixels and only prints that it did, from below Python.
+def _decode_jpeg(content: bytes) -> tuple[np.ndarray | None, str]:
+    """Decode with every warning of libjpeg as a fault: OpenCV and Pillow pass over damaged pixels in silence.
 
-    So what it prints is read back from the standard error's file. Anybody else's words are written on.
+    The picture is None where OpenCV must decode it (CMYK).
     """
-    with _STANDARD_ERROR, tempfile.TemporaryFile() as said:
+    import simplejpeg
+
+    try:
+        *_, colors, _ = simplejpeg.decode_jpeg_header(content)
+        if colors not in ("Gray", "RGB", "YCbCr"):
+            return None, ""
+        channels = "Gray" if colors == "Gray" else "BGR"
         try:
-            kept = os.dup(2)
-        except OSError:  # a service without a standard error: nothing is printed
-            return _decode(content, flags)
-        try:
-            os.dup2(said.fileno(), 2)
-            picture, fault = _decode(content, flags)
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        said.seek(0)
-        lines = said.read().decode(errors="replace").splitlines()
-    complaints = [line for line in lines if "JPEG" in line]
-    for line in lines:
-        if line not in complaints:
-            sys.stderr.write(f"{line}\n")
-    return picture, fault or next((line for line in complaints if _COMPLAINT.fullmatch(line)), "")
+            picture = simplejpeg.decode_jpeg(content, channels)
+        except ValueError as error:
+            if not _HARMLESS.match(str(error)):
+                raise
+            picture = simplejpeg.decode_jpeg(content, channels, strict=False)
+    except (ValueError, MemoryError) as error:
+        return None, str(error) or "more pixels than memory holds"
+    return (picture[..., 0] if channels == "Gray" else picture), ""

@@ -1,4 +1,4 @@
-"""Anyone's own pictures with depth: two folders, or a CSV of pairs."""
+"""Your own pictures with depth: two folders, or a CSV of pairs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,51 +7,51 @@ from typing import Unpack
 import numpy as np
 
 from eldenet.data.array_files import read_text
-from eldenet.data.base import DepthDataset, SampleOptions
-from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root, one_of
+from eldenet.data.base import FileDataset, SampleOptions, check_pair
+from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
+from eldenet.data.paths import csv_pairs, find_root
 from eldenet.geometry import pinhole
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
-IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)
 """
 
 
-class FolderDataset(DepthDataset):
+class FolderDataset(FileDataset):
     """Pictures and depth maps matched by name, or paired by a CSV.
 
-    The split is by blocks of frames that follow each other in name order, because neighbors in a recording
-    show nearly the same: a frame-by-frame split would test on what was trained. Better still, name the
+    The split is by blocks of frames that follow each other in name order: neighboring frames of a recording
+    look nearly the same, so a frame-by-frame split would test on what was trained. Better still, name
     validation frames of other places in ``val_names``.
 
     Args:
         root: the data set's folder.
         images: folder of pictures below ``root``.
-        depths: folder of depth maps below ``root``, of the same names but for the ending.
-        csv: CSV below ``root`` without a header, ``image,depth`` a line, relative to ``root``; replaces
+        depths: folder of depth maps below ``root``, with the same names except for the ending.
+        csv: CSV below ``root`` without a header, one ``image,depth`` per line, relative to ``root``; replaces
             ``images`` and ``depths``.
-        encoding: of the depth files: a name of :data:`eldenet.data.io.ENCODINGS`, or
+        encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
-        intrinsics: ``[fx, fy, cx, cy]`` of the pictures as they lie on disk [px], all of one size then; None
-            where unknown.
+        intrinsics: ``[fx, fy, cx, cy]`` of the pictures on disk [px], which must then have one size; None if
+            unknown.
         split: "train", "val" or "all".
-        val_fraction: share of the blocks that is for validation.
+        val_fraction: share of the blocks for validation.
         blocks: how many blocks the frames are cut into.
-        gap: frames left out of both parts on each side of a block for validation.
+        gap: frames left out of both parts on each side of a validation block.
         split_seed: decides which blocks are for validation.
-        val_names: frames for validation, instead of blocks: names, or a text file with one a line.
+        val_names: validation frames, instead of blocks: a list of names, or a text file with one per line.
         ground_truth: "raw", "inpainted" or "sparse": what the depth is, for reports.
         **options: see :class:`~eldenet.data.base.DepthDataset`; ``max_depth`` has no default here.
 
     Raises:
-        FileNotFoundError: naming pictures without depth, depth without a picture, and missing files.
-        ValueError: for settings that do not fit together.
+        FileNotFoundError: a picture has no depth, depth has no picture, or files are missing.
+        ValueError: settings are out of range or do not fit together.
     """
 
-    frame_lists = ("names", "pairs")
+    depth_range = (1e-3, None)
 
     def __init__(
         self,
@@ -75,68 +75,53 @@ class FolderDataset(DepthDataset):
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
         if intrinsics is not None and len(intrinsics) != 4:
             raise ValueError(f"intrinsics={list(intrinsics)}: give [fx, fy, cx, cy] in pixels")
-        if "max_depth" not in options:
-            raise ValueError("max_depth is missing: give the farthest depth [m] that counts as known")
-        options.setdefault("min_depth", 1e-3)
         self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
         self.intrinsics = None if intrinsics is None else pinhole(*(float(v) for v in intrinsics))
 
-        self.root = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
+        folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
         if csv:
-            pairs = _csv_frames(self.root, csv)
+            pairs = _csv_frames(folder, csv)
         else:
-            pairs = _folder_frames(self.root, images, depths, strict=options.get("on_error") != "skip")
+            pairs = _folder_frames(folder, images, depths, strict=options.get("on_error") != "skip")
         names = sorted(pairs)
-        if split != "all":
-            if val_names is None:
-                val, left_out = _val_blocks(len(names), val_fraction, blocks, gap, split_seed)
-                chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
-                names = [names[i] for i in chosen]
-            else:
-                names = _named(names, val_names, wanted=split == "val")
-        super().__init__(names, **options)
-        self.pairs = [pairs[name] for name in names]
-        self.check_frames(self.root, self.pairs)
-        self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # a picture that intrinsics are of
+        if split != "all" and val_names is not None:
+            names = _named(names, val_names, wanted=split == "val")
+        elif split != "all":
+            val, left_out = _val_blocks(len(names), val_fraction, blocks, gap, split_seed)
+            chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
+            names = [names[i] for i in chosen]
+        super().__init__(folder, names, [pairs[name] for name in names], **options)
+        self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # the picture that sets the size
         if self.intrinsics is not None:  # the folder's first one: the same for all splits
-            self.calibrated = _first_size([self.root / pairs[name][0] for name in sorted(pairs)])
-
-    def frame_files(self, index: int) -> Sequence[Path]:
-        """Picture and depth."""
-        return [self.root / file for file in self.pairs[index]]
+            self.calibrated = _first_size([folder / pairs[name][0] for name in sorted(pairs)])
 
     def frame_settings(self) -> dict[str, object]:
-        """Encoding and camera."""
+        """Return encoding and camera."""
         camera = None if self.intrinsics is None else self.intrinsics.tolist()
         size = None if self.calibrated is None else self.calibrated[1]
         return {"encoding": self.encoding.description, "intrinsics": camera, "size": size}
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its depth."""
-        image_file, depth_file = self.pairs[index]
-        image = read_image(self.root / image_file)
-        depth = read_depth(self.root / depth_file, self.encoding)
-        if image.shape[:2] != depth.shape:
-            raise ValueError(
-                f"{self.root / image_file} is {image.shape[:2]}, {self.root / depth_file} is {depth.shape} "
-                "(height, width): write both in one size"
-            )
+        image_file, depth_file = self.frame_files(index)
+        image, depth = read_image(image_file), read_depth(depth_file, self.encoding)
+        check_pair(image.shape, image_file, depth.shape, depth_file)
         if self.calibrated is not None and image.shape[:2] != self.calibrated[1]:
             first, size = self.calibrated
             raise ValueError(
-                f"{self.root / image_file} is {image.shape[:2]}, {first} is {size} (height, width), and "
-                "intrinsics are of one camera: bring the pictures to one size, keep each size in a folder of "
-                "its own, or leave intrinsics out (null)"
+                f"{image_file} is {image.shape[:2]}, {first} is {size} (height, width), but intrinsics are "
+                "of one camera: resize the pictures to one size, put each size in a folder of its own, or "
+                "leave intrinsics out (null)"
             )
         return Frame(image, depth, self.intrinsics, self.names[index])
 
 
 def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, ...]] | None:
-    """The first picture that can be read, and its ``(height, width)`` [px]; the others are not looked at."""
+    """Return the first picture that can be read, and its ``(height, width)`` [px]."""
     for picture in pictures:
         try:
             return picture, read_image(picture).shape[:2]
-        except (ValueError, OSError):  # left out or reported where its frame is read
+        except (ValueError, OSError):  # reported when its frame is read
             continue
     return None
 
@@ -145,12 +130,12 @@ def _csv_frames(root: Path, table: str) -> dict[str, tuple[str, str]]:
     pairs = csv_pairs(root / table)
     frames = {image.rsplit(".", 1)[0]: (image, depth) for image, depth in pairs}
     if len(frames) != len(pairs):
-        raise ValueError(f"{root / table} has {len(pairs)} lines, but only {len(frames)} different pictures")
+        raise ValueError(f"{root / table} has {len(pairs)} lines but only {len(frames)} different pictures")
     return frames
 
 
 def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dict[str, tuple[str, str]]:
-    """Pairs by the path below their folder, without the ending; a missing partner is called ``name.*``."""
+    """Pairs by their path below the folder, without the ending; a missing partner is named ``name.*``."""
     pictures = _files(root, images, IMAGE_ENDINGS)
     maps = _files(root, depths, DEPTH_ENDINGS)
     lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
@@ -158,9 +143,8 @@ def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dic
     if lonely and strict:
         more = f" and {len(lonely) - 10} more" if len(lonely) > 10 else ""
         raise FileNotFoundError(
-            f"{len(lonely)} files in {root} have no partner of that name: {', '.join(lonely[:10])}{more}. "
-            "Complete them, pair files of different names in a CSV (csv=...), or leave them out "
-            "(on_error: skip)"
+            f"{len(lonely)} files in {root} have no partner: {', '.join(lonely[:10])}{more}. Add them, "
+            "list pairs of different names in a CSV (csv=...), or leave these frames out (on_error: skip)"
         )
     both = set(pictures) | set(maps)
     return {n: (pictures.get(n, f"{images}/{n}.*"), maps.get(n, f"{depths}/{n}.*")) for n in both}
@@ -175,7 +159,7 @@ def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
         name = path.relative_to(root / folder).with_suffix("").as_posix()
         file = path.relative_to(root).as_posix()
         if name in found:
-            raise ValueError(f"{root}: {found[name]} and {file} have the same name: which one is it?")
+            raise ValueError(f"{root}: {found[name]} and {file} have the same name: remove one of them")
         found[name] = file
     return found
 
@@ -185,7 +169,7 @@ def _val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -
     if not 0.0 < fraction < 1.0 or blocks < 2 or gap < 0:
         raise ValueError(
             f"val_fraction={fraction}, blocks={blocks}, gap={gap}: give a fraction between 0 and 1, at least "
-            "two blocks and no negative gap"
+            "2 blocks and a gap of at least 0"
         )
     if count < 2:
         raise ValueError(f"{count} frame cannot be split: use split='all'")
@@ -199,12 +183,12 @@ def _val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -
 
 def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:
     if isinstance(val_names, str | Path):
-        text = read_text(Path(val_names), "val_names is a list, or a text file")
+        text = read_text(Path(val_names), "val_names must be a list of names, or a text file")
         val_names = [line.strip() for line in text.splitlines() if line.strip()]
     unknown = sorted(set(val_names) - set(names))
     if unknown:
         raise ValueError(
-            f"{len(unknown)} of val_names are no frames of the data set: {', '.join(unknown[:10])}; names "
-            f"look like {names[0]!r}"
+            f"{len(unknown)} of val_names are not in the data set: {', '.join(unknown[:10])}: give names "
+            f"such as {names[0]!r}"
         )
     return [name for name in names if (name in set(val_names)) == wanted]

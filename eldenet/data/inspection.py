@@ -1,20 +1,47 @@
-"""Going through a data set before anything is trained on it: what is there, and what it looks like."""
+"""Inspect a data set before training on it: what is there, what is wrong, and what it looks like."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.statistics import ChannelSums
 
-# Bins of 1 % from 1 mm to 1 km: percentiles to half a per cent without keeping a pixel.
+# Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 HISTOGRAM_BINS = 20
+Bar = Callable[[str, int], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class CheckDataSetup:
+    """What :func:`check_data` checks; :func:`eldenet.config.build_check_data` builds it.
+
+    Attributes:
+        folder: for the report.
+        name: of the data set.
+        config: of the data set, stored with the report.
+        splits: name -> opens the split, with ``on_error="skip"`` if it has files.
+        same: name -> another split that has the same frames and stands for it.
+        check_ground_truth: raises ValueError if the protocol cannot score this kind of ground truth.
+        frames: read at most this many frames of each split, evenly spread; None reads all.
+        samples: frames of each split on the contact sheet.
+    """
+
+    folder: Path
+    name: str
+    config: Mapping[str, Any]
+    splits: Mapping[str, Callable[[], DepthDataset]]
+    same: Mapping[str, str]
+    check_ground_truth: Callable[[str], None]
+    frames: int | None = None
+    samples: int = 0
 
 
 @dataclass
@@ -23,24 +50,24 @@ class SplitCheck:
 
     Attributes:
         split: its name.
-        names: of the frames whose files are there.
+        names: of the frames whose files exist.
         identities: of the same frames, see :func:`identities`.
         split_hash: of these names, as in ``run.json``.
-        missing: name -> files that are not there.
+        missing: name -> missing files.
         looked_at: how many frames were read.
         unreadable: name -> what is wrong with the file.
-        without_depth: frames without one known depth.
-        sizes: "H x W" of image and depth -> frames.
+        without_depth: frames without any known depth.
+        sizes: "H x W" of image and depth -> number of frames.
         histogram: ``(20,)`` pixels in equal steps of depth from 0 to ``max_depth``.
         percentiles: of known depth within the range [m].
-        min_depth: nearest depth that counts [m].
-        max_depth: farthest depth that counts [m].
+        min_depth: nearest depth that counts as known [m].
+        max_depth: farthest depth that counts as known [m].
         valid: share of pixels with depth within the range.
-        outside: share of pixels whose depth is known but outside the range.
-        with_intrinsics: frames read that have intrinsics.
+        outside: share of pixels with depth outside the range.
+        with_intrinsics: how many of the frames read have intrinsics.
         intrinsics: ``[fx, fy, cx, cy]`` of the first one [px].
         mean: of the images, per channel (RGB in [0, 1]).
-        std: likewise.
+        std: of the images, per channel.
         fault: why the split could not be opened at all.
     """
 
@@ -67,7 +94,7 @@ class SplitCheck:
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong, a line each: ten names and how many there are."""
+        """What is wrong, one line each: up to ten names and how many there are."""
         lines = [f"{self.split}: {self.fault}"] if self.fault else []
         lines += _listed(self.split, "frames without all of their files", list(self.missing.values()))
         lines += _listed(self.split, "frames that cannot be read", list(self.unreadable.values()))
@@ -75,11 +102,71 @@ class SplitCheck:
         return lines
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``check.json``; the names are in the hash."""
+        """Return the fields for ``check.json``, without the names, which the hash covers."""
         return {key: value for key, value in vars(self).items() if key not in ("names", "identities")} | {
             "frames": len(self.names),
             "faults": self.faults,
         }
+
+
+@dataclass
+class DataCheck:
+    """What :func:`check_data` found.
+
+    Attributes:
+        splits: one check each.
+        faults: everything that is wrong, one line each.
+        panels: titled pictures for a contact sheet: image over depth.
+    """
+
+    splits: list[SplitCheck] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    panels: list[tuple[str, np.ndarray]] = field(default_factory=list)
+
+
+def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
+    """Read every split and note what is wrong; no fault stops it.
+
+    Args:
+        setup: the splits, and how much of them to read.
+        bar: opens a progress bar with a title and a total; its ``advance`` is called with 1 per frame.
+    """
+    found, refused = DataCheck(), []
+    for split, open_split in setup.splits.items():
+        try:
+            dataset = open_split()
+        except (ValueError, OSError) as error:
+            found.splits.append(SplitCheck(split, fault=str(error)))
+            continue
+        total = len(dataset) if setup.frames is None else min(setup.frames, len(dataset))
+        with bar(f"checking {split}", total) as progress:
+            check = check_split(split, dataset, frames=setup.frames, advance=progress.advance)
+        found.splits.append(check)
+        found.panels += _samples(dataset, setup.samples, check)
+        if split != "train":
+            try:
+                setup.check_ground_truth(dataset.ground_truth)
+            except ValueError as error:
+                refused.append(f"{split}: {error}")
+    found.faults = [line for check in found.splits for line in check.faults]
+    found.faults += refused + shared_frames(found.splits)
+    return found
+
+
+def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tuple[str, np.ndarray]]:
+    """Titled pictures of evenly spread frames that can be read."""
+    from eldenet.visualization import image_over_depth
+
+    readable = [i for i, name in enumerate(dataset.names) if name not in found.unreadable]
+    panels = []
+    for at in spread(len(readable), wanted) if readable and wanted else []:
+        try:
+            frame = dataset.load_frame(readable[at])
+        except (ValueError, OSError):  # with frames=..., not every frame was tried before
+            continue
+        picture = image_over_depth(frame.image, frame.depth, dataset.max_depth)
+        panels.append((f"{found.split}  {frame.name}", picture))
+    return panels
 
 
 def _listed(split: str, what: str, entries: Sequence[str], most: int = 10) -> list[str]:
@@ -90,7 +177,7 @@ def _listed(split: str, what: str, entries: Sequence[str], most: int = 10) -> li
 
 
 def spread(count: int, wanted: int | None) -> list[int]:
-    """At most ``wanted`` indices, evenly spread over ``count``; all of them for None."""
+    """Return at most ``wanted`` indices, evenly spread over ``count``; all of them for None."""
     wanted = count if wanted is None else min(wanted, count)
     return [int(i) for i in np.unique(np.linspace(0, count - 1, wanted).round())]
 
@@ -102,11 +189,11 @@ def check_split(
     frames: int | None = None,
     advance: Callable[[int], None] = lambda _: None,
 ) -> SplitCheck:
-    """Read a split from end to end, without augmentation, and note what is found; nothing stops it.
+    """Read a split without augmentation and note what it holds; no fault stops it.
 
     Args:
         split: its name, for reports.
-        dataset: built with ``on_error="skip"``, so that missing files are noted and not raised.
+        dataset: built with ``on_error="skip"``, so that missing files are noted and raise no error.
         frames: read at most this many, evenly spread; None reads all.
         advance: called with 1 per frame, for a progress bar.
     """
@@ -157,9 +244,9 @@ def _other(depth: tuple[int, ...], image: tuple[int, ...]) -> str:
 
 
 def identities(dataset: DepthDataset) -> dict[str, str]:
-    """What tells each frame from those of other splits -> its name: two folders may hold frames of one name.
+    """Return a key for each frame -> its name. Frames with one key are the same frame, in any split.
 
-    That is the name with the files that the frame is read from, where its adapter says them.
+    The key is the name and, if the adapter knows them, the files: two folders may use the same names.
     """
     found = {}
     for index, name in enumerate(dataset.names):
@@ -172,9 +259,56 @@ def identities(dataset: DepthDataset) -> dict[str, str]:
 
 
 def shared_frames(checks: Sequence[SplitCheck]) -> list[str]:
-    """Splits that share frames, and which ones: the first ten of each pair."""
+    """Name the splits that share frames, and the first ten frames of each pair."""
     lines = []
     for one, other in combinations(checks, 2):
         both = sorted(one.identities[key] for key in one.identities.keys() & other.identities.keys())
         lines += _listed(f"{one.split} and {other.split}", "frames are in both", both)
     return lines
+
+
+class ChannelSums:
+    """Mean and standard deviation per channel over pictures added one by one."""
+
+    def __init__(self) -> None:
+        self.pixels = 0
+        self.sums, self.squares = np.zeros(3), np.zeros(3)
+
+    def add(self, image: np.ndarray) -> None:
+        """Add a picture ``(H, W, 3)`` uint8; every sixteenth pixel is enough."""
+        some = image[::4, ::4].reshape(-1, 3) / 255.0
+        self.pixels += len(some)
+        self.sums += some.sum(0)
+        self.squares += np.square(some).sum(0)
+
+    @property
+    def mean(self) -> list[float]:
+        """Per channel, RGB in [0, 1]; empty if nothing was added."""
+        return (self.sums / self.pixels).tolist() if self.pixels else []
+
+    @property
+    def std(self) -> list[float]:
+        """Per channel, RGB in [0, 1]; empty if nothing was added."""
+        if not self.pixels:
+            return []
+        mean = self.sums / self.pixels
+        return np.sqrt(np.maximum(self.squares / self.pixels - mean**2, 0)).tolist()
+
+
+def channel_statistics(dataset: DepthDataset, *, frames: int = 512, seed: int = 0) -> ChannelSums:
+    """Measure the colors of at most ``frames`` frames on disk, drawn by ``seed``; nothing is augmented.
+
+    Raises:
+        ValueError: ``frames`` is below 1, or a channel is constant, so images cannot be divided by its std.
+    """
+    if frames < 1:
+        raise ValueError(f"frames={frames}: give at least 1")
+    found = ChannelSums()
+    for index in sorted(np.random.default_rng(seed).permutation(len(dataset))[:frames].tolist()):
+        found.add(dataset.load_frame(index).image)
+    if not min(found.std) > 1e-4:  # constant but for rounding
+        raise ValueError(
+            f"a color channel is constant over {min(frames, len(dataset))} frames (std {found.std}): check "
+            "the pictures, or set normalization=imagenet"
+        )
+    return found

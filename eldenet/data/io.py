@@ -1,6 +1,6 @@
-"""Reading images and depth maps from disk: whole files or a clear error, meters or a clear error.
+"""Read images and depth maps from disk: a damaged file or a wrong unit is an error that names the file.
 
-A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``formats.FORMATS``.
+A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``file_checks.FORMATS``.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,18 +13,19 @@ import numpy as np
 from eldenet.data.array_files import read_array, read_bytes, read_exr, read_pfm
 from eldenet.data.file_checks import FORMATS, decode_picture
 
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
+
 
 @dataclass(frozen=True)
 class DepthEncoding:
     """How numbers in a depth file become meters: ``(v + offset) * scale``; 0, NaN and below 0 are unknown.
 
     Attributes:
-        name: what a configuration calls it.
+        name: in a config.
         scale: meters per step.
         offset: added to the number before scaling [steps].
-        dtype: numpy type the file must hold; "float" allows float16, float32 and float64.
-        decode: replaces scale and offset where a straight line does not do: pixel by pixel,
-            raw -> [m].
+        dtype: numpy type that the file must hold; "float" allows float16, float32 and float64.
+        decode: replaces scale and offset if the encoding is not linear: raw numbers -> [m], pixel by pixel.
         lowest_peak: a file whose largest number is below this cannot be in this encoding; 0 = no such check.
     """
 
@@ -37,13 +38,13 @@ class DepthEncoding:
 
     @property
     def description(self) -> str:
-        """Tells one encoding from another; ``decode`` goes by its name."""
+        """Text that differs between encodings; ``decode`` is identified by the name."""
         return f"{self.name}: {self.scale!r}, {self.offset!r}, {self.dtype}"
 
     def to_meters(self, raw: np.ndarray) -> np.ndarray:
-        """Turn ``(H, W)`` numbers of the file into float32 [m], 0 where unknown."""
+        """Convert ``(H, W)`` numbers of the file to float32 [m], 0 where unknown."""
         if raw.dtype in (np.uint8, np.uint16):
-            return _table(self, raw.dtype.str)[raw]  # ten times faster than arithmetic over the picture
+            return _table(self, raw.dtype.str)[raw]  # ten times faster than computing each pixel
         return self._meters_of(raw)
 
     def _meters_of(self, raw: np.ndarray) -> np.ndarray:
@@ -51,7 +52,7 @@ class DepthEncoding:
         if self.decode is not None:
             meters = self.decode(raw)
         else:
-            # In double, rounded once: the same last digit as a straight reading in numpy.
+            # in double, rounded once: equal to the last digit to a plain division in numpy
             meters = (np.where(known, raw, 0).astype(np.float64) + self.offset) * self.scale
         return np.where(known, meters, 0.0).astype(np.float32)
 
@@ -73,24 +74,24 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("mm", 1e-3, lowest_peak=255),
         DepthEncoding("kitti", 1 / 256, lowest_peak=256),
         DepthEncoding("tum", 1 / 5000, lowest_peak=255),
-        # SUN RGB-D turns the bits of its millimeters: (v >> 3) | (v << 13), as its toolbox reads them.
+        # SUN RGB-D rotates the bits of its millimeters: (v >> 3) | (v << 13), as in its toolbox
         DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
-        # DenseDepth's training pictures: eight bits over ten meters.
+        # DenseDepth's training pictures: 8 bits over 10 m
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
-        # The labelled frames in eight bits: bin centers up to the set's largest depth.
+        # the labelled frames in 8 bits: bin centers up to the set's largest depth
         DepthEncoding("nyu8_labelled", 9.99547 / 255, 0.5, dtype="uint8"),
     )
 }
-"""Depth encodings by name; the one table."""
+"""Depth encodings by name."""
 
 Encoding = str | Mapping[str, object] | DepthEncoding
 
 
 def depth_encoding(encoding: Encoding) -> DepthEncoding:
-    """Look an encoding up by name, or build one from ``{scale, offset, dtype}``.
+    """Look up an encoding by name, or build one from ``{scale, offset, dtype}``.
 
     Raises:
-        ValueError: for a name or a key that does not exist.
+        ValueError: the name or a key does not exist, or a value is out of its range.
     """
     if isinstance(encoding, DepthEncoding):
         return encoding
@@ -104,7 +105,7 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
     unknown = set(encoding) - {"scale", "offset", "dtype"}
     if unknown or "scale" not in encoding:
         raise ValueError(
-            f"encoding={dict(encoding)}: give scale, and if needed offset and dtype, nothing else"
+            f"encoding={dict(encoding)}: give scale and, if needed, offset and dtype, nothing else"
         )
     dtype = str(encoding.get("dtype", "uint16"))
     if dtype not in ("uint8", "uint16", "int32", "float", "float32", "float64"):
@@ -119,28 +120,26 @@ def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) ->
     """Read a picture as uint8 RGB, ``(H, W, 3)``.
 
     Args:
-        path: JPEG, PNG, BMP, TIFF or binary PPM/PGM; recognized by content, not by its ending.
-        upright: turn a photo as its EXIF says. False for data sets: their depth is stored as the pixels are.
-        gray: False refuses a gray picture: where every camera sees color, it is something else.
+        path: a JPEG, PNG, BMP, TIFF or binary PPM/PGM file; recognized by content, not by its ending.
+        upright: rotate a photo as its EXIF tag says. False for data sets, whose depth is not rotated either.
+        gray: whether a gray picture is allowed; in a data set in color it is probably a depth map.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged, or no picture of eight bits (or of color, where asked).
+        FileNotFoundError: there is no such file.
+        ValueError: the file is cut, damaged, or no picture with 8 bits (or no color picture, if required).
     """
     import cv2
 
     flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
     picture = _decode(Path(path), flags if upright else flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture.dtype != np.uint8:
-        why = (
-            "is it a depth map? Else"
-            if picture.ndim == 2
-            else "a file of more does not say how many of them it fills, nor whether they are linear, so"
+        guess = "is it a depth map? If not, " if picture.ndim == 2 else ""
+        raise ValueError(
+            f"{path} holds {picture.dtype}, images must have 8 bits: {guess}convert it to 8 bits"
         )
-        raise ValueError(f"{path} holds {picture.dtype}, a picture has 8 bits: {why} write it with 8")
     if picture.ndim == 2:
         if not gray:
-            raise ValueError(f"{path} is gray, this data set's pictures have color: is it a depth map?")
+            raise ValueError(f"{path} is gray, this data set has color images: is it a depth map?")
         return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
@@ -150,21 +149,21 @@ def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
 
     Args:
         path: ``.npy``, ``.pfm``, ``.exr``, or a picture with one channel.
-        encoding: a name of ``ENCODINGS``, or ``{scale, offset, dtype}``.
+        encoding: a name in ``ENCODINGS``, or ``{scale, offset, dtype}``.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged, or does not hold this encoding.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is cut, damaged, or not in this encoding.
     """
     return decode_depth(read_raw_depth(path), encoding, path)
 
 
 def read_raw_depth(path: str | Path) -> np.ndarray:
-    """The numbers of a depth file as they stand, ``(H, W)``.
+    """Return the raw numbers of a depth file, ``(H, W)``.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: where the file is cut, damaged, or has several channels.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is cut, damaged, or has several channels.
     """
     path = Path(path)
     reader = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}.get(path.suffix.lower())
@@ -173,34 +172,34 @@ def read_raw_depth(path: str | Path) -> np.ndarray:
         raw = raw.squeeze(0 if raw.shape[0] == 1 else 2)
     if raw.ndim != 2:
         raise ValueError(
-            f"{path} has shape {raw.shape}, a depth map has one channel: is it a colored picture of depth?"
+            f"{path} has shape {raw.shape}, a depth map has one channel: is it a color visualization?"
         )
     return raw
 
 
 def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndarray:
-    """Turn raw numbers ``(H, W)`` into float32 [m] after checking that they can be in this encoding.
+    """Convert raw numbers ``(H, W)`` to float32 [m] after checking that they can be in this encoding.
 
     Raises:
-        ValueError: naming ``source``, for a wrong type or numbers that betray another unit.
+        ValueError: the type is wrong, or the numbers show that the unit is another; names ``source``.
     """
     row = depth_encoding(encoding)
     fits = raw.dtype.kind == "f" if row.dtype == "float" else raw.dtype == np.dtype(row.dtype)
     if not fits:
         raise ValueError(
-            f"{source} holds {raw.dtype}, encoding {row.name!r} wants {row.dtype}: {_suggest(raw)}"
+            f"{source} holds {raw.dtype}, encoding {row.name!r} needs {row.dtype}: {_suggest(raw)}"
         )
     peak = raw.max(initial=0)
     if 0 < peak < row.lowest_peak:
         raise ValueError(
-            f"{source}: the largest number is {peak}, {row.scale * float(peak):.3g} m as {row.name!r}: "
-            "probably it was written in meters or in eight bits; if not, give encoding as {scale, dtype}"
+            f"{source}: the largest number is {peak}, {row.scale * float(peak):.3g} m as {row.name!r}: it "
+            "was probably written in meters or in 8 bits; if not, give encoding as {scale, dtype}"
         )
     meters = row.to_meters(raw)
     if raw.any() and not meters.any():
         raise ValueError(
-            f"{source} holds no depth above 0 m, but other numbers, all negative, NaN, infinite or without "
-            "a meaning in this encoding. Write the file again, 0 where depth is unknown"
+            f"{source} holds no depth above 0 m, only negative, NaN, infinite or meaningless numbers: write "
+            "it again with 0 where depth is unknown"
         )
     if row.name == "meters":
         known = meters[meters > 0]
@@ -208,7 +207,7 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
         if middle > 100.0:
             raise ValueError(
                 f"{source}: the median depth would be {middle:.0f} m, so it is probably in mm: give encoding "
-                "{scale: 0.001, dtype: float}; if it is meters, {scale: 1.0, dtype: float}"
+                "{scale: 0.001, dtype: float}; if it is in meters, {scale: 1.0, dtype: float}"
             )
     return meters
 
@@ -216,7 +215,7 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
 def _suggest(raw: np.ndarray) -> str:
     names = [r.name for r in ENCODINGS.values() if (r.dtype == "float") == (raw.dtype.kind == "f")]
     names = [n for n in names if ENCODINGS[n].dtype in ("float", str(raw.dtype))]
-    return f"for {raw.dtype} there is {', '.join(names) or 'no named encoding'}, or {{scale, offset, dtype}}"
+    return f"for {raw.dtype} give {', '.join([*names, '{scale, offset, dtype}'])}"
 
 
 def _decode(path: Path, flags: int) -> np.ndarray:
@@ -224,12 +223,11 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None:
         raise ValueError(f"{path} is no JPEG, PNG, BMP, TIFF or binary PPM/PGM file ({len(content)} bytes)")
-    # OpenCV returns a full-size picture from a third of a JPEG, so completeness is checked first.
     fault = check(content)
     if not fault:
         picture, fault = decode_picture(content, flags)
     if fault:
         raise ValueError(f"{path} is cut or damaged ({fault}): fetch or copy it again")
     if picture is None:
-        raise ValueError(f"{path} is complete but cannot be decoded: write it again as PNG")
+        raise ValueError(f"{path} is complete but cannot be decoded: convert it to PNG")
     return picture

@@ -1,8 +1,8 @@
-"""KITTI as people have it on disk: the depth devkit, KITTI raw with its LiDAR scans, the cropped selection.
+"""KITTI in the layouts in use: the depth devkit, KITTI raw with its LiDAR scans, the cropped selection.
 
 Geiger et al., IJRR 2013 (raw); Uhrig et al., "Sparsity Invariant CNNs", 3DV 2017 (the devkit's ground truth).
-Depth is sparse points: nothing here interpolates it. Frames differ in size by date, so a protocol's crop is a
-fraction of the frame's own size.
+Depth consists of sparse points, which nothing here interpolates. Frames differ in size by date, so a
+protocol's crop is a fraction of the frame's size.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ import numpy as np
 
 from eldenet.data.array_files import read_text
 from eldenet.data.base import SampleOptions
-from eldenet.data.kitti_files import KITTIFrames
-from eldenet.data.kitti_layouts import (
+from eldenet.data.kitti_files import (
     DEPTH_KINDS,
     DEPTH_TREE,
     RAW_TREE,
     SELECTION_TREE,
+    KITTIFrames,
     Listing,
     Place,
     depth_maps,
@@ -28,10 +28,10 @@ from eldenet.data.kitti_layouts import (
     scans,
     selection,
 )
-from eldenet.data.kitti_lidar import velodyne_to_image
-from eldenet.data.kitti_velodyne import PROJECTIONS, project_scan, read_scan
-from eldenet.data.paths import find_root, one_of
+from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
+from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 
 SPLITS = ("train", "val", "trainval", "test", "all")
 _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}
@@ -40,28 +40,30 @@ _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}
 class KITTIDepth(KITTIFrames):
     """The depth devkit's maps, with the pictures of KITTI raw or of Ma and Karaman's ``data_rgb``.
 
-    The zip files' roots vary: with and without ``train`` and ``val``, merged, below ``data_depth_annotated``;
-    all are found. Eigen's test split with improved ground truth is ``split="test"`` with BTS's or
-    monodepth2's list of it; of BTS's 697 lines 45 say ``None``, which are left out and counted: 652 stay.
+    The maps may be unpacked with or without ``train`` and ``val``, merged, or below ``data_depth_annotated``.
+    Eigen's test split with improved ground truth is ``split="test"`` with BTS's or monodepth2's list of it:
+    of BTS's 697 lines 45 say ``None`` and are left out, 652 remain.
 
     Args:
-        root: the folder that holds the maps; None for ``$ELDENET_DATA/kitti/depth``.
+        root: the folder with the maps; None for ``$ELDENET_DATA/kitti/depth``.
         raw_root: the folder of the pictures (``<date>/<drive>/image_02/data``) and calibration files; None
-            looks into ``root``, and beside it.
+            looks into ``root`` and beside it.
         depth: "groundtruth" (eleven scans, cleaned: "improved") or "velodyne_raw" (one scan: "sparse").
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`) and are parts of the
-            devkit's ``train``, as is "trainval", their sum; "test" is the devkit's ``val``; "all" is both.
+            devkit's ``train``, "trainval" is both together; "test" is the devkit's ``val``; "all" takes all.
         cameras: 2 (left), 3 (right) or both.
-        list_file: list of frames, wherever they lie; "train" and "val" are then parts of it.
-        exclude_list: list whose drives are left out: Eigen's test drives lie within the devkit's ``train``.
+        list_file: list of frames, in any part; "train" and "val" are then parts of the list.
+        exclude_list: list whose drives are left out: Eigen's test drives are in the devkit's ``train``.
         frames: how many frames there must be, such as Eigen's 652; None for any number.
-        calibration: "required", or "optional" for frames without intrinsics where the files are missing.
+        calibration: "required", or "optional" to give frames no intrinsics if the files are missing.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
 
     Raises:
-        FileNotFoundError: naming what is missing.
-        ValueError: for an unknown setting, a line of a list that is none, another number of frames.
+        FileNotFoundError: files are missing.
+        ValueError: a setting is unknown, a line of a list is wrong, or the number of frames is another.
     """
+
+    where_files_are = " (data.raw_root is the folder of the pictures)"
 
     def __init__(
         self,
@@ -83,12 +85,12 @@ class KITTIDepth(KITTIFrames):
         beside = _picture_roots(folder, raw_root)
         parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
         chosen = _both(cameras)
-        if list_file is not None:  # a list names parts and cameras itself
+        if list_file is not None:  # a list decides on parts and cameras
             parts, chosen = ("train", "val", ""), (2, 3)
         maps = depth_maps(folder, depth, parts, chosen)
         if list_file is None and not maps:
             raise FileNotFoundError(
-                f"{folder} holds no {depth} maps for split={split!r}: is data.root right? Expected tree:\n"
+                f"{folder} has no {depth} maps for split={split!r}: check data.root. Expected tree:\n"
                 f"{DEPTH_TREE.strip()}"
             )
         places, without = list(maps), []
@@ -101,6 +103,7 @@ class KITTIDepth(KITTIFrames):
         names = Listing()
         self.ground_truth = _GROUND_TRUTH[depth]
         super().__init__(
+            folder,
             {place: picture_of(place, beside, names) for place in places},
             maps,
             places,
@@ -112,24 +115,24 @@ class KITTIDepth(KITTIFrames):
 
 
 class KITTIRaw(KITTIFrames):
-    """KITTI raw: pictures with one LiDAR scan each, projected into the picture as it is read.
+    """KITTI raw: pictures with one LiDAR scan each, which is projected into the picture.
 
-    Eigen's 697 test frames are ``split="test"`` with the user's list of them and ``projection="eigen"``.
+    Eigen's 697 test frames are ``split="test"`` with a list of them and ``projection="eigen"``.
 
     Args:
-        root: the folder of the dates; None for ``$ELDENET_DATA/kitti/raw``.
-        projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_velodyne.project_scan`.
+        root: the folder with the dates; None for ``$ELDENET_DATA/kitti/raw``.
+        projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_lidar.project_scan`.
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
         cameras: 2 (left), 3 (right) or both.
-        list_file: list of frames (BTS's, monodepth2's); None takes every scan.
-        exclude_list: list whose drives are left out, such as that of the test frames.
+        list_file: list of frames (BTS's or monodepth2's); None takes every scan.
+        exclude_list: list whose drives are left out, such as the list of the test frames.
         frames: how many frames there must be, such as Eigen's 697; None for any number.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
 
     Raises:
-        FileNotFoundError: naming what is missing.
-        ValueError: for an unknown setting, a line of a list that is none, another number of frames.
+        FileNotFoundError: files are missing.
+        ValueError: a setting is unknown, a line of a list is wrong, or the number of frames is another.
     """
 
     ground_truth = "sparse"
@@ -152,18 +155,18 @@ class KITTIRaw(KITTIFrames):
         sources = scans(folder, _both(cameras) if list_file is None else (2, 3))
         if not sources:
             raise FileNotFoundError(
-                f"{folder} holds no velodyne_points: is data.root right? Expected tree:\n{RAW_TREE.strip()}"
+                f"{folder} has no velodyne_points: check data.root. Expected tree:\n{RAW_TREE.strip()}"
             )
         places = list(sources) if list_file is None else [line.place for line in frame_list(list_file)]
         places, names = _split(places, split, exclude_list), Listing()
         pictures = {place: picture_of(place, [folder], names) for place in places}
-        super().__init__(pictures, sources, places, frames=frames, **options)
+        super().__init__(folder, pictures, sources, places, frames=frames, **options)
         self.projection = projection
         calibrated = self.calibrate([folder], "required")
         self.matrices = {key: velodyne_to_image(where, key[1]) for key, where in calibrated.items()}
 
     def frame_settings(self) -> dict[str, object]:
-        """Calibration and projection."""
+        """Return calibration and projection."""
         matrices = {f"scan {date} {camera}": m.tolist() for (date, camera), m in self.matrices.items()}
         return {**super().frame_settings(), **matrices, "projection": self.projection}
 
@@ -171,7 +174,7 @@ class KITTIRaw(KITTIFrames):
         """Project the frame's scan."""
         place = self.places[index]
         matrix = self.matrices[place.date, place.camera]
-        points = read_scan(self.sources[index])
+        points = read_scan(self.root / self.files[index][1])
         return project_scan(points, matrix, size, self.projection).astype(np.float32)
 
 
@@ -179,17 +182,19 @@ class KITTISelection(KITTIFrames):
     """``val_selection_cropped``: 1,000 frames of the devkit's ``val``, cut to 1216 x 352 by KITTI itself.
 
     Args:
-        root: the folder that holds ``val_selection_cropped``, or that folder; None for
+        root: the folder with ``val_selection_cropped``, or that folder; None for
             ``$ELDENET_DATA/kitti/depth_selection``.
         depth: "groundtruth" ("improved") or "velodyne_raw" ("sparse").
         frames: how many frames there must be, 1000 in the official set; None for any number.
-        calibration: "required", or "optional" for frames without intrinsics where ``intrinsics/`` is missing.
+        calibration: "required", or "optional" to give frames no intrinsics if ``intrinsics/`` is missing.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
 
     Raises:
-        FileNotFoundError: naming what is missing.
-        ValueError: for an unknown setting, a file name that says no frame, another number of frames.
+        FileNotFoundError: files are missing.
+        ValueError: a setting or a file name is wrong, or the number of frames is another.
     """
+
+    where_files_are = " (data.calibration=optional does without intrinsics/)"
 
     def __init__(
         self,
@@ -207,45 +212,26 @@ class KITTISelection(KITTIFrames):
             folder = folder / "val_selection_cropped"
         pictures, maps = selection(folder, depth)
         if not (pictures or maps):
-            raise FileNotFoundError(f"{folder} holds no frames. Expected tree:\n{SELECTION_TREE.strip()}")
+            raise FileNotFoundError(f"{folder} has no frames. Expected tree:\n{SELECTION_TREE.strip()}")
         self.ground_truth = _GROUND_TRUTH[depth]
         places = sorted({*pictures, *maps})
-        super().__init__(pictures, maps, places, frames=frames, **options)
-        self.cameras = folder / "intrinsics"
-        if calibration == "required":
-            self._check_cameras()
-
-    def _check_cameras(self) -> None:
-        files = {i: self._camera_file(i) for i in range(len(self))}
-        lost = {i: f"no intrinsics: {file}" for i, file in files.items() if not file.is_file()}
-        if lost and (self.on_error == "stop" or len(lost) == len(self)):
-            what = ", ".join(str(files[i]) for i in list(lost)[:3])
-            raise FileNotFoundError(
-                f"{len(lost)} intrinsics are missing: {what} ...: complete the data set, or do without, "
-                "data.calibration=optional"
-            )
-        self.leave_out(lost)
-
-    def _camera_file(self, index: int) -> Path:
-        return self.cameras / f"{self.pictures[index].stem}.txt"
-
-    def frame_files(self, index: int) -> Sequence[Path]:
-        """Picture, depth and, where there is one, the camera's file."""
-        camera = self._camera_file(index)
-        return [*super().frame_files(index), *([camera] if camera.is_file() else [])]
+        cameras = {place: folder / "intrinsics" / f"{path.stem}.txt" for place, path in pictures.items()}
+        if calibration == "optional":
+            cameras = {place: path for place, path in cameras.items() if path.is_file()}
+        super().__init__(folder, pictures, maps, places, cameras=cameras, frames=frames, **options)
 
     def camera_of(self, index: int) -> np.ndarray | None:
-        """Intrinsics of the cropped picture, from its own file."""
-        file = self._camera_file(index)
-        if not file.exists():
+        """Return the intrinsics of the cropped picture, from a file of its own."""
+        if len(self.files[index]) < 3:
             return None
+        file = self.root / self.files[index][2]
         text = read_text(file)
         try:
             camera = np.array([float(number) for number in text.split()]).reshape(3, 3)
         except ValueError as error:
-            raise ValueError(f"{file} does not hold nine numbers ({error}): fetch it again") from error
+            raise ValueError(f"{file} must hold nine numbers ({error}): fetch it again") from error
         if not (np.isfinite(camera).all() and camera[0, 0] > 0 and camera[1, 1] > 0 and camera[2, 2] == 1):
-            raise ValueError(f"{file} holds no intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
+            raise ValueError(f"{file} must hold intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
         return camera
 
 
@@ -265,7 +251,4 @@ def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None)
     if exclude_list is not None:
         tested = {line.place.drive for line in frame_list(exclude_list)}
         places = [place for place in places if place.drive not in tested]
-    if split in ("train", "val"):
-        names = [place.name for place in places]
-        return [places[i] for i in hold_out(names, split, drive_of)]
-    return list(places)
+    return [places[i] for i in hold_out([place.name for place in places], split, drive_of)]

@@ -1,122 +1,305 @@
-"""What KITTI's layouts share: missing partners by name, intrinsics and size by date."""
+"""KITTI's frames: where their files lie in every layout in use, and what the layouts share."""
 
 import logging
+import os
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Unpack
+from types import MappingProxyType
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from eldenet.data.base import DepthDataset, SampleOptions
+from eldenet.data.array_files import read_text
+from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import read_depth, read_image
-from eldenet.data.kitti_layouts import Place
 from eldenet.data.kitti_lidar import CAM_TO_CAM, rectified_intrinsics
-from eldenet.data.paths import one_of
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
-KITTI_MIN_DEPTH, KITTI_MAX_DEPTH = 1e-3, 80.0
+PICTURES = (".png", ".jpg", ".jpeg")
+DEPTH_KINDS = ("groundtruth", "velodyne_raw")
+_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_\d{4}_sync")
+
+DEPTH_TREE = """
+train/<drive>/proj_depth/{groundtruth,velodyne_raw}/image_0{2,3}/0000000005.png
+val/<drive>/...       (also below data_depth_annotated and data_depth_velodyne, or without train and val)
+data_rgb/{train,val}/<drive>/image_0{2,3}/data/0000000005.png    (Ma and Karaman; or KITTI raw: data.raw_root)
+"""
+RAW_TREE = """
+<date>/<drive>/image_0{2,3}/data/0000000000.png or .jpg      (such as 2011_09_26/2011_09_26_drive_0001_sync)
+<date>/<drive>/velodyne_points/data/0000000000.bin
+<date>/calib_cam_to_cam.txt, calib_velo_to_cam.txt
+"""
+SELECTION_TREE = """
+val_selection_cropped/image/<drive>_image_0000000005_image_02.png  (as 2011_09_26_drive_0002_sync_image_...)
+val_selection_cropped/groundtruth_depth/<drive>_groundtruth_depth_0000000005_image_02.png
+val_selection_cropped/{velodyne_raw,intrinsics}/...
+"""
 
 
-class KITTIFrames(DepthDataset):
-    """Frames of a picture and a source of depth, in places."""
+class Place(NamedTuple):
+    """A frame: drive, camera (2 left, 3 right) and number in the recording."""
 
-    frame_lists = ("names", "places", "pictures", "sources")
+    drive: str
+    camera: int
+    number: str
+
+    @property
+    def date(self) -> str:
+        """The day of the recording, which decides calibration and size."""
+        return self.drive[:10]
+
+    @property
+    def name(self) -> str:
+        """Name of the frame in reports, the same in every layout."""
+        return f"{self.drive}/image_{self.camera:02d}/{self.number}"
+
+
+class Line(NamedTuple):
+    """A line of a list of frames.
+
+    Attributes:
+        place: of the picture.
+        has_truth: False if the list says ``None`` for the improved ground truth.
+    """
+
+    place: Place
+    has_truth: bool
+
+
+def is_drive(name: str) -> bool:
+    """Whether ``name`` is a drive's folder, such as ``2011_09_26_drive_0001_sync``."""
+    return _DRIVE.fullmatch(name) is not None
+
+
+def drive_of(name: str) -> str:
+    """Return the drive of a frame's name; both sides of a split must not share one."""
+    return name.partition("/")[0]
+
+
+def listed(folder: Path) -> frozenset[str]:
+    """Return the names in ``folder``, none if there is no such folder."""
+    return frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
+
+
+class Listing(dict[Path, frozenset[str]]):
+    """Names in folders; each folder is read once, so tens of thousands of frames take a moment."""
+
+    def __missing__(self, folder: Path) -> frozenset[str]:
+        self[folder] = listed(folder)
+        return self[folder]
+
+
+def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[int]) -> dict[Place, Path]:
+    """Find the devkit's depth maps below ``root``, however its zip files were unpacked.
+
+    Args:
+        root: with or without ``data_depth_annotated`` or ``data_depth_velodyne``.
+        kind: "groundtruth" or "velodyne_raw".
+        parts: "train" and "val", or "" for drives that are in neither.
+        cameras: 2 and 3.
+
+    Raises:
+        ValueError: a map is in two places.
+    """
+    archive = "data_depth_annotated" if kind == "groundtruth" else "data_depth_velodyne"
+    found: dict[Place, Path] = {}
+    for folder in (root / base / part for base in ("", archive) for part in parts):
+        for drive in sorted(filter(is_drive, listed(folder))):
+            for camera in cameras:
+                maps = folder / drive / "proj_depth" / kind / f"image_{camera:02d}"
+                for file in sorted(name for name in listed(maps) if name.endswith(".png")):
+                    place = Place(drive, camera, file[:-4])
+                    if place in found:
+                        raise ValueError(
+                            f"{found[place]} and {maps / file} are the same frame: remove one of them"
+                        )
+                    found[place] = maps / file
+    return found
+
+
+def picture_of(place: Place, roots: Sequence[Path], names: Listing) -> Path | None:
+    """Find a frame's color picture in KITTI raw's layout, Ma and Karaman's, or drives side by side."""
+    drive, camera = place.drive, f"image_{place.camera:02d}"
+    for root in roots:
+        for above in (place.date, "data_rgb/train", "data_rgb/val", "train", "val", ""):
+            folder = root / above / drive / camera / "data"
+            for ending in PICTURES:
+                if f"{place.number}{ending}" in names[folder]:
+                    return folder / f"{place.number}{ending}"
+    return None
+
+
+def scans(root: Path, cameras: Sequence[int]) -> dict[Place, Path]:
+    """Find the LiDAR scans of KITTI raw, once for each camera."""
+    found = {}
+    for date in sorted(listed(root)):
+        for drive in sorted(filter(is_drive, listed(root / date))):
+            folder = root / date / drive / "velodyne_points" / "data"
+            for file in sorted(name for name in listed(folder) if name.endswith(".bin")):
+                for camera in cameras:
+                    found[Place(drive, camera, file[:-4])] = folder / file
+    return found
+
+
+def selection(root: Path, kind: str) -> tuple[dict[Place, Path], dict[Place, Path]]:
+    """Find pictures and depth maps of ``val_selection_cropped``.
+
+    Raises:
+        ValueError: a file's name is not of the selection.
+    """
+    word = "groundtruth_depth" if kind == "groundtruth" else kind
+    return _selected(root / "image", "image"), _selected(root / word, word)
+
+
+def _selected(folder: Path, word: str) -> dict[Place, Path]:
+    pattern = re.compile(rf"(?P<drive>.+_sync)_{word}_(?P<number>\d+)_image_(?P<camera>0[23])\.png")
+    found = {}
+    for file in sorted(listed(folder)):
+        match = pattern.fullmatch(file)
+        if match is None or not is_drive(match["drive"]):
+            raise ValueError(
+                f"{folder / file} is not named as in the selection (2011_09_26_drive_0002_sync_{word}_"
+                "0000000005_image_02.png): remove it from the folder"
+            )
+        found[Place(match["drive"], int(match["camera"]), match["number"])] = folder / file
+    return found
+
+
+def frame_list(file: str | Path) -> list[Line]:
+    """Read a list of frames in BTS's or monodepth2's format.
+
+    BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
+    front. Its focal length is not used, as the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
+    (or ``r``).
+
+    Raises:
+        FileNotFoundError: there is no such list.
+        ValueError: a line is in neither format, or a frame is listed twice.
+    """
+    path = Path(file).expanduser()
+    lines = []
+    content = read_text(path, "give the list of frames (BTS's or monodepth2's)")
+    for number, text in enumerate(content.splitlines(), 1):
+        if text.strip():
+            lines.append(_line(text.split(), f"{path}, line {number}: {text[:200]!r}"))
+    if not lines:
+        raise ValueError(f"{path} is empty: fetch the list again")
+    place, times = Counter(line.place for line in lines).most_common(1)[0]
+    if times > 1:
+        raise ValueError(f"{path} lists {place.name} {times} times: remove all but one")
+    return lines
+
+
+def _line(cells: Sequence[str], where: str) -> Line:
+    pieces = cells[0].strip("/").split("/")
+    drive = next((piece for piece in pieces if is_drive(piece)), None)
+    if drive is not None and len(cells) == 3 and cells[2] in ("l", "r") and cells[1].isdecimal():
+        return Line(Place(drive, 2 if cells[2] == "l" else 3, f"{int(cells[1]):010d}"), True)
+    camera = re.search(r"image_0([23])", cells[0])
+    stem = Path(pieces[-1]).stem
+    if drive is None or camera is None or not stem.isdecimal() or len(cells) not in (1, 2, 3):
+        raise ValueError(
+            f"{where} is neither '<date>/<drive>/image_02/data/<number>.png <depth or None> <focal>' nor "
+            "'<date>/<drive> <number> l'"
+        )
+    return Line(Place(drive, int(camera[1]), stem), len(cells) == 1 or cells[1] != "None")
+
+
+class KITTIFrames(FileDataset):
+    """Frames of a picture and a source of sparse depth each.
+
+    Args:
+        root: of the data set, for messages.
+        pictures: file of each frame's picture, None if it is missing.
+        sources: file of each frame's depth, None if it is missing.
+        places: the frames, in order.
+        cameras: file of each frame's intrinsics, if it has its own.
+        without_depth: frames of a list that have no depth, for messages.
+        frames: how many frames there must be; None for any number.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+    """
+
+    frame_lists = ("names", "files", "places")
+    depth_range = (1e-3, 80.0)
 
     def __init__(
         self,
+        root: Path,
         pictures: Mapping[Place, Path | None],
         sources: Mapping[Place, Path | None],
         places: Sequence[Place],
         *,
+        cameras: Mapping[Place, Path] = MappingProxyType({}),
         without_depth: Sequence[Place] = (),
         frames: int | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        options.setdefault("min_depth", KITTI_MIN_DEPTH)
-        options.setdefault("max_depth", KITTI_MAX_DEPTH)
-        super().__init__([place.name for place in places], **options)
         if without_depth:
             logging.getLogger("eldenet").info(
-                "%s: the list says None, no depth was made, for %d frames, such as %s: %d frames remain",
+                "%s: %d frames, such as %s, have no depth (None in the list): %d frames remain",
                 type(self).__name__,
                 len(without_depth),
                 without_depth[0].name,
                 len(places),
             )
-        self.places = list(places)
-        self.pictures = [Path(str(pictures.get(place))) for place in places]
-        self.sources = [Path(str(sources.get(place))) for place in places]
-        self.intrinsics: dict[tuple[str, int], np.ndarray] = {}
-        if frames is not None and len(places) != frames:
+        if frames is not None and places and len(places) != frames:
             raise ValueError(
-                f"{len(places)} frames where {frames} are expected ({len(without_depth)} without depth in "
-                "the list): is it the right list, is all there? For a list of your own, data.frames=null"
+                f"{len(places)} frames instead of {frames} ({len(without_depth)} without depth in the list): "
+                "check the list and that the data set is complete; for a list of your own, data.frames=null"
             )
-        self._check_partners(pictures, sources)
-
-    def _check_partners(
-        self, pictures: Mapping[Place, Path | None], sources: Mapping[Place, Path | None]
-    ) -> None:
-        lacks = {
-            i: "no depth" if pictures.get(place) else "no picture"
-            for i, place in enumerate(self.places)
-            if not (pictures.get(place) and sources.get(place))
-        }
-        if lacks and self.on_error == "stop":
-            what = ", ".join(f"{self.names[i]} ({reason})" for i, reason in list(lacks.items())[:10])
-            more = f" and {len(lacks) - 10} more" if len(lacks) > 10 else ""
-            raise FileNotFoundError(
-                f"{len(lacks)} of {len(self)} frames are missing a file: {what}{more}. Complete the data "
-                "set (data.raw_root says where the pictures are), or leave them out with data.on_error=skip"
+        self.places = list(places)
+        self.intrinsics: dict[tuple[str, int], np.ndarray] = {}
+        files = [
+            (
+                str(pictures.get(place) or f"{place.name} (no picture)"),
+                str(sources.get(place) or f"{place.name} (no depth)"),
+                *([str(cameras[place])] if place in cameras else []),
             )
-        where = "(data.raw_root says where the pictures are)"
-        self.leave_out({i: f"{self.names[i]}: {reason} {where}" for i, reason in lacks.items()})
+            for place in places
+        ]
+        super().__init__(root, [place.name for place in places], files, **options)
 
     def size_group(self, index: int) -> str:
-        """The date: KITTI's frames are rectified, and cut to size, once per date."""
+        """Return the date: KITTI's frames are rectified, and cropped, per date."""
         return self.places[index].date
 
-    def frame_files(self, index: int) -> Sequence[Path]:
-        """Picture and source of depth."""
-        return [self.pictures[index], self.sources[index]]
-
     def frame_settings(self) -> dict[str, object]:
-        """The calibration, which is read at the start."""
+        """Return the calibration, which is read at the start."""
         return {f"{date} {camera}": matrix.tolist() for (date, camera), matrix in self.intrinsics.items()}
 
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its sparse depth."""
-        image = read_image(self.pictures[index], gray=False)
+        picture, source, *_ = self.frame_files(index)
+        image = read_image(picture, gray=False)
         depth = self.read_sparse(index, (image.shape[0], image.shape[1]))
-        if image.shape[:2] != depth.shape:
-            raise ValueError(
-                f"{self.pictures[index]} is {image.shape[:2]}, {self.sources[index]} is {depth.shape} "
-                "(height, width): they are no pair"
-            )
+        check_pair(image.shape, picture, depth.shape, source)
         return Frame(image, depth, self.camera_of(index), self.names[index])
 
     def camera_of(self, index: int) -> np.ndarray | None:
-        """Intrinsics ``(3, 3)`` of a frame as it lies on disk [px], None where unknown."""
+        """Return the intrinsics ``(3, 3)`` of a frame on disk [px], None if unknown."""
         place = self.places[index]
         return self.intrinsics.get((place.date, place.camera))
 
     def read_sparse(self, index: int, size: tuple[int, int]) -> np.ndarray:
-        """Depth ``(H, W)`` [m] of a frame whose picture has ``size`` [px]."""
-        return read_depth(self.sources[index], "kitti")
+        """Return the depth ``(H, W)`` [m] of a frame whose picture has ``size`` [px]."""
+        return read_depth(self.root / self.files[index][1], "kitti")
 
     def calibrate(self, folders: Sequence[Path], calibration: str) -> dict[tuple[str, int], Path]:
-        """Read the intrinsics of every date; returns the folder of each date's calibration files."""
+        """Read the intrinsics of every date; return the folder of each date's calibration files."""
         one_of("calibration", calibration, ("required", "optional"))
         found = {}
         for date, camera in sorted({(place.date, place.camera) for place in self.places}):
-            beside = [folder / date for folder in folders]
-            folder = next((f for f in beside if (f / CAM_TO_CAM).is_file()), None)
+            candidates = [folder / date for folder in folders]
+            folder = next((f for f in candidates if (f / CAM_TO_CAM).is_file()), None)
             if folder is not None:
                 self.intrinsics[date, camera] = rectified_intrinsics(folder, camera)
                 found[date, camera] = folder
             elif calibration == "required":
                 raise FileNotFoundError(
-                    f"{CAM_TO_CAM} of {date} is in none of {', '.join(map(str, beside))}: it comes in "
-                    "KITTI's calibration zip of that date; to do without, data.calibration=optional"
+                    f"{CAM_TO_CAM} of {date} is in none of {', '.join(map(str, candidates))}: fetch KITTI's "
+                    "calibration zip of that date, or do without intrinsics (data.calibration=optional)"
                 )
         return found

@@ -1,4 +1,4 @@
-"""KITTI's calibration files: intrinsics of a rectified camera, and where a LiDAR point lands in its picture.
+"""KITTI's calibration files and LiDAR scans, and the scans as sparse depth in a camera's picture.
 
 Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013, section 4. One pair of files per date:
 ``<date>/calib_cam_to_cam.txt`` and ``<date>/calib_velo_to_cam.txt``.
@@ -8,17 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
+from eldenet.data.array_files import read_bytes, read_text
+from eldenet.geometry import nearest_points
 
 CAM_TO_CAM, VELO_TO_CAM = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+PROJECTIONS = ("camera", "eigen")
 
 
 def read_calibration(path: Path) -> dict[str, np.ndarray]:
-    """Lines ``key: numbers`` of a calibration file; lines without numbers (the date) are passed over.
+    """Return the lines ``key: numbers`` of a calibration file; lines without numbers (the date) are skipped.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is no text or holds no such line.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is no text or has no such line.
     """
     entries = {}
     text = read_text(path, "fetch it again, from KITTI's calibration zip of that date")
@@ -29,15 +31,15 @@ def read_calibration(path: Path) -> dict[str, np.ndarray]:
         except ValueError:
             continue
     if not entries:
-        raise ValueError(f"{path} holds no line 'key: numbers': is it KITTI's? fetch it again")
+        raise ValueError(f"{path} has no line 'key: numbers': is it KITTI's? fetch it again")
     return entries
 
 
 def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """One entry of a calibration file, as a matrix of ``shape``.
+    """Return one entry of a calibration file as a matrix of ``shape``.
 
     Raises:
-        ValueError: naming the key that is missing, or has another count of numbers or one that is not finite.
+        ValueError: the key is missing, or has too few, too many or infinite numbers.
     """
     entries = read_calibration(path)
     if key not in entries:
@@ -45,15 +47,17 @@ def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
     numbers = entries[key]
     if numbers.size != np.prod(shape) or not np.isfinite(numbers).all():
         raise ValueError(
-            f"{path}: {key} holds {numbers.size} numbers, {np.prod(shape)} finite ones are needed: is it cut?"
+            f"{path}: {key} has {numbers.size} numbers, wanted {np.prod(shape)} finite ones: fetch it again"
         )
     return numbers.reshape(shape)
 
 
 def rectified_intrinsics(folder: Path, camera: int) -> np.ndarray:
-    """Intrinsics ``(3, 3)`` [px] of the rectified pictures of ``camera`` (0 to 3) of the date in ``folder``.
+    """Return the intrinsics ``(3, 3)`` [px] of the rectified pictures of ``camera`` (0 to 3).
 
-    ``P_rect_0N`` is enough: files that hold only these keys do.
+    Args:
+        folder: of the date; of its file only ``P_rect_0N`` is read.
+        camera: 0 to 3.
     """
     matrix = entry(folder / CAM_TO_CAM, f"P_rect_{camera:02d}", (3, 4))[:, :3]
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
@@ -62,7 +66,7 @@ def rectified_intrinsics(folder: Path, camera: int) -> np.ndarray:
 
 
 def velodyne_to_image(folder: Path, camera: int) -> np.ndarray:
-    """Projection ``(3, 4)`` of homogeneous LiDAR points [m] to ``(u z, v z, z)`` of rectified ``camera``.
+    """Return the projection ``(3, 4)`` of homogeneous LiDAR points [m] to ``(u z, v z, z)`` in ``camera``.
 
     ``P_rect_0N * R_rect_00 * [R | T]``, IJRR 2013, equation 7.
     """
@@ -72,3 +76,50 @@ def velodyne_to_image(folder: Path, camera: int) -> np.ndarray:
     rigid[:3, :3] = entry(folder / VELO_TO_CAM, "R", (3, 3))
     rigid[:3, 3] = entry(folder / VELO_TO_CAM, "T", (3,))
     return entry(folder / CAM_TO_CAM, f"P_rect_{camera:02d}", (3, 4)) @ rotation @ rigid
+
+
+def read_scan(path: Path) -> np.ndarray:
+    """Return the points ``(N, 4)`` float32 of a scan: x forward, y left, z up [m], reflectance.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is empty, cut, or holds numbers that are no points.
+    """
+    content = read_bytes(path)
+    if not content or len(content) % 16:
+        raise ValueError(
+            f"{path} is cut or is no scan ({len(content)} bytes, a point has 16): fetch it again"
+        )
+    points = np.frombuffer(content, "<f4").reshape(-1, 4)
+    if not np.isfinite(points).all() or not 1 < np.abs(points[:, :3]).max() <= 1000:
+        raise ValueError(f"{path} holds numbers that are no points within 1 km: fetch it again")
+    return points
+
+
+def project_scan(
+    points: np.ndarray, matrix: np.ndarray, size: tuple[int, int], projection: str = "camera"
+) -> np.ndarray:
+    """Return sparse depth ``(H, W)`` float64 [m], 0 = unknown; the nearest point in each pixel counts.
+
+    Convention: "camera" follows the geometry: depth is the distance along the camera's axis, a point falls
+    into the nearest pixel (centers on whole numbers). "eigen" is how the field's 697 test frames are made
+    (Eigen, monodepth, monodepth2): one pixel up and to the left, as in KITTI's MATLAB code, and depth is the
+    LiDAR's x, 0.27 m more. We do not copy monodepth's test for points that share a pixel, which mistakes some
+    pairs of pixels for one.
+
+    Args:
+        points: ``(N, 3)`` or ``(N, 4)`` in the LiDAR's frame [m].
+        matrix: ``(3, 4)``, see :func:`velodyne_to_image`.
+        size: ``(height, width)`` of the picture [px].
+        projection: "camera" or "eigen".
+    """
+    ahead = points[points[:, 0] >= 0, :3].astype(np.float64)
+    u, v, depth = (ahead @ matrix[:, :3].T + matrix[:, 3]).T
+    front = depth > 0
+    u, v, depth, forward = u[front], v[front], depth[front], ahead[front, 0]
+    cols, rows = np.round(u / depth), np.round(v / depth)
+    if projection == "eigen":
+        cols, rows, depth = cols - 1, rows - 1, forward
+    inside = (rows >= 0) & (rows < size[0]) & (cols >= 0) & (cols < size[1]) & (depth > 0)
+    rows, cols = rows[inside].astype(np.int64), cols[inside].astype(np.int64)
+    return nearest_points(rows, cols, depth[inside], size)

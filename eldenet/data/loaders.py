@@ -1,4 +1,4 @@
-"""Loaders whose order depends on nothing but (seed, epoch): resumable at any batch, shared by processes."""
+"""Data loaders whose order depends on (seed, epoch) alone: resumable at any batch, for several processes."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby, islice
@@ -16,25 +16,25 @@ from eldenet.types import DepthSample
 
 
 class EpochSampler(Sampler[list[tuple[int, int]]]):
-    """Batches of ``(epoch, index)``: a seeded shuffle per epoch, dealt to processes batch by batch.
+    """Batches of ``(epoch, index)``: a seeded shuffle per epoch, dealt out to processes batch by batch.
 
     Args:
         length: of the data set.
         batch_size: per process.
         seed: of the shuffle.
         rank: of this process.
-        processes: that train together.
+        processes: how many train together.
 
     Attributes:
-        epoch: whose order comes next.
-        start: first batch to yield, so that a resumed epoch goes on where it stopped.
+        epoch: of the next pass.
+        start: first batch to yield, so that a resumed epoch continues where it stopped.
     """
 
     def __init__(self, length: int, batch_size: int, *, seed: int, rank: int = 0, processes: int = 1) -> None:
         self.length, self.batch_size, self.seed = length, batch_size, seed
         self.rank, self.processes = rank, processes
         self.epoch, self.start = 0, 0
-        # a smaller last batch would make one step noisier than the others; a tiny data set keeps it
+        # drop a smaller last batch, whose step would be noisier, unless it is the only one
         together = batch_size * processes
         self.batches = length // together if length >= together else 1
 
@@ -51,19 +51,23 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
 
 
 def collate(samples: list[DepthSample]) -> dict[str, object]:
-    """Stack samples; names the frames if their sizes differ."""
+    """Stack samples of one size.
+
+    Raises:
+        ValueError: the sizes differ; names the frames.
+    """
     sizes = {_sizes(sample) for sample in samples}
     if len(sizes) > 1:
         names = ", ".join(sample["name"] for sample in samples[:4])
         raise ValueError(
-            f"frames of different sizes in one batch of a training ({names}, ...: {sorted(sizes)}): set "
+            f"frames of different sizes in one training batch ({names}, ...: {sorted(sizes)}): set "
             "data.input_size"
         )
     return default_collate(samples)
 
 
 def collate_runs(samples: list[DepthSample]) -> list[dict[str, object]]:
-    """Stack samples, in their order, into as many batches as sizes follow each other: for evaluation."""
+    """Stack consecutive samples of one size, in their order, into one batch each: for evaluation."""
     return [default_collate(list(run)) for _, run in groupby(samples, key=_sizes)]
 
 
@@ -74,12 +78,12 @@ def _sizes(sample: DepthSample) -> tuple[tuple[int, ...], ...]:
 def training_loader(
     dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, pin_memory: bool = False
 ) -> DataLoader:
-    """Loader in the order of ``sampler``, whose ``epoch`` and ``start`` are set before each epoch."""
+    """Return a loader in the order of ``sampler``; set its ``epoch`` and ``start`` before each epoch."""
     dataset.open_cache()
     return DataLoader(
         dataset,
         batch_sampler=sampler,
-        generator=torch.Generator(),  # else every start of an epoch, resumed ones too, draws from torch's own
+        generator=torch.Generator(),  # else each epoch's start would draw from torch's global one
         num_workers=workers,
         collate_fn=collate,
         persistent_workers=workers > 0,
@@ -92,10 +96,10 @@ def training_loader(
 def evaluation_loader(
     dataset: DepthDataset, batch_size: int, *, workers: int = 0, rank: int = 0, processes: int = 1
 ) -> DataLoader:
-    """Loader that gives this process its share of the frames: every frame once, in order, none padded.
+    """Return a loader of this process's share of the frames: each frame once, in order, without padding.
 
-    What it yields is a list of batches, each of one size (:func:`collate_runs`). There are at most as many
-    workers as there is to yield; they end with the pass over the frames.
+    It yields lists of batches of one size each (:func:`collate_runs`). Its workers, at most one per item, end
+    with the pass over the frames.
     """
     dataset.open_cache()
     batches = list(batched(range(rank, len(dataset), processes), batch_size))
@@ -112,7 +116,7 @@ def evaluation_loader(
 
 
 def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: bool) -> dict[str, Any]:
-    """The tensors of a batch there, its images in the memory layout of the network's weights."""
+    """Move the tensors of a batch to ``device``, images in the memory layout of the network's weights."""
     layout = torch.channels_last if channels_last else torch.contiguous_format
     moved = {
         name: value.to(device, non_blocking=True) if isinstance(value, Tensor) else value
@@ -123,22 +127,22 @@ def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: 
 
 
 def batched(indices: Iterable[int], size: int) -> Iterator[list[int]]:
-    """Runs of ``size`` indices, the last one shorter."""
+    """Yield runs of ``size`` indices; the last one may be shorter."""
     rest = iter(indices)
     while run := list(islice(rest, size)):
         yield run
 
 
 def _worker_context() -> BaseContext:
-    """Workers fork from a server that holds the imports: a validation's start in a moment, not in seconds."""
-    prepare_environment()  # the server takes it over
+    """Workers fork from a server that has done the imports, so a validation starts at once."""
+    prepare_environment()  # the server inherits it
     context = get_context("forkserver")
     context.set_forkserver_preload(["__main__", "torch", "cv2", "albumentations", "eldenet.data.loaders"])
     return context
 
 
 def _quiet_worker(_: int) -> None:
-    """One thread per worker: its core is already counted."""
+    """Limit a worker to one thread, which counts as its core."""
     import cv2
 
     torch.set_num_threads(1)

@@ -7,11 +7,12 @@ from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 
-from eldenet.data.base import SampleOptions
+from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
-from eldenet.data.nyu import NYUFrames, is_val_frame, nyu_intrinsics
-from eldenet.data.paths import find_root, one_of
+from eldenet.data.nyu import NYU_RANGE, labelled_part, nyu_intrinsics
+from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 HDF5_TREE = """
@@ -24,76 +25,72 @@ splits.mat                     (the official split: trainNdxs, testNdxs)
 """
 
 
-# What h5py raises where a file's inner tables are damaged.
+# the exceptions of h5py for a file whose inner tables are damaged
 _DAMAGED = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError, MemoryError)
 
 
-class NYUHDF5(NYUFrames):
+class NYUHDF5(FileDataset):
     """One HDF5 file per frame, as sparse-to-dense and FastDepth share it; depth is in-painted.
 
-    Ma and Karaman, "Sparse-to-Dense", ICRA 2018: depth is projected into the color picture and
-    in-painted with the official toolbox's cross-bilateral filter.
+    Ma and Karaman, "Sparse-to-Dense", ICRA 2018: depth is projected into the color picture and in-painted
+    with the official toolbox's cross-bilateral filter.
 
-    Convention: there, ``val/official`` (the 654 official test frames) chooses the best epoch as well.
-    Here it is "test" and nothing else, and "val" is held out of the training frames.
+    Convention: there, ``val/official`` (the 654 official test frames) also chooses the best epoch. Here it is
+    "test" and nothing else, and "val" is held out of the training frames.
 
     Args:
-        root: the folder that holds ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.
+        root: the folder with ``train`` and ``val``; None for ``$ELDENET_DATA/nyudepthv2``.
         split: "train" and "val", parts of ``train`` that share no scene
-            (:func:`~eldenet.data.splits.hold_out`), "trainval" for all of it, or "test" for ``val/official``.
+            (:func:`~eldenet.data.splits.hold_out`), "trainval" for both, or "test" for ``val/official``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:
-        FileNotFoundError: where there is no such folder.
-        ValueError: for an unknown split; on reading, for a cut file or a key that is missing.
+        FileNotFoundError: there is no such folder.
+        ValueError: the split is unknown; on reading: a file is cut, or a key is missing.
     """
 
     ground_truth = "inpainted"
+    depth_range = NYU_RANGE
 
     def __init__(
         self, root: str | Path | None = None, *, split: str = "train", **options: Unpack[SampleOptions]
     ) -> None:
         one_of("split", split, ("train", "val", "trainval", "test"))
         part, scenes = ("val", "official") if split == "test" else ("train", "*")
-        self.root = find_root(root, "nyudepthv2", [part], HDF5_TREE)
-        files = sorted(path.relative_to(self.root) for path in (self.root / part).glob(f"{scenes}/*.h5"))
+        folder = find_root(root, "nyudepthv2", [part], HDF5_TREE)
+        files = sorted(path.relative_to(folder) for path in (folder / part).glob(f"{scenes}/*.h5"))
         names = [file.with_suffix("").as_posix() for file in files]
-        if split in ("train", "val"):
-            names = [names[i] for i in hold_out(names, split)]
-        super().__init__(names, **options)
-
-    def frame_files(self, index: int) -> Sequence[Path]:
-        """The one file."""
-        return [self.root / f"{self.names[index]}.h5"]
+        names = [names[i] for i in hold_out(names, split)]
+        super().__init__(folder, names, [(f"{name}.h5",) for name in names], **options)
 
     def load_frame(self, index: int) -> Frame:
         """Read one file."""
-        name = self.names[index]
-        path = self.root / f"{name}.h5"
+        (path,) = self.frame_files(index)
         with open_hdf5(path, path) as file:
-            return read_hdf5_frame(file, path, name)
+            return read_hdf5_frame(file, path, self.names[index])
 
 
-class NYUMat(NYUFrames):
+class NYUMat(DepthDataset):
     """The original ``nyu_depth_v2_labeled.mat``.
 
     Convention: MATLAB writes the axes in reverse, so images come as ``(N, 3, 640, 480)`` and depth as
     ``(N, 640, 480)``; frame numbers, here and in ``splits.mat``, start at 1.
 
     Args:
-        root: the folder that holds the files; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``.
-        split: "train" and "val", the own scene-disjoint parts of the 795 official training frames
-            (:data:`eldenet.data.nyu.VAL_FRAMES`), "trainval" for the 795, "test" for the 654, or "all", the
-            one that needs no ``splits.mat``.
+        root: the folder with the files; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``.
+        split: "train" and "val", our parts of the 795 official training frames, which share no scene
+            (:data:`eldenet.data.nyu.VAL_FRAMES`), "trainval" for the 795, "test" for the 654, or "all", which
+            needs no ``splits.mat``.
         ground_truth: "inpainted" for ``depths``, "raw" for ``rawDepths`` with its holes.
         file: name of the .mat.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:
-        FileNotFoundError: naming what is missing.
-        ValueError: for an unknown split or ground truth, or a .mat without it or with too few frames.
+        FileNotFoundError: a file is missing.
+        ValueError: the split or ground truth is unknown, or the .mat lacks it or has too few frames.
     """
 
+    depth_range = NYU_RANGE
     frame_lists = ("names", "numbers")
 
     def __init__(
@@ -120,16 +117,16 @@ class NYUMat(NYUFrames):
             self.numbers = _split_numbers(folder / "splits.mat", split)
         if max(self.numbers, default=0) > count:
             raise ValueError(
-                f"{self.path} holds {count} frames, split {split!r} wants frame {max(self.numbers)}"
+                f"{self.path} has {count} frames, split {split!r} has frame {max(self.numbers)}: is it cut?"
             )
         super().__init__([f"{number:04d}" for number in self.numbers], **options)
 
     def frame_files(self, index: int) -> Sequence[Path]:
-        """The .mat."""
+        """Return the .mat file."""
         return [self.path]
 
     def frame_settings(self) -> dict[str, object]:
-        """Which depth."""
+        """Return which depth is read."""
         return {"depth": self.depth_key}
 
     def load_frame(self, index: int) -> Frame:
@@ -141,7 +138,7 @@ class NYUMat(NYUFrames):
         return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
 
     def _mat(self) -> Any:
-        """The open file, opened once in each process: a handle must not cross a fork or a pickle."""
+        """Open the file once in each process: a handle must not cross a fork or a pickle."""
         if self._handle is None or self._process != os.getpid():
             self._handle, self._process = open_hdf5(self.path, self.path), os.getpid()
         return self._handle
@@ -151,15 +148,15 @@ class NYUMat(NYUFrames):
 
 
 def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
-    """The frame that one of sparse-to-dense's open HDF5 files holds; ``source`` is for messages.
+    """Return the frame in one of sparse-to-dense's open HDF5 files; ``source`` is for messages.
 
     Raises:
-        ValueError: a key is missing, or an array has another shape or type.
+        ValueError: a key is missing, or an array has the wrong shape or type.
     """
     image, depth = (_read(_take(file, key, source), (), source) for key in ("rgb", "depth"))
     if image.ndim != 3 or image.shape[0] != 3 or image.dtype != np.uint8 or image.shape[1:] != depth.shape:
         raise ValueError(
-            f"{source}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, wanted (3, H, W) uint8 "
+            f"{source}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, expected (3, H, W) uint8 "
             "and (H, W)"
         )
     size = (depth.shape[0], depth.shape[1])
@@ -171,9 +168,9 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
     """Open an HDF5 file on disk or in memory; ``source`` is for messages.
 
     Raises:
-        FileNotFoundError: where there is no such file.
+        FileNotFoundError: there is no such file.
         ImportError: h5py is not installed.
-        ValueError: where it is cut or no HDF5 file.
+        ValueError: the file is cut or no HDF5 file.
     """
     if isinstance(file, Path) and not file.is_file():
         raise FileNotFoundError(f"{source} does not exist: check root, or fetch the file again")
@@ -188,7 +185,7 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
 
 
 def _take(file: Any, key: str, source: object) -> Any:
-    """The data set of that key in an open file."""
+    """Return the array of that key in an open file, not yet read."""
     try:
         keys = sorted(file)
         found = file[key] if key in keys else None
@@ -197,12 +194,12 @@ def _take(file: Any, key: str, source: object) -> Any:
     if found is None:
         raise ValueError(f"{source} has no {key!r}, only {', '.join(keys)}: is it the right file?")
     if not hasattr(found, "shape"):
-        raise ValueError(f"{source}: {key!r} is a folder of others, not an array: is it the right file?")
+        raise ValueError(f"{source}: {key!r} is a group, not an array: is it the right file?")
     return found
 
 
 def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
-    """The array, or a part of it."""
+    """Read an array or a part of it."""
     try:
         return np.asarray(dataset[part])
     except _DAMAGED as error:
@@ -214,18 +211,16 @@ def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:
     fit = images.ndim == 4 and images.shape[1] == 3 and images.dtype == np.uint8
     if not fit or depths.shape != (images.shape[0], *images.shape[2:]):
         raise ValueError(
-            f"{path}: images {images.shape} {images.dtype} and {depth_key} {depths.shape}, wanted "
+            f"{path}: images {images.shape} {images.dtype} and {depth_key} {depths.shape}, expected "
             "(N, 3, 640, 480) uint8 and (N, 640, 480)"
         )
     return int(images.shape[0])
 
 
 def _split_numbers(path: Path, split: str) -> Sequence[int]:
-    """Frame numbers, from 1, of a part of the official split."""
-    try:
-        from scipy.io import loadmat
-    except ImportError as error:
-        raise ImportError("reading splits.mat needs scipy: pip install scipy") from error
+    """Return the frame numbers, from 1, of a part of the official split."""
+    from scipy.io import loadmat
+
     if not path.is_file():
         raise FileNotFoundError(f"{path} is no file: fetch it again")
     try:
@@ -234,12 +229,12 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
     except Exception as error:  # the reader raises many kinds
         reason = f"{type(error).__name__}: {str(error)[:200]}"
         raise ValueError(
-            f"{path} is cut or is not the official split, trainNdxs and testNdxs ({reason}): fetch it again"
+            f"{path} is cut or is no official split with trainNdxs and testNdxs ({reason}): fetch it again"
         ) from error
     every = parts["trainNdxs"] + parts["testNdxs"]
     if not every or min(every) < 1 or len(set(every)) < len(every):
-        raise ValueError(f"{path}: frames are numbered from 1 and each is there once: fetch it again")
+        raise ValueError(f"{path}: its frame numbers must start at 1 and not repeat: fetch it again")
     numbers = parts["testNdxs" if split == "test" else "trainNdxs"]
     if split in ("train", "val"):
-        numbers = [n for n in numbers if is_val_frame(n) == (split == "val")]
+        numbers = [n for n in numbers if (labelled_part(n) == "val") == (split == "val")]
     return numbers

@@ -1,4 +1,4 @@
-"""NYU Depth V2 in tar shards of HDF5 files, as the Hugging Face Hub's ``sayakpaul/nyu_depth_v2`` holds it."""
+"""NYU Depth V2 in tar shards of HDF5 files, as in the Hugging Face Hub's ``sayakpaul/nyu_depth_v2``."""
 
 import hashlib
 import io
@@ -7,17 +7,16 @@ import logging
 import os
 import tarfile
 import uuid
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, Unpack
 
-from eldenet.data.base import SampleOptions
-from eldenet.data.nyu import NYUFrames
+from eldenet.data.base import DepthDataset, SampleOptions
+from eldenet.data.nyu import NYU_RANGE
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.paths import find_root, one_of
-from eldenet.data.shards import default_cache
+from eldenet.data.paths import default_cache, find_root
 from eldenet.data.splits import hold_out
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -27,7 +26,7 @@ data/val-000000.tar, val-000001.tar            (the official 654)
 
 
 class Member(NamedTuple):
-    """Where one file lies within its shard: bytes ``start`` to ``start + size``."""
+    """Place of one file in its shard: bytes ``start`` to ``start + size``."""
 
     shard: str
     name: str
@@ -35,29 +34,30 @@ class Member(NamedTuple):
     size: int
 
 
-class NYUTar(NYUFrames):
-    """The Hub's tar shards, read in place: every frame by its place in its shard, in any order.
+class NYUTar(DepthDataset):
+    """The Hub's tar shards, read in place: each frame by its place in its shard, in any order.
 
-    The places are looked up once, by walking the shards' headers, and kept in the cache folder under the
-    shard's path, size and time of change: a shard that was fetched again is walked again.
+    The places are found once, by reading the shards' headers, and stored in the cache folder with the shard's
+    path, size and time of change: a shard that was fetched again is indexed again.
 
     Convention: as in :class:`~eldenet.data.nyu_hdf5.NYUHDF5`, "val" is held out of the training frames and
     the official test frames (the Hub's ``val``) are "test".
 
     Args:
-        root: the folder that holds ``data``; None for ``$ELDENET_DATA/nyu_depth_v2_hub``.
+        root: the folder with ``data``; None for ``$ELDENET_DATA/nyu_depth_v2_hub``.
         split: "train" and "val", parts of the training frames that share no scene
-            (:func:`~eldenet.data.splits.hold_out`), "trainval" for all of these, or "test".
-        index: folder for the places; None takes ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
+            (:func:`~eldenet.data.splits.hold_out`), "trainval" for both, or "test".
+        index: folder for the places; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:
-        FileNotFoundError: where there are no shards.
-        ValueError: for an unknown split, or a shard that is cut (with ``on_error: skip`` its whole frames
-            stay, and ``skipped`` names the shard); on reading, for a damaged frame.
+        FileNotFoundError: there are no shards.
+        ValueError: the split is unknown, or a shard is cut (with ``on_error: skip`` its whole frames are
+            used, and ``skipped`` names the shard); on reading: a frame is damaged.
     """
 
     ground_truth = "inpainted"
+    depth_range = NYU_RANGE
     frame_lists = ("names", "members")
 
     def __init__(
@@ -74,7 +74,7 @@ class NYUTar(NYUFrames):
         shards = sorted((self.root / "data").glob(f"{part}-*.tar"))
         if not shards:
             raise FileNotFoundError(
-                f"{self.root / 'data'} holds no {part}-*.tar: is data.root right? Expected tree:\n"
+                f"{self.root / 'data'} has no {part}-*.tar: check data.root. Expected tree:\n"
                 f"{TAR_TREE.strip()}"
             )
         cache = (default_cache() if index is None else Path(index)).expanduser() / "tar_index"
@@ -84,28 +84,24 @@ class NYUTar(NYUFrames):
             found, fault = shard_members(shard, cache)
             if fault and options.get("on_error") != "skip":
                 raise ValueError(
-                    f"{shard} is cut ({fault}): fetch it again, or take what it has (on_error: skip)"
+                    f"{shard} is cut ({fault}): fetch it again, or use its whole frames (on_error: skip)"
                 )
             if fault:
                 cut[f"data/{shard.name}"] = f"{shard} is cut ({fault})"
             members += found
-        names = [_frame_name(part, member.name) for member in members]
-        twice = sorted(name for name, count in Counter(names).items() if count > 1)
-        if twice:
-            raise ValueError(f"{self.root / 'data'}: {len(twice)} frames are there twice, such as {twice[0]}")
-        order = sorted(range(len(names)), key=names.__getitem__)
-        members, names = [members[i] for i in order], [names[i] for i in order]
-        if split in ("train", "val"):
-            chosen = hold_out(names, split)
-            members, names = [members[i] for i in chosen], [names[i] for i in chosen]
+        by_name = {_frame_name(part, member.name): member for member in members}
+        if len(by_name) < len(members):
+            raise ValueError(f"{self.root / 'data'} has frames twice: remove the shards that repeat others")
+        names = sorted(by_name)
+        names = [names[i] for i in hold_out(names, split)]
         super().__init__(names, **options)
-        self.members = members
+        self.members = [by_name[name] for name in names]
         self.skipped |= cut
         self._open: dict[str, int] = {}
         self._process = -1
 
     def frame_files(self, index: int) -> Sequence[Path]:
-        """The frame's shard."""
+        """Return the frame's shard."""
         return [self.root / self.members[index].shard]
 
     def load_frame(self, index: int) -> Frame:
@@ -121,7 +117,7 @@ class NYUTar(NYUFrames):
             return read_hdf5_frame(file, source, self.names[index])
 
     def _shard(self, shard: str) -> int:
-        """The open shard, opened once in each process."""
+        """Open a shard once in each process."""
         if self._process != os.getpid():
             self._open, self._process = {}, os.getpid()
         if shard not in self._open:
@@ -138,7 +134,7 @@ class NYUTar(NYUFrames):
 
 
 def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
-    """The ``.h5`` files of a shard and, if it is cut, how; from the cache if the shard is still the same."""
+    """Return the ``.h5`` files of a shard and, if it is cut, how; from the cache if the shard is the same."""
     state = shard.stat()
     path = str(shard.resolve())
     key = [path, state.st_size, state.st_mtime_ns]
@@ -146,10 +142,10 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
     try:
         known = json.loads(file.read_text())
         if known["shard"] == key:
-            # the shard's name is the one it is asked for by: it may be a link, and have others
+            # under the name that was asked for: the path may be a link
             return [Member(f"data/{shard.name}", *entry[1:]) for entry in known["members"]], known["fault"]
     except (OSError, ValueError, KeyError, TypeError):
-        pass  # not there, or not ours: walk the shard
+        pass  # no index, or not ours: walk the shard
     members, fault = _walk(shard)
     try:
         cache.mkdir(parents=True, exist_ok=True)
@@ -157,12 +153,14 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
         unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
         unfinished.replace(file)
     except OSError as error:
-        logging.getLogger("eldenet").warning("no list of %s is kept in %s: %s", shard, cache, error)
+        logging.getLogger("eldenet").warning(
+            "the index of %s cannot be stored in %s: %s", shard, cache, error
+        )
     return members, fault
 
 
 def _walk(shard: Path) -> tuple[list[Member], str]:
-    """Read header after header; tarfile takes the end of a cut file for the end of the archive."""
+    """Read all headers; tarfile alone would take the end of a cut file for the end of the archive."""
     members: list[Member] = []
     length, end = shard.stat().st_size, 0
     try:
@@ -187,6 +185,6 @@ def _walk(shard: Path) -> tuple[list[Member], str]:
 
 
 def _frame_name(part: str, member: str) -> str:
-    """As NYUHDF5 names it, ``train/<scene>/00001``, whatever folders stand before the scene."""
+    """Name of a frame as in NYUHDF5, ``train/<scene>/00001``, whatever folders precede the scene."""
     path = PurePosixPath(member).with_suffix("")
     return f"{part}/{path.parent.name}/{path.name}"

@@ -1,34 +1,30 @@
-"""Protocol geometry of a camera frame: windows, sizes and crops, on image, depth and intrinsics alike."""
+"""Cut out, resize and crop a camera frame: image, depth and intrinsics together."""
 
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 
-from eldenet.data.base import SPARSE
-from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import crop_corner, crop_intrinsics, pinhole, resize_intrinsics, resize_sparse
+from eldenet.data.base import resize_frame
+from eldenet.geometry import crop_corner, crop_intrinsics
 from eldenet.types import Frame
 
 
 class ResizeCrop:
-    """Cut out a box, resize, crop, resize: the geometry of an evaluation protocol, on image and depth alike.
+    """Cut out a box, resize (bilinear), crop and resize again: what a protocol does to a frame.
 
-    Example: sparse-to-dense scores 640x480 frames at ``resize=0.5, crop=(228, 304)``, all nearest;
-    FastDepth at ``resize=250 / 480``, the same crop, and ``size=(224, 224)``.
+    Example: FastDepth scores 640x480 frames at ``resize=250 / 480, crop=(228, 304), size=(224, 224)``.
 
     Convention: see :func:`~eldenet.geometry.crop_corner` for where a crop starts.
 
     Args:
-        box: ``(top, bottom, left, right)`` of what stays of the frame [px], ends excluded, or None for all.
+        box: ``(top, bottom, left, right)`` of the part to keep [px], ends excluded; None for all.
         resize: factor, or ``(height, width)`` [px], or None for none. A factor rounds the size down, as
             sparse-to-dense does.
-        crop: ``(height, width)`` of what stays [px], or None for all.
-        anchor: of the crop: "center", or "bottom" for the lowest rows, centered left and right.
-        interpolation: of the image: "nearest", "bilinear" or "area". Depth is always "nearest".
+        crop: ``(height, width)`` of the part to keep [px], or None for all.
+        anchor: of the crop: "center", or "bottom" for the lowest rows, centered horizontally.
         size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
-        sparse: depth is single points: a resize keeps every one, the nearest where several meet.
-        keep_depth: leave depth whole: the prediction will be put back into its place.
+        sparse: depth consists of single points: a resize keeps each one, the nearest if several meet.
+        keep_depth: leave depth whole, as the prediction will be pasted back into the frame; for a crop alone.
     """
 
     def __init__(
@@ -38,95 +34,40 @@ class ResizeCrop:
         resize: float | Sequence[int] | None = None,
         crop: Sequence[int] | None = None,
         anchor: str = "center",
-        interpolation: str = "bilinear",
         size: Sequence[int] | None = None,
         sparse: bool = False,
         keep_depth: bool = False,
     ) -> None:
-        if anchor not in ("center", "bottom"):
-            raise ValueError(f"anchor={anchor!r}: give 'center' or 'bottom'")
-        if keep_depth and (box is not None or resize is not None or size is not None):
-            raise ValueError(
-                "keep_depth=True goes with a crop alone: a resized image has no place in the depth"
-            )
-        if box is not None and len(box) != 4:
-            raise ValueError(f"box={list(box)}: give [top, bottom, left, right] in pixels")
-        if interpolation not in ("nearest", "bilinear", "area"):
-            raise ValueError(f"interpolation={interpolation!r}: give 'nearest', 'bilinear' or 'area'")
-        if isinstance(resize, int | float) and not resize > 0:
-            raise ValueError(f"resize={resize}: give a factor above 0 or [height, width]")
-        self.resize = resize if resize is None or isinstance(resize, int | float) else _pair(resize)
-        self.crop = None if crop is None else _pair(crop)
-        self.size = None if size is None else _pair(size)
-        self.box = None if box is None else tuple(int(edge) for edge in box)
-        self.anchor, self.interpolation, self.sparse, self.keep_depth = (
-            anchor,
-            interpolation,
-            sparse,
-            keep_depth,
-        )
-
-    @classmethod
-    def of_protocol(cls, protocol: EvalProtocol, *, keep_depth: bool = False) -> Self:
-        """What ``protocol`` does to a camera's frame before anything else."""
-        return cls(
-            box=protocol.frame_box,
-            resize=protocol.resize,
-            crop=protocol.frame_crop,
-            anchor=protocol.frame_anchor,
-            size=protocol.frame_size,
-            sparse=protocol.ground_truth in SPARSE,
-            keep_depth=keep_depth,
-        )
+        self.box, self.resize, self.crop, self.size = box, resize, crop, size
+        self.anchor, self.sparse, self.keep_depth = anchor, sparse, keep_depth
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
-        """Resize and crop one frame; nothing here is random.
+        """Transform one frame; nothing here is random.
 
         Raises:
-            ValueError: where image and depth differ in size, or the crop does not fit.
+            ValueError: image and depth differ in size, or the box or crop does not fit into the frame.
         """
         check_same_size(frame)
         if self.box is not None:
             frame = self._window(frame, *self.box)
         height, width = frame.depth.shape
-        if isinstance(self.resize, tuple):
+        if isinstance(self.resize, Sequence):
             frame = self._resized(frame, self.resize)
         elif self.resize is not None:
             frame = self._resized(frame, (_scaled(height, self.resize), _scaled(width, self.resize)))
         if self.crop is not None:
-            frame = self._cropped(frame, self.crop)
+            rows, cols = self.crop
+            height, width = frame.depth.shape
+            if rows > height or cols > width:
+                raise ValueError(
+                    f"crop={[rows, cols]} does not fit into {frame.name}, which is {height}x{width} here"
+                )
+            top, left = crop_corner((height, width), (rows, cols), self.anchor)
+            frame = self._window(frame, top, top + rows, left, left + cols)
         return frame if self.size is None else self._resized(frame, self.size)
 
-    def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
-        import cv2
-
-        image, depth, intrinsics, name, labels = frame
-        if depth.shape == size:
-            return frame
-        how = {
-            "nearest": cv2.INTER_NEAREST_EXACT,
-            "bilinear": cv2.INTER_LINEAR,
-            "area": cv2.INTER_AREA,
-        }[self.interpolation]
-        if intrinsics is not None:
-            intrinsics = resize_intrinsics(intrinsics, (depth.shape[0], depth.shape[1]), size)
-        image = cv2.resize(image, size[::-1], interpolation=how)
-        if self.sparse:
-            depth = resize_sparse(depth, size)
-        else:
-            depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        if labels is not None:
-            labels = cv2.resize(labels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        return Frame(image, depth, intrinsics, name, labels)
-
-    def _cropped(self, frame: Frame, crop: tuple[int, int]) -> Frame:
-        (height, width), (rows, cols) = frame.depth.shape, crop
-        if rows > height or cols > width:
-            raise ValueError(
-                f"crop={list(crop)} does not fit into {frame.name}, which is {height}x{width} here"
-            )
-        top, left = crop_corner((height, width), crop, self.anchor)
-        return self._window(frame, top, top + rows, left, left + cols)
+    def _resized(self, frame: Frame, size: Sequence[int]) -> Frame:
+        return resize_frame(frame, (size[0], size[1]), sparse=self.sparse, area=False)
 
     def _window(self, frame: Frame, top: int, bottom: int, left: int, right: int) -> Frame:
         image, depth, intrinsics, name, labels = frame
@@ -147,37 +88,10 @@ def _scaled(length: int, factor: float) -> int:
     return int(length * factor + 1e-6)  # 480 * (250 / 480) must not round down to 249
 
 
-def _pair(size: Sequence[int]) -> tuple[int, int]:
-    if len(size) != 2 or min(size) < 1:
-        raise ValueError(f"a size is [height, width] in pixels, got {list(size)}")
-    return int(size[0]), int(size[1])
-
-
-def whole_frame_size(
-    protocol: EvalProtocol, frame_size: tuple[int, int], input_size: Sequence[int] | None
-) -> tuple[int, int]:
-    """``(height, width)`` [px] that a camera's whole frame has at the scale at which a network sees its part.
-
-    Args:
-        protocol: cuts the part out of the frame.
-        frame_size: ``(height, width)`` of the whole frame [px].
-        input_size: ``(height, width)`` to which the part is resized for the network [px]; None: it is not.
-
-    Example: KITTI's 375 x 1242 of which the lowest 352 x 1216 are seen at 176 x 608: 188 x 621.
-    """
-    blank = np.zeros((*frame_size, 3), np.uint8), np.zeros(frame_size, np.float32)
-    part = ResizeCrop.of_protocol(protocol)(Frame(*blank, pinhole(1, 1, 0, 0), "a training frame"))
-    scale = part.intrinsics  # of focal lengths that were 1
-    assert scale is not None
-    if input_size is not None:
-        scale = resize_intrinsics(scale, part.depth.shape, _pair(input_size))
-    return round(frame_size[0] * scale[1, 1]), round(frame_size[1] * scale[0, 0])
-
-
 def check_same_size(frame: Frame) -> None:
-    """Raise ``ValueError`` where image and depth differ in size."""
+    """Raise ``ValueError`` if image and depth differ in size."""
     if frame.image.shape[:2] != frame.depth.shape:
         raise ValueError(
-            f"{frame.name}: image {frame.image.shape[:2]} and depth {frame.depth.shape} differ in size, so "
-            "they cannot be moved together: resize one of them first"
+            f"{frame.name}: image {frame.image.shape[:2]} and depth {frame.depth.shape} differ in size: "
+            "resize one of them first"
         )

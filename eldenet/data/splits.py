@@ -1,6 +1,7 @@
 """Validation frames held out of a training part by whole scenes, the same ones on every machine.
 
-Neighbors in a recording show nearly the same: a frame-by-frame split would validate on what was trained.
+Neighboring frames of a recording look nearly the same: a frame-by-frame split would validate on what was
+trained.
 """
 
 import hashlib
@@ -12,9 +13,9 @@ VAL_SHARE = 0.05
 
 
 def scene_of(name: str) -> str:
-    """The scene that a frame's name belongs to: its folder, without what does not change the place.
+    """Return the scene of a frame's name: its folder, without suffixes that do not change the place.
 
-    ``kitchen_0001a/rgb_00012``, ``train/kitchen_0001b/00001`` and ``kitchen_0001a_out/12`` are all of
+    ``kitchen_0001a/rgb_00012``, ``train/kitchen_0001b/00001`` and ``kitchen_0001a_out/12`` all belong to
     ``kitchen_0001``: NYU's letters number the recordings of one place, DenseDepth adds ``_out``.
     """
     folder = PurePosixPath(name).parent.name.removesuffix("_out")
@@ -22,16 +23,22 @@ def scene_of(name: str) -> str:
 
 
 def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = scene_of) -> list[int]:
-    """Indices of the frames of ``split`` ("train" or "val"); no scene is in both.
+    """Return the indices of the frames of ``split``: "train" and "val" share no scene, others take all.
 
-    A scene is for validation if the first 64 bits of its name's SHA-256 are below 5 % of their range. So it
-    depends on nothing else, and the layouts of one data set hold out the same scenes. Where that would
-    leave one side empty (a few scenes only), the scene nearest to the threshold changes sides.
-    ``scene`` gives a name's scene where the folder's name does not.
+    A scene is for validation if the first 64 bits of its name's SHA-256 are below 5 % of their range. So all
+    layouts of one data set hold out the same scenes. If that leaves one side empty (few scenes), the scene
+    nearest to the threshold changes sides.
+
+    Args:
+        names: of the frames.
+        split: "train", "val" or anything else.
+        scene: returns the scene of a frame's name.
 
     Raises:
-        ValueError: there is but one scene.
+        ValueError: there is only one scene to split.
     """
+    if split not in ("train", "val"):
+        return list(range(len(names)))
     scenes = [scene(name) for name in names]
     place = {one: _place(one) for one in scenes}
     if len(place) == 1:
@@ -48,5 +55,5 @@ def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = sce
 
 
 def _place(scene: str) -> float:
-    """A number in [0, 1) that only the name decides."""
+    """A number in [0, 1) that depends on the name alone."""
     return int.from_bytes(hashlib.sha256(scene.encode()).digest()[:8], "big") / 2**64

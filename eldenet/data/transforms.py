@@ -10,20 +10,20 @@ import numpy as np
 from eldenet.data.resize_crop import check_same_size
 from eldenet.types import Frame
 
-BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: a border that says nothing once the network normalizes it
+BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once the network has normalized it
 
 
 class Augmentation:
-    """Random flip, zoom, shift, rotation and color change of a frame, the geometry kept true.
+    """Randomly flip, zoom, shift, rotate and recolor a frame, with depth and intrinsics to match.
 
-    Every probability is 0 for "off". Nothing but the generator handed to a call decides what happens to a
-    frame: not earlier calls, not the worker. Where the frame is moved away from the border, the image is
-    filled with one color and the depth is unknown (0): a mirrored border would invent depth.
+    Every probability is 0 for "off". The generator of a call alone decides what happens to a frame: neither
+    earlier calls nor the worker matter. Pixels from beyond the border get one color and unknown depth (0), as
+    a mirrored border would invent depth.
 
-    Zooming by s shows the scene as from s times nearer: depth is divided by s, the focal length stays, X and
-    Y of every point in the camera frame stay the same (as in sparse-to-dense and FastDepth). Flip, rotation
-    and shift keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 %
-    apart for NYU) shears the scene by that difference times the sine of the angle, which is left in.
+    Zooming by s shows the scene from s times nearer: depth is divided by s, the focal length stays, and X and
+    Y of every point in the camera frame stay (as in sparse-to-dense and FastDepth). Flip, rotation and shift
+    keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 % apart for
+    NYU) shears the scene by that difference times the sine of the angle, which is not corrected.
 
     Args:
         flip: probability of mirroring left and right.
@@ -46,7 +46,7 @@ class Augmentation:
         value: see ``hue_saturation``.
 
     Raises:
-        ValueError: for a probability outside [0, 1] or a range that is none.
+        ValueError: a probability or range is out of its bounds.
     """
 
     def __init__(
@@ -68,26 +68,16 @@ class Augmentation:
         saturation: float = 20.0,
         value: float = 10.0,
     ) -> None:
-        chances = {
-            "flip": flip,
-            "affine": affine,
-            "brightness_contrast": brightness_contrast,
-            "color_jitter": color_jitter,
-            "hue_saturation": hue_saturation,
-        }
-        for name, chance in chances.items():
-            if not 0.0 <= chance <= 1.0:
-                raise ValueError(
-                    f"{name}={chance} is a probability: give a number from 0 (off) to 1 (always)"
-                )
-        fractions = {"shift": shift, "brightness": brightness, "contrast": contrast, "jitter": jitter}
+        fractions = {"flip": flip, "affine": affine, "brightness_contrast": brightness_contrast}
+        fractions |= {"color_jitter": color_jitter, "hue_saturation": hue_saturation, "shift": shift}
+        fractions |= {"brightness": brightness, "contrast": contrast, "jitter": jitter}
         for name, fraction in fractions.items():
             if not 0.0 <= fraction <= 1.0:
-                raise ValueError(f"{name}={fraction} is a fraction: give a number from 0 to 1")
+                raise ValueError(f"{name}={fraction}: give a number from 0 to 1")
         low, high = (float(s) for s in scale)
         if not 0.1 <= low <= high:
             raise ValueError(
-                f"scale={list(scale)} is a range of zoom factors: give [low, high], 0.1 <= low <= high"
+                f"scale={list(scale)}: give a range of zoom factors [low, high], 0.1 <= low <= high"
             )
 
         A = _albumentations()
@@ -99,7 +89,7 @@ class Augmentation:
                     keep_ratio=True,
                     translate_percent=(-shift, shift),
                     rotate=(-rotate, rotate),
-                    border_mode=0,  # cv2.BORDER_CONSTANT; the reflecting modes would multiply the keypoints
+                    border_mode=0,  # cv2.BORDER_CONSTANT; reflecting modes would multiply the keypoints
                     fill=BORDER_COLOR,
                     fill_mask=0,
                     p=affine,
@@ -118,7 +108,7 @@ class Augmentation:
         if hue_saturation:
             color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
         points = A.KeypointParams(format="xy", remove_invisible=False)
-        # Two passes: the keypoints that carry the geometry need not travel through the color changes.
+        # two passes: the keypoints that carry the geometry need not go through the color changes
         along: dict[str, Any] = {"keypoint_params": points, "additional_targets": {"labels": "mask"}}
         self.geometry = A.Compose(geometry, **along) if geometry else None
         self.color = A.Compose(color) if color else None
@@ -127,18 +117,18 @@ class Augmentation:
         """Augment one frame; see :class:`Augmentation`.
 
         Raises:
-            ValueError: where image and depth differ in size.
+            ValueError: image and depth differ in size.
         """
         image, depth, intrinsics, name, labels = frame
         check_same_size(frame)
-        # A shared state, not Compose.set_random_seed: that one gives every transform the same seed, so that
-        # one throw of the dice decides flip, affine and color alike.
+        # a shared state, as Compose.set_random_seed would seed all transforms alike, so that one draw
+        # would decide on flip, affine and color alike
         chance = random.Random(int(generator.integers(2**63)))
         if self.geometry is not None:
             self.geometry.set_random_state(generator, chance)
             height, width = depth.shape
             corners = np.array([[0, 0], [width, 0], [0, height]], dtype=np.float32)
-            # class 255 travels as 0, which is what comes in from beyond the border
+            # class 255 becomes 0 meanwhile, which is also the value from beyond the border
             classes = {} if labels is None else {"labels": labels + np.uint8(1)}
             moved = self.geometry(image=image, mask=depth, keypoints=corners, **classes)
             image, depth = moved["image"], moved["mask"]
@@ -153,7 +143,7 @@ class Augmentation:
 
 
 def _albumentations() -> Any:
-    """Import albumentations without letting it ask the network for a newer version of itself."""
+    """Import albumentations without its network request for a newer version."""
     os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
     import albumentations
 
@@ -161,7 +151,7 @@ def _albumentations() -> Any:
 
 
 def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """The ``(2, 3)`` matrix [px] that takes three points ``(3, 2)`` to where they went."""
+    """Return the ``(2, 3)`` matrix [px] that maps three points ``(3, 2)`` to their new places."""
     homogeneous = np.column_stack([before.astype(np.float64), np.ones(3)])
     return np.linalg.solve(homogeneous, after).T
 
@@ -169,9 +159,9 @@ def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 def _move_camera(
     depth: np.ndarray, intrinsics: np.ndarray | None, matrix: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Depth and intrinsics of a moved picture: zoom divides depth, the principal point moves along."""
+    """Return depth and intrinsics of a moved picture: zoom divides depth, the principal point moves."""
     zoom = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
-    if abs(zoom - 1.0) > 1e-5:  # below that it is the rounding of float32 keypoints
+    if abs(zoom - 1.0) > 1e-5:  # below that, it is rounding of float32 keypoints
         depth = depth / np.float32(zoom)
     if intrinsics is not None:
         moved = np.array(intrinsics, dtype=np.float64)

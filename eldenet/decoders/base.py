@@ -1,4 +1,4 @@
-"""What a decoder is: feature maps in, one raw map out, skips looked up by stride."""
+"""The base class of decoders: feature maps in, one raw map out, skips looked up by stride."""
 
 from collections.abc import Sequence
 
@@ -13,11 +13,14 @@ class Decoder(Configurable, nn.Module):
     """Base of decoders.
 
     Args:
-        feature_info: of the backbone's features, finest first; :class:`~eldenet.model.EncoderDecoder`
-            hands it over.
+        feature_info: channels and strides of the backbone's features, finest first;
+            :class:`~eldenet.model.EncoderDecoder` supplies it.
 
     Attributes:
-        stride: of the raw map ``(B, 1, ceil(H / stride), ceil(W / stride))`` that :meth:`forward` returns.
+        stride: stride of the raw map ``(B, 1, ceil(H / stride), ceil(W / stride))``.
+
+    Raises:
+        ValueError: two features with the same stride.
     """
 
     supplied_arguments = ("feature_info",)
@@ -28,17 +31,19 @@ class Decoder(Configurable, nn.Module):
         self.index_of = {info.stride: index for index, info in enumerate(feature_info)}
         self.channels_at = {info.stride: info.channels for info in feature_info}
         if len(self.index_of) != len(feature_info):
-            raise ValueError(f"features need distinct strides, got {[info.stride for info in feature_info]}")
+            raise ValueError(
+                f"features of strides {[info.stride for info in feature_info]}: strides must be distinct"
+            )
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)`` at :attr:`stride`."""
         raise NotImplementedError
 
     def within_image(self, raw: Tensor, features: Sequence[Tensor]) -> Tensor:
-        """Drop the rows and columns of a raw map at :attr:`stride` that lie beyond the image.
+        """Crop a raw map at :attr:`stride` to the image.
 
-        Doubling the deepest feature gives a map of a padded image: 4 rows of stride 32 stand for 128 rows of
-        an image that has 97. Left in, they would squeeze the depth map once it is resized to the image.
+        Doubling the deepest feature gives the map of a padded image: 4 rows of stride 32 stand for 128 rows,
+        where the image may have 97. Without the crop, resizing to the image would squeeze the depth map.
         """
         finest = min(self.index_of)
         height, width = features[self.index_of[finest]].shape[-2:]
@@ -46,7 +51,7 @@ class Decoder(Configurable, nn.Module):
 
 
 def crop_or_pad(x: Tensor, like: Tensor) -> Tensor:
-    """Bring ``x`` to the height and width of ``like``: odd sizes leave an up-sampled map a pixel off."""
+    """Crop or pad ``x`` to the height and width of ``like``: odd sizes leave up-sampled maps a pixel off."""
     missing_rows, missing_cols = like.shape[-2] - x.shape[-2], like.shape[-1] - x.shape[-1]
     if missing_rows > 0 or missing_cols > 0:
         x = F.pad(x, (0, max(missing_cols, 0), 0, max(missing_rows, 0)), mode="replicate")

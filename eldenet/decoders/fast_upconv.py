@@ -1,4 +1,4 @@
-"""ELDE-Net's default decoder: fast up-convolution modules fed by the encoder's stages."""
+"""ELDE-Net's default decoder: fast up-convolution modules with lateral connections."""
 
 import math
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ FUSIONS = ("add", "none")
 class FastUpConvDecoder(Decoder):
     """Fast up-convolution modules, each with the kernels 3x3, 3x2, 2x3 and 2x2 and a pixel shuffle.
 
-    The deepest feature is reduced by a 1x1 convolution, then doubled in size by each module while its
-    channels are halved; after each the encoder's feature of that stride is added through a 1x1 convolution.
+    A 1x1 convolution reduces the deepest feature. Each module then doubles the size and halves the channels,
+    and the encoder's feature of that stride is added through a 1x1 convolution.
 
     Args:
         feature_info: of the backbone, finest first.
         width: channels after the first 1x1 convolution; None: half of the deepest feature's.
-        fusion: "add" sums the encoder's feature of the same stride in; "none" uses the deepest alone.
-        min_channels: no module gets narrower than this.
-        lateral_strides: strides whose features are summed in; None: all there are.
-        modules: how often the size is doubled. The baseline's four end at stride 2 behind an encoder of
-            stride 32, three at stride 4: the last module works on most pixels.
+        fusion: "add" adds the encoder's features; "none" uses the deepest feature alone.
+        min_channels: least number of channels of a module.
+        lateral_strides: strides whose features are added; None: all.
+        modules: number of doublings. With an encoder of stride 32, the baseline's four end at stride 2 and
+            three end at stride 4; the last module is the most expensive.
 
     Raises:
-        ValueError: for a fusion that does not exist, more modules than the encoder has halvings, or strides
-            that no module ends at.
+        ValueError: an unknown fusion, more modules than the encoder has halvings, or lateral strides at which
+            no module ends.
     """
 
     def __init__(
@@ -44,20 +44,19 @@ class FastUpConvDecoder(Decoder):
     ) -> None:
         super().__init__(feature_info)
         if fusion not in FUSIONS:
-            raise ValueError(f"fusion={fusion!r}: choose one of {FUSIONS}")
+            raise ValueError(f"fusion={fusion!r}: choose one of {', '.join(FUSIONS)}")
         deepest = max(self.index_of)
         most = int(math.log2(deepest))
         if not 1 <= modules <= most:
             raise ValueError(
-                f"modules={modules}: each doubles a feature that starts at one of stride {deepest}; "
-                f"choose 1 to {most}"
+                f"modules={modules}: each doubles the size, starting at stride {deepest}; choose 1 to {most}"
             )
         self.deepest, self.stride = self.index_of[deepest], deepest // 2**modules
         self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]
         reached = [stride for stride in self.strides if stride in self.channels_at]
         wanted = reached if lateral_strides is None else list(lateral_strides)
         if not set(wanted) <= set(reached):
-            raise ValueError(f"lateral_strides={wanted}: the modules pass the features of strides {reached}")
+            raise ValueError(f"lateral_strides={wanted}: the modules reach features of strides {reached}")
         width = self.channels_at[deepest] // 2 if width is None else width
         channels = [max(width // 2**step, min_channels) for step in range(modules + 1)]
         self.reduce = nn.Sequential(

@@ -1,4 +1,4 @@
-"""FastDepth's decoder, in the three forms that its paper compares."""
+"""FastDepth's decoder, with the three operators that its paper compares."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,23 +20,23 @@ class FastDepthDecoder(Decoder):
     """Five modules that halve the channels and double the map, 1024 to 32, and a 1x1 convolution.
 
     Wofk et al., "FastDepth: Fast Monocular Depth Estimation on Embedded Systems" (ICRA 2019). "NNConv5" is a
-    5x5 convolution followed by nearest-neighbor interpolation; depthwise separable in the network that is
-    called FastDepth, which adds the encoder's features of strides 8, 4 and 2. Unpruned; with MobileNetV1:
-    3,960,930 parameters (the published code).
+    5x5 convolution followed by nearest-neighbor interpolation. The network called FastDepth has it depthwise
+    separable and adds the encoder's features of strides 8, 4 and 2. Not pruned; with MobileNetV1 3,960,930
+    parameters, as in the published code.
 
-    Convention: the published network ends in batch normalization and ReLU; the ReLU is left out here, as the
-    head needs both signs. Rows and columns beyond the image are dropped after every doubling.
+    Convention: the published network ends in batch normalization and ReLU; there is no ReLU here, because the
+    head needs both signs. Rows and columns beyond the image are cropped after every doubling.
 
     Args:
-        feature_info: of the backbone; a deepest feature that has not 1024 channels first goes through a 1x1
-            convolution, as the published ResNets do.
+        feature_info: of the backbone; a 1x1 convolution brings the deepest feature to 1024 channels if it has
+            another number, as in the published ResNets.
         operator: ``"nnconv5_dw"``, ``"nnconv5"`` or ``"upconv"`` (unpool, then a 5x5 convolution).
-        skips: add the features of strides 8, 4 and 2, where the backbone has them; MobileNetV1's as they are,
-            others through a 1x1 convolution to 256, 128 and 64 channels.
+        skips: add the backbone's features of strides 8, 4 and 2; a 1x1 convolution brings them to 256, 128
+            and 64 channels if they have other numbers (MobileNetV1's do not need it).
         fast: compute ``"upconv"`` in its fast form (same weights, same output).
 
     Raises:
-        ValueError: an unknown operator, or features that do not fit.
+        ValueError: an unknown operator, or a deepest stride below 32.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class FastDepthDecoder(Decoder):
         self.deepest_stride = max(self.index_of)
         if self.deepest_stride < 32:
             raise ValueError(
-                f"five doublings need a feature of stride 32 or more, the deepest has {self.deepest_stride}"
+                f"the deepest feature has stride {self.deepest_stride}: five doublings need 32 or more"
             )
         self.stride = self.deepest_stride // 32
         self.interpolate = operator != "upconv"

@@ -1,4 +1,4 @@
-"""The paper's decoder read literally: one kernel shape per encoder stage, all concatenated at one size."""
+"""The paper's decoder read literally: one kernel shape per encoder stage, concatenated at one size."""
 
 from collections.abc import Sequence
 
@@ -8,23 +8,26 @@ from torch import Tensor, nn
 from eldenet.decoders.base import Decoder, crop_or_pad
 from eldenet.types import FeatureInfo
 
-# A 224 x 224 input gives 112, 56, 28 and 7: the strides 2, 4, 8 and 32 (the paper, section 3.2).
+# For strides 2, 4, 8 and 32: with a 224 x 224 input, maps of 112, 56, 28 and 7 (the paper, section 3.2).
 KERNELS = ((3, 3), (3, 2), (2, 3), (2, 2))
 
 
 class MultiKernelDecoder(Decoder):
-    """One convolution per encoder stage, then sub-pixel shuffle to the finest stage's size, concat, fuse.
+    """One convolution per encoder stage, pixel shuffle to the finest stage's size, concatenation, fusion.
 
-    3x3 on the finest stage, 3x2 and 2x3 on the middle ones, 2x2 on the last (ELDE-Net, section 3.4). Each
-    branch is enlarged by a pixel shuffle, so that almost all of its work is done on the small maps.
+    3x3 on the finest stage, 3x2 and 2x3 on the middle ones, 2x2 on the last (ELDE-Net, section 3.4). A pixel
+    shuffle enlarges each branch, so nearly all convolutions run on the small maps.
 
     Args:
         feature_info: of the backbone, finest first.
-        branch_channels: of each branch after its shuffle.
-        fuse_channels: of the 3x3 convolution after the concatenation.
+        branch_channels: channels of each branch after its shuffle.
+        fuse_channels: channels of the 3x3 convolution after the concatenation.
         kernels: ``(height, width)`` per stage, finest first.
-        max_shuffle: a branch is enlarged at most this much by its shuffle and bilinearly from there on: one
-            shuffle over the deepest stage's factor of 16 alone would double the network's parameters.
+        max_shuffle: largest factor of a shuffle; bilinear up-sampling does the rest. A single shuffle by 16
+            for the deepest stage would double the network's parameters.
+
+    Raises:
+        ValueError: fewer features than kernels.
     """
 
     def __init__(
@@ -39,15 +42,17 @@ class MultiKernelDecoder(Decoder):
         super().__init__(feature_info)
         strides = sorted(self.index_of)
         if len(strides) < len(kernels):
-            raise ValueError(f"{len(kernels)} kernels need as many features, the backbone has {len(strides)}")
-        # as in the paper: the finest ones and the deepest; the one before the deepest (14 x 14) is skipped
+            raise ValueError(
+                f"kernels={kernels}: one feature per kernel is needed, the backbone has {len(strides)}"
+            )
+        # the finest features and the deepest, as in the paper, which skips the one between (14 x 14)
         self.strides = [*strides[: len(kernels) - 1], strides[-1]]
         self.stride = strides[0]
         self.branches = nn.ModuleList()
         for stride, (height, width) in zip(self.strides, kernels, strict=True):
             enlarge = stride // self.stride
             scale = min(enlarge, max_shuffle)
-            # the odd row or column of an even kernel is padded at the far side
+            # an even kernel needs one more row or column of padding at the bottom or right
             padding = ((width - 1) // 2, width // 2, (height - 1) // 2, height // 2)
             self.branches.append(
                 nn.Sequential(

@@ -1,4 +1,4 @@
-"""Unpool + 5x5 convolution, and the same operator at a quarter of the multiplications."""
+"""The UpConv decoder: unpooling + 5x5 convolution, also as the same operator at a quarter of the cost."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from eldenet.decoders.base import Decoder
 from eldenet.types import FeatureInfo
 
-# Per output parity (row, column): the taps of the 5x5 kernel that meet a value, and the padding
-# (left, right, top, bottom) that aligns them. The kernels are 3x3, 3x2, 2x3 and 2x2.
+# Per parity of the output row and column: the taps of the 5x5 kernel that meet a nonzero pixel, and the
+# padding (left, right, top, bottom) that aligns them. They make kernels of 3x3, 3x2, 2x3 and 2x2.
 PARITIES = (
     (slice(0, None, 2), slice(0, None, 2), (1, 1, 1, 1)),
     (slice(0, None, 2), slice(1, None, 2), (0, 1, 1, 1)),
@@ -21,21 +21,21 @@ PARITIES = (
 
 
 class UpConv2d(nn.Module):
-    """Doubles height and width: zero-insert unpooling, then a 5x5 convolution (no bias).
+    """Doubles height and width: unpooling that inserts zeros, then a 5x5 convolution without bias.
 
-    With ``fast=True`` the four kernels 3x3, 3x2, 2x3 and 2x2 run on the map *before* unpooling and their
-    outputs are interleaved by a pixel shuffle (Laina et al. 2016, fast up-convolution). Both forms are the
-    same operator with the same weight; the fast one needs a quarter of the multiply-adds.
+    With ``fast=True`` four kernels of 3x3, 3x2, 2x3 and 2x2 run on the map *before* unpooling, and a pixel
+    shuffle interleaves their outputs (fast up-convolution, Laina et al. 2016). Both forms are the same
+    operator with the same weight; the fast one needs a quarter of the multiply-adds.
 
-    Convention: unpooling puts a value at the top-left of its 2x2 cell, as Ma & Karaman's ``Unpool`` does
-    (Laina's TensorFlow code pads on the other side: the same operator, one pixel shifted).
+    Convention: unpooling puts a value at the top left of its 2x2 cell, as Ma & Karaman's ``Unpool`` does
+    (Laina's TensorFlow code pads on the other side: the same operator, shifted by one pixel).
     """
 
     def __init__(self, in_channels: int, out_channels: int, *, fast: bool = True) -> None:
         super().__init__()
         self.fast = fast
         self.weight = nn.Parameter(torch.empty(out_channels, in_channels, 5, 5))
-        # each output pixel meets only 25 / 4 of the 25 taps on average: that is its true fan
+        # of the 25 taps, an output pixel meets 25 / 4 nonzero inputs on average: the effective fan in
         nn.init.normal_(self.weight, std=(2 / (in_channels * 25 / 4)) ** 0.5)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -43,14 +43,14 @@ class UpConv2d(nn.Module):
         return self.interleaved(x) if self.fast else self.unpooled(x)
 
     def unpooled(self, x: Tensor) -> Tensor:
-        """The operator as it is defined."""
+        """Compute the operator by its definition."""
         batch, channels, height, width = x.shape
         sparse = x.new_zeros(batch, channels, 2 * height, 2 * width)
         sparse[..., ::2, ::2] = x
         return F.conv2d(sparse, self.weight, padding=2)
 
     def interleaved(self, x: Tensor) -> Tensor:
-        """The operator without the multiplications by zero."""
+        """Compute the operator without the multiplications by zero."""
         phases = [
             F.conv2d(F.pad(x, padding), self.weight[:, :, rows, cols]) for rows, cols, padding in PARITIES
         ]
@@ -58,7 +58,7 @@ class UpConv2d(nn.Module):
 
 
 class UpConvBlock(nn.Sequential):
-    """One up-convolution module: unpool + convolution, batch normalization, ReLU."""
+    """An up-convolution, batch normalization and ReLU: doubles height and width."""
 
     def __init__(self, in_channels: int, out_channels: int, *, fast: bool = True) -> None:
         super().__init__(
@@ -71,22 +71,26 @@ class UpConvBlock(nn.Sequential):
 class UpConvDecoder(Decoder):
     """The UpConv decoder of sparse-to-dense (Ma & Karaman 2018), the paper's baseline.
 
-    The deepest feature -> 1x1 convolution to half the channels + BN -> four up-convolution modules, each
-    halving the channels -> 3x3 convolution to one channel. No skips. With ResNet18: 12,396,720 parameters.
+    The deepest feature -> 1x1 convolution to half the channels and batch normalization -> four up-convolution
+    modules, each halving the channels -> 3x3 convolution to one channel. There are no skips. With ResNet18:
+    12,396,720 parameters.
 
-    Convention: where the deepest stride does not divide the image, rows and columns beyond it are dropped;
-    sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228).
+    Convention: where the image is no multiple of the deepest stride, rows and columns beyond the image are
+    cropped; sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228).
 
     Args:
         feature_info: of the backbone; only the deepest feature is used.
         fast: compute each module in its fast form (same weights, same output).
+
+    Raises:
+        ValueError: a deepest stride below 16.
     """
 
     def __init__(self, feature_info: Sequence[FeatureInfo], *, fast: bool = False) -> None:
         super().__init__(feature_info)
         deepest = max(self.index_of)
         if deepest < 16:
-            raise ValueError(f"four doublings need a feature of stride 16 or more, the deepest has {deepest}")
+            raise ValueError(f"the deepest feature has stride {deepest}: four doublings need 16 or more")
         self.deepest, self.stride = self.index_of[deepest], deepest // 16
         channels = [self.channels_at[deepest] // 2**step for step in range(1, 6)]
         self.reduce = nn.Sequential(

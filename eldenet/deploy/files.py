@@ -1,107 +1,51 @@
-"""Networks as files that other runtimes read: ONNX and OpenVINO IR, with what they mean written inside."""
+"""Networks as files for other runtimes: ONNX and OpenVINO IR, with metadata inside."""
 
 import json
 import logging
 import warnings
 from collections import Counter
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
 
 from eldenet import __version__
-from eldenet.deploy.fold import fold
-from eldenet.evaluation.cost import count_macs, count_params
-from eldenet.model import DepthNet
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from eldenet.model import DepthNet
 
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 METADATA_PREFIX = "eldenet."
 
 
-class CameraNet(nn.Module):
-    """A camera's frames in, meters at the camera's size out: everything that happens to a frame in one graph.
-
-    Resizing is :func:`eldenet.data.base.resize_frame`'s (area where the frame shrinks, else bilinear) without
-    its rounding to whole gray levels, and depth comes back bilinear, as in
-    :class:`~eldenet.deploy.predictor.DepthPredictor`.
-
-    Args:
-        model: image -> meters.
-        camera_size: ``(height, width)`` of the frames [px].
-        input_size: ``(height, width)`` that the network sees [px].
-
-    Raises:
-        ValueError: one side would shrink and the other grow.
-    """
-
-    rows: Tensor
-    cols: Tensor
-
-    def __init__(self, model: DepthNet, camera_size: tuple[int, int], input_size: tuple[int, int]) -> None:
-        super().__init__()
-        pairs = list(zip(camera_size, input_size, strict=True))
-        self.shrinks = any(seen < given for given, seen in pairs)
-        if self.shrinks and any(seen > given for given, seen in pairs):
-            raise ValueError(
-                f"camera={list(camera_size)} would shrink one way and grow the other to size="
-                f"{list(input_size)}: give sizes that are both smaller or both larger"
-            )
-        self.model, self.camera_size, self.input_size = model, camera_size, input_size
-        whole = [given // seen for given, seen in pairs if given % seen == 0]
-        self.blocks = (whole[0], whole[1]) if len(whole) == 2 else None
-        rows, cols = (area_weights(given, seen) if self.shrinks else torch.eye(1) for given, seen in pairs)
-        self.register_buffer("rows", rows)
-        self.register_buffer("cols", cols.T.contiguous())
-
-    def forward(self, frame: Tensor) -> Tensor:
-        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m]."""
-        image = frame.permute(0, 3, 1, 2).float()
-        if self.camera_size != self.input_size:
-            image = self.resized(image)
-        depth = self.model(image / 255.0)
-        if self.camera_size != self.input_size:
-            depth = F.interpolate(depth, size=self.camera_size, mode="bilinear", align_corners=False)
-        return depth
-
-    def resized(self, image: Tensor) -> Tensor:
-        """To ``input_size``: averages over areas, or bilinear where the frame grows."""
-        if not self.shrinks:
-            return F.interpolate(image, size=self.input_size, mode="bilinear", align_corners=False)
-        if self.blocks is not None:
-            return F.avg_pool2d(image, self.blocks)
-        return (self.rows @ image) @ self.cols
-
-
-def area_weights(given: int, wanted: int) -> Tensor:
-    """``(wanted, given)``: how much of each given pixel lies under each wanted one; rows add up to 1."""
-    edges = torch.arange(wanted + 1, dtype=torch.float64) * given / wanted
-    pixels = torch.arange(given, dtype=torch.float64)
-    covered = torch.minimum(edges[1:, None], pixels + 1) - torch.maximum(edges[:-1, None], pixels)
-    return (covered.clamp_min(0) * wanted / given).float()
-
-
 def describe(
-    model: DepthNet,
+    model: "DepthNet",
     name: str,
     size: tuple[int, int],
     *,
     camera_size: tuple[int, int] | None = None,
     license: str | None = None,
 ) -> dict[str, str]:
-    """What a file says of itself: model, units, license, input, and what its weights were trained on.
+    """Metadata of an exported file: model, units, license, input, and what the weights were trained on.
 
-    ``license`` is of the weights; None: what the model's ``info`` says, for nothing is known of its data's.
+    Args:
+        model: the exported network.
+        name: of the model.
+        size: ``(height, width)`` that the network sees [px].
+        camera_size: ``(height, width)`` of the frames that the file takes [px]; None: it takes images.
+        license: of the weights; None: as the model's ``info`` states.
     """
+    from eldenet.evaluation.cost import count_macs, count_params
+
     height, width = camera_size or size
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
-    facts = {
+    return {
         "eldenet_version": __version__,
         "model": name,
         "output": "depth (B, 1, H, W) in meters",
@@ -121,11 +65,10 @@ def describe(
         "params": str(count_params(model)),
         "gmacs": f"{count_macs(model, size) / 1e9:.6g}",
     }
-    return facts
 
 
 def write_onnx(
-    model: DepthNet,
+    model: "DepthNet",
     path: str | Path,
     size: tuple[int, int],
     *,
@@ -137,7 +80,7 @@ def write_onnx(
     """Write an ONNX file of fp32 weights; the network is folded first (:func:`eldenet.deploy.fold.fold`).
 
     Args:
-        model: in any state; it is not changed.
+        model: stays unchanged.
         path: of the file, ``.onnx``.
         size: ``(height, width)`` that the network sees [px]; fixed.
         batch: fixed number of images; None: any number.
@@ -146,66 +89,80 @@ def write_onnx(
         metadata: from :func:`describe`.
 
     Raises:
-        ValueError: an opset, batch or size that cannot be, or that this network cannot be written in.
+        ValueError: the opset, batch or size is out of range, or the opset cannot express this network.
     """
     import onnx
+    import torch
+
+    from eldenet.deploy.camera import CameraNet
+    from eldenet.deploy.fold import fold
 
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
     if (batch is not None and batch < 1) or min(size) < 1:
-        raise ValueError(f"batch={batch}, size={list(size)}: numbers above 0 are needed, or batch=null")
+        raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     network: nn.Module = fold(model).cpu()
-    example = torch.rand(batch or 2, 3, *size)
+    name, example = "image", torch.rand(batch or 2, 3, *size)
     if camera_size is not None:
         network = CameraNet(network, camera_size, size)  # type: ignore[arg-type]
-        example = torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
+        name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     unfinished = path.with_name(f".{path.stem}.part.onnx")
     try:
-        _torch_to_onnx(network.eval(), example, unfinished, batch is None, opset, bool(camera_size))
-    except RuntimeError as error:  # the exporter's own errors are such
+        with quiet(), torch.no_grad():
+            _torch_to_onnx(network.eval(), example, unfinished, name, any_batch=batch is None, opset=opset)
+    except RuntimeError as error:  # base class of the exporter's errors
         unfinished.unlink(missing_ok=True)
         reason = (str(error).splitlines() or [""])[0]
         raise ValueError(f"opset={opset} cannot express this network: {reason}") from error
-    graph = onnx.load(unfinished)
-    onnx.helper.set_model_props(
-        graph, {METADATA_PREFIX + key: value for key, value in (metadata or {}).items()}
-    )
-    onnx.checker.check_model(graph)
-    onnx.save(graph, unfinished)
+    set_metadata(unfinished, metadata or {})
+    onnx.checker.check_model(str(unfinished))
     unfinished.replace(path)
     return path
 
 
 def _torch_to_onnx(
-    network: nn.Module, example: Tensor, path: Path, any_batch: bool, opset: int, takes_frames: bool
+    network: "nn.Module", example: "Tensor", path: Path, name: str, *, any_batch: bool, opset: int
 ) -> None:
-    name = "frame" if takes_frames else "image"
+    import torch
+
     names: dict[str, Any] = {"input_names": [name], "output_names": ["depth"], "opset_version": opset}
-    loggers = [logging.getLogger(each) for each in ("torch.onnx", "onnxscript", "onnx_ir")]
-    levels = [logger.level for logger in loggers]
+    if opset == NEWEST_OPSET:
+        shapes = ({0: torch.export.Dim("batch", min=1, max=4096)},) if any_batch else None
+        torch.onnx.export(
+            network, (example,), str(path), dynamo=True, external_data=False, verbose=False,
+            dynamic_shapes=shapes, **names,
+        )  # fmt: skip
+    else:
+        axes = {name: {0: "batch"}, "depth": {0: "batch"}} if any_batch else None
+        torch.onnx.export(network, (example,), str(path), dynamo=False, dynamic_axes=axes, **names)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal."""
+    disabled = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
-        for logger in loggers:
-            logger.setLevel(logging.ERROR)
-        with warnings.catch_warnings(), redirect_stdout(StringIO()), torch.no_grad():
-            warnings.simplefilter("ignore")  # of its own parts that it is about to replace
-            if opset == NEWEST_OPSET:
-                shapes = ({0: torch.export.Dim("batch", min=1, max=4096)},) if any_batch else None
-                torch.onnx.export(
-                    network, (example,), str(path), dynamo=True, external_data=False, verbose=False,
-                    dynamic_shapes=shapes, **names,
-                )  # fmt: skip
-            else:
-                axes = {name: {0: "batch"}, "depth": {0: "batch"}} if any_batch else None
-                torch.onnx.export(network, (example,), str(path), dynamo=False, dynamic_axes=axes, **names)
+        with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            warnings.simplefilter("ignore")
+            yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+        logging.disable(disabled)
+
+
+def set_metadata(path: str | Path, metadata: Mapping[str, str]) -> None:
+    """Write metadata into an ONNX file."""
+    import onnx
+
+    graph = onnx.load(path)
+    onnx.helper.set_model_props(graph, {METADATA_PREFIX + key: value for key, value in metadata.items()})
+    onnx.save(graph, path)
 
 
 def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, str]) -> Path:
-    """Turn an ONNX file into OpenVINO IR (``.xml`` + ``.bin``), fp32 weights."""
+    """Convert an ONNX file to OpenVINO IR (``.xml`` + ``.bin``) with fp32 weights."""
     import openvino
 
     return save_openvino(openvino.convert_model(str(source)), path, metadata)
@@ -223,24 +180,26 @@ def save_openvino(network: object, path: str | Path, metadata: Mapping[str, str]
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
-    """What :func:`describe` put into a file; empty for a file from elsewhere."""
+    """Metadata that :func:`describe` made for this file; empty for other files."""
     if Path(path).suffix == ".onnx":
         import onnx
 
         props = {prop.key: prop.value for prop in onnx.load(path, load_external_data=False).metadata_props}
-        return {
-            key.removeprefix(METADATA_PREFIX): value
-            for key, value in props.items()
-            if key.startswith(METADATA_PREFIX)
-        }
+        return without_prefix(props)
     import xml.etree.ElementTree as ElementTree
 
     node = ElementTree.parse(path).getroot().find("rt_info/eldenet")
     return {} if node is None else {child.tag: child.attrib["value"] for child in node}
 
 
+def without_prefix(properties: Mapping[str, str]) -> dict[str, str]:
+    """Those of an ONNX file's properties that are ours, without their prefix."""
+    ours = {key: value for key, value in properties.items() if key.startswith(METADATA_PREFIX)}
+    return {key.removeprefix(METADATA_PREFIX): value for key, value in ours.items()}
+
+
 def count_operations(path: str | Path) -> Counter[str]:
-    """How often each operation occurs in an ONNX or OpenVINO file; constants do not count."""
+    """Number of each operation in an ONNX or OpenVINO file, without constants."""
     if Path(path).suffix == ".onnx":
         import onnx
 
@@ -253,7 +212,7 @@ def count_operations(path: str | Path) -> Counter[str]:
 
 
 def differences(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """Largest and median difference between two depths, in meters and relative to the reference."""
+    """Largest and median difference of two depth maps, in meters and relative to the reference."""
     meters = np.abs(depth.astype(np.float64) - reference)
     relative = meters / np.abs(reference)
     return {

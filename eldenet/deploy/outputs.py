@@ -1,48 +1,47 @@
-"""What ``eldenet.predict`` writes: names that do not collide, pictures, point clouds, a video."""
+"""What ``eldenet.predict`` writes: pictures, point clouds, videos. Files appear when they are complete."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.data.folder import IMAGE_ENDINGS
-from eldenet.deploy.manifest import Written
-from eldenet.deploy.pointcloud import write_ply
+from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
+from eldenet.system.files import part_file
 from eldenet.visualization import photo_beside_depth, visible_range, write_picture
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply"}
+BITS_PER_PIXEL = 4  # of a video: depth's colors stay as they are
+_VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+_PLY_NAMES = {"<f4": "float", "|u1": "uchar"}
 
 
 @dataclass
 class Results:
-    """Where results go, in which formats, and a count of what was written.
+    """Write results into a folder, and count them.
 
     Attributes:
         folder: of all results.
         formats: some of "depth", "color", "ply".
         intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds and 3D boxes.
         depth_range: (near, far) of the colors [m]; None: each picture's own.
-        overwrite: replace files that are there.
+        overwrite: replace files of the same name.
         images: pictures or frames written so far.
-        skipped: what could not be read.
-        too_far: pixels beyond what 16 bits of millimeters hold.
+        skipped: reasons why pictures could not be read.
+        too_far: pixels beyond 65.535 m, which the depth files cannot hold.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
-        video: its results' name; empty for pictures.
-        also: is given the name, photo, depth and time of each picture too.
-        written: the list of what was written; with ``overwrite``, what earlier calls' lists name goes first.
-        removed: files of earlier calls that went.
-        changed: files of earlier calls that somebody changed since: they stay.
+        also: receives the name, photo, depth and time of each picture too.
     """
 
     folder: Path
@@ -55,30 +54,26 @@ class Results:
     too_far: int = 0
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
-    video: str = ""
     also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
-    written: Written | None = None
-    removed: int = 0
-    changed: list[Path] = field(default_factory=list)
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
-        """Where the results of the picture or video ``name`` go; a folder stands for what it will hold."""
+        """Files of the picture or video ``name``; the folder of a video's frames stands for its files."""
         if is_video:
             files = [self.folder / f"{name}_depth.mp4"] if "color" in self.formats else []
             return files + [self.folder / name] * bool(set(self.formats) - {"color"})
         return [self.folder / f"{name}{ENDING[kind]}" for kind in self.formats]
 
     def refuse_to_overwrite(self, sources: Sequence[Path], files: Sequence[Path]) -> None:
-        """Raise ValueError if a result would replace a source, or (unless that is wanted) an older result."""
-        there = [file for file in files if file.exists()]
+        """Raise ValueError if a result would replace a source, or an older result without ``overwrite``."""
+        existing = [file for file in files if file.exists()]
         own = {path.resolve() for path in sources}
-        lost = [file for file in there if file.resolve() in own]
+        lost = [file for file in existing if file.resolve() in own]
         if lost:
             raise ValueError(f"{lost[0]} is a source and would be overwritten: give another output=")
-        if there and not self.overwrite:
+        if existing and not self.overwrite:
             raise ValueError(
-                f"{len(there)} results are there already ({there[0]}{', ...' if there[1:] else ''}): give "
-                "another output=, or overwrite=true"
+                f"{len(existing)} results are there already, such as {existing[0]}: give another output=, or "
+                "overwrite=true"
             )
 
     def write(
@@ -90,47 +85,38 @@ class Results:
         *,
         time: float | None = None,
     ) -> None:
-        """Write one picture's results: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
+        """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
-        ``time`` is when a frame of a video was taken [s], from any zero.
+        ``time`` is when a video's frame was taken [s], from any zero.
 
         Raises:
-            ValueError: intrinsics were given, and they or the pictures before it are of another size.
+            ValueError: intrinsics were given, and this picture has another size than they or the first one.
         """
         height, width = depth.shape
         self.size = self.size or (height, width)
-        if self.intrinsics is not None and self.size != (height, width):
-            raise ValueError(
-                f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
-                "one set of intrinsics fits one size, so predict them in separate folders"
-            )
         if self.intrinsics is not None:
+            if self.size != (height, width):
+                raise ValueError(
+                    f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
+                    "one set of intrinsics fits one size, so predict them in separate folders"
+                )
             check_intrinsics(self.intrinsics, self.size)
-        if not self.images and self.overwrite and self.written is not None:
-            self.removed, self.changed = self.written.remove_earlier()
-        place = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
+        file = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
         if "ply" in formats and self.intrinsics is not None:
-            write_ply(place["ply"], back_project(depth, self.intrinsics), photo)
+            write_ply(file["ply"], back_project(depth, self.intrinsics), photo)
         if "depth" in formats:
             steps = to_millimeters(depth)
             self.too_far += int(((steps == 0) & (depth > 1)).sum())
-            _write_png(place["depth"], steps)
+            write_picture(file["depth"], steps)
         if "color" in formats:
             near, far = self.depth_range or visible_range(depth)
-            write_picture(place["color"], photo_beside_depth(photo, depth, near, far))
-        for file in place.values():
-            self.note(file, name)
+            write_picture(file["color"], photo_beside_depth(photo, depth, near, far))
         if self.also is not None:
             self.also(name, photo, depth, time)
         self.images += 1
 
-    def note(self, file: Path, name: str) -> None:
-        """Put a file that was written, of the picture or frame ``name``, on the list."""
-        if self.written is not None:
-            self.written.add(file, self.video or name)
-
-    def say(self, log: "RunLog", what: str, rate: float, stop: "StopWish") -> None:
-        """Say what was written, how fast, where, and what was not."""
+    def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
+        """Print what was written, where and how fast, and what was not."""
         if stop and not self.images:
             log.say(f"stopped by {stop} before the first result: nothing is written")
             return
@@ -145,77 +131,100 @@ class Results:
                 log.say(f"  {line}")
         if self.too_far:
             log.say(f"{self.too_far} pixels are farther than 65.535 m: 0 (unknown) in the depth files")
-        if self.removed:
-            log.say(f"removed {self.removed} file{'s' * (self.removed != 1)} of earlier calls")
-        if self.changed:
-            others = f" and {len(self.changed) - 1} others" if self.changed[1:] else ""
-            log.say(f"kept, as it was changed since an earlier call wrote it: {self.changed[0]}{others}")
+
+
+def write_ply(path: Path, points: np.ndarray, colors: np.ndarray) -> int:
+    """Write colored points as binary PLY, which MeshLab, CloudCompare, Blender and Open3D open.
+
+    Args:
+        path: of the file; its folder is created.
+        points: ``(..., 3)`` camera coordinates [m]: x right, y down, z forward. Points that are not finite or
+            not in front of the camera are left out.
+        colors: ``(..., 3)`` uint8 RGB, one per point.
+
+    Returns:
+        Number of points written.
+    """
+    points, colors = points.reshape(-1, 3), colors.reshape(-1, 3)
+    seen = np.isfinite(points).all(1) & (points[:, 2] > 0)
+    vertices = np.empty(int(seen.sum()), _VERTEX)
+    for column, name in enumerate(("x", "y", "z")):
+        vertices[name] = points[seen, column]
+    for column, name in enumerate(("red", "green", "blue")):
+        vertices[name] = colors[seen, column]
+    properties = "".join(
+        f"property {_PLY_NAMES[kind]} {name}\n" for name, kind in (d[:2] for d in _VERTEX.descr)
+    )
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment camera frame, meters: x right, y down, z forward\n"
+        f"element vertex {len(vertices)}\n{properties}end_header\n"
+    )
+    with part_file(path) as unfinished:
+        unfinished.write_bytes(header.encode("ascii") + vertices.tobytes())
+    return len(vertices)
 
 
 @contextmanager
-def open_video(
-    path: Path, per_second: float, finished: Callable[[Path], None] = lambda path: None
-) -> Iterator[Callable[[np.ndarray], None]]:
-    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the file appears at the end.
+def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
+    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the .mp4 file appears at the end.
 
-    So it does where an error or Ctrl-C ends it, for what a camera showed does not come again; a film without
-    a frame leaves no file. ``finished`` is told of the file.
+    An error or Ctrl-C keeps the video up to there, as what a camera showed does not come again. A video
+    without frames leaves no file.
 
     Raises:
-        ValueError: the film cannot be begun, or a frame is of another size than those before it.
-        OSError: the film does not hold all that was added.
+        ValueError: a frame has another size than the first one.
+        OSError: the file cannot be written.
     """
-    import cv2
+    import av
 
     unfinished = path.with_name(f".{path.stem}.part.mp4")
-    writer = None
-    size, count = (0, 0), 0
+    container: Any = None
+    stream: Any = None
 
     def add(picture: np.ndarray) -> None:
-        nonlocal writer, size, count
-        given = (picture.shape[1], picture.shape[0])
-        if writer is None:
+        nonlocal container, stream
+        height, width = picture.shape[:2]
+        if container is None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            size = given
-            writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter.fourcc(*"mp4v"), per_second, size)
-            if not writer.isOpened():
-                raise ValueError(f"could not write {path}: no permission, or OpenCV without mp4v")
-        if given != size:  # OpenCV would leave it out without a word
-            raise ValueError(f"{path} shows {size} pixels (width, height), the next frame has {given}")
-        writer.write(np.ascontiguousarray(picture[..., ::-1]))
-        count += 1
+            container = av.open(str(unfinished), "w")
+            most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
+            stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
+            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+            stream.bit_rate = round(BITS_PER_PIXEL * width * height * per_second)
+        if (width, height) != (stream.width, stream.height):
+            raise ValueError(
+                f"{path} shows {stream.width} x {stream.height} pixels, the next frame has {width} x {height}"
+            )
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")))
 
     def finish() -> None:
-        if writer is None:
-            return
-        writer.release()
-        film = cv2.VideoCapture(str(unfinished))
-        written = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
-        film.release()
-        if written < count:  # OpenCV says nothing of that either
-            unfinished.unlink(missing_ok=True)
-            raise OSError(f"{path} would hold {written} of {count} frames: is the disk full?")
-        unfinished.replace(path)
-        finished(path)
+        nonlocal container
+        if container is not None:
+            open_container, container = container, None
+            with open_container:
+                open_container.mux(stream.encode())
+            unfinished.replace(path)
 
     try:
         yield add
+        finish()
     except BaseException:
         with suppress(OSError):
             finish()
         raise
-    finish()
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[np.ndarray, float], None]:
     """Give a function that adds a frame at the time when it was taken [s], from any zero.
 
-    A frame stays until the next one's time, so that a film of a camera whose frames were dropped runs as fast
-    as what it shows did. Of two frames within one of the film's the first is shown.
+    A frame stays until the time of the next, so that the video of a camera that dropped frames plays in real
+    time. Of two frames within one of the video's frames the first is shown.
 
     Args:
         add: from :func:`open_video`.
-        per_second: frames of the film.
+        per_second: frames of the video.
     """
     latest: np.ndarray | None = None
     start, written = 0.0, 0
@@ -233,14 +242,14 @@ def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[n
 
 
 def name_results(source: Path, output: Path) -> dict[Path, str]:
-    """Each picture's results by name, relative to the output folder; no two share one.
+    """Name the results of each picture, relative to the output folder; no two share a name.
 
-    A name is the picture's path below ``source`` without its ending; where two pictures of a folder differ
-    in nothing but their ending, that becomes part of the name (``a_jpg``, ``a_png``).
+    A name is the picture's path below ``source`` without its ending. Pictures that differ only in their
+    ending keep it in the name (``a_jpg``, ``a_png``).
 
     Raises:
         FileNotFoundError: there is no such source.
-        ValueError: the folder holds no pictures, or names that cannot be told apart.
+        ValueError: the folder holds no pictures, or names that are too similar.
     """
     if source.is_file():
         return {source: source.stem}
@@ -253,7 +262,7 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
         if path.suffix.lower() in IMAGE_ENDINGS
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(source).parts)
-        and (own == source.resolve() or own not in path.resolve().parents)  # results of earlier calls
+        and (own == source.resolve() or own not in path.resolve().parents)  # earlier results
     ]
     if not paths:
         raise ValueError(f"{source} holds no pictures ({', '.join(IMAGE_ENDINGS)})")
@@ -265,11 +274,3 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     if len({name.casefold() for name in names.values()}) < len(names):
         raise ValueError(f"{source} holds pictures whose names differ too little: rename some of them")
     return names
-
-
-def _write_png(path: Path, picture: np.ndarray) -> None:
-    import cv2
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), picture):
-        raise ValueError(f"could not write {path}")

@@ -1,13 +1,17 @@
-"""A trained network behind one call: camera frame in, meters out."""
+"""A trained network behind one call: camera frame in, meters out. An exported file needs no torch."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
-from eldenet.data.base import resize_frame
 from eldenet.deploy.runtimes.base import Runtime
-from eldenet.model import DepthNet, size_of_frames
+from eldenet.geometry import resize_image
 from eldenet.system.resources import full_fp32
-from eldenet.types import Frame
+
+if TYPE_CHECKING:
+    import torch
+
+    from eldenet.model import DepthNet
 
 MAX_SIDE = 640
 DEEPEST_MILLIMETERS = 65535
@@ -18,33 +22,36 @@ class DepthPredictor:
 
     ``predictor = DepthPredictor(eldenet.load("runs/my-run")); depth = predictor(frame)``
 
-    The frame is resized to the scale that the network was trained at, and the depth is brought back to the
-    frame's own size (bilinear), so that the frame's own intrinsics hold for it. A resize does not change
-    depth. A network whose training cropped frames sees the whole frame here, at the scale of those crops.
-    Meters are meters for cameras with about the field of view of the training camera's whole frames.
+    Frames are resized to the scale of the training, and depth is resized back to the frame's own size
+    (bilinear), so the frame's own intrinsics hold for it. Resizing does not change depth. A network that was
+    trained on crops sees whole frames at the scale of those crops. Depth is metric for cameras with about the
+    field of view of the training camera.
 
     Args:
-        model: put into eval mode, and moved to ``device``; or a network under another runtime
+        model: put into eval mode and moved to ``device``; or a network under another runtime
             (:func:`eldenet.deploy.runtimes.load`).
-        input_size: ``(height, width)`` that the network sees [px]; None: what the model wants for whole
-            frames (:func:`eldenet.model.size_of_frames`), or else the frame's own, its longer side at most
-            ``max_side``.
-        max_side: see ``input_size`` [px].
-        device: where to compute, of a model; None: on the CPU. A runtime has its own.
+        input_size: ``(height, width)`` that the network sees [px]; None: the model's size for whole frames
+            (:func:`eldenet.model.size_of_frames`), else the frame's own, limited by ``max_side``.
+        max_side: longest side of frames without ``input_size`` [px].
+        device: of a model; None: the CPU. A runtime has its own.
 
     Raises:
-        ValueError: a size is none, or not the one that a file was exported for; or a device for a runtime.
+        ValueError: a size is invalid or not the one that a file was exported for, or a runtime gets a device.
     """
 
     def __init__(
         self,
-        model: DepthNet | Runtime,
+        model: "DepthNet | Runtime",
         input_size: tuple[int, int] | None = None,
         *,
         max_side: int = MAX_SIDE,
-        device: str | torch.device | None = None,
+        device: "str | torch.device | None" = None,
     ) -> None:
-        if input_size is None:
+        if input_size is None and isinstance(model, Runtime):
+            input_size = model.info.get("input_size")
+        elif input_size is None:
+            from eldenet.model import size_of_frames
+
             input_size = size_of_frames(model.info)
         if input_size is not None and (len(input_size) != 2 or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
@@ -56,22 +63,24 @@ class DepthPredictor:
             if device is not None:
                 raise ValueError(
                     f"device={device} is for a model; this network runs under {model.runtime} on "
-                    f"{model.device}: give device to eldenet.deploy.runtimes.load"
+                    f"{model.device}: give device to eldenet.runtimes.load"
                 )
             if model.fixed_size and self.input_size != model.fixed_size:
                 raise ValueError(
                     f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
-                    "only: export one for another size"
+                    "only: export a file for that size"
                 )
             self.model: DepthNet | Runtime = model
         else:
+            import torch
+
             self.device = torch.device(device or "cpu")
             self.model = model.to(self.device).eval()
             if self.device.type == "cuda":
-                full_fp32()  # as under the other runtimes
+                full_fp32()  # as under other runtimes
 
     def size_for(self, height: int, width: int) -> tuple[int, int]:
-        """``(height, width)`` at which the network sees a frame of ``height`` x ``width`` [px]."""
+        """``(height, width)`` [px] at which the network sees a frame of ``height`` x ``width``."""
         if self.input_size is not None:
             return self.input_size
         scale = min(1.0, self.max_side / max(height, width))
@@ -81,7 +90,7 @@ class DepthPredictor:
         """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m].
 
         Raises:
-            ValueError: the frame is not of that shape and type, or the network's depth is not finite.
+            ValueError: the frame has another shape or type, or the network's depth is not finite.
         """
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
@@ -92,20 +101,16 @@ class DepthPredictor:
         return depth if depth.shape == size else enlarged(depth, size)
 
     def _depth(self, frame: np.ndarray) -> np.ndarray:
-        """Depth at the size that the network gives it."""
+        """Depth at the network's own size."""
         if isinstance(self.model, Runtime):
             if self.model.camera_size is not None:
-                return self.model(resized(frame, self.model.camera_size)[None])[0, 0]
-            return self.model(as_image(resized(frame, self.size_for(*frame.shape[:2]))))[0, 0]
-        image = torch.from_numpy(as_image(resized(frame, self.size_for(*frame.shape[:2]))))
+                return self.model(resize_image(frame, self.model.camera_size)[None])[0, 0]
+            return self.model(as_image(resize_image(frame, self.size_for(*frame.shape[:2]))))[0, 0]
+        import torch
+
+        image = torch.from_numpy(as_image(resize_image(frame, self.size_for(*frame.shape[:2]))))
         with torch.inference_mode():
             return self.model(image.to(self.device))[0, 0].float().cpu().numpy()
-
-
-def resized(frame: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """``frame (H, W, 3)`` uint8 at another size, as training and evaluation resize."""
-    nothing = np.empty((0, 0), np.float32)
-    return resize_frame(Frame(frame, nothing, None, ""), size, resize_depth=False).image
 
 
 def as_image(frame: np.ndarray) -> np.ndarray:
@@ -114,14 +119,14 @@ def as_image(frame: np.ndarray) -> np.ndarray:
 
 
 def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Depth ``(h, w)`` at another size: bilinear, by half pixels (``align_corners=False``)."""
+    """Depth ``(h, w)`` at another size: bilinear, with half-pixel centers (``align_corners=False``)."""
     import cv2
 
     return cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def to_millimeters(depth: np.ndarray) -> np.ndarray:
-    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) for what is unknown, and beyond 65.535 m.
+    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) where it is unknown or beyond 65.535 m.
 
     :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
     """

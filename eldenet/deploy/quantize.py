@@ -1,37 +1,55 @@
-"""int8 by post-training quantization: scales from calibration frames, no training."""
+"""int8 by post-training quantization: calibration pictures give the scales, without training."""
 
-import logging
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from eldenet.deploy.files import METADATA_PREFIX, read_metadata, save_openvino
+from eldenet.data.io import IMAGE_ENDINGS, read_image
+from eldenet.deploy.files import quiet, read_metadata, save_openvino, set_metadata
+
+
+def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray]:
+    """Up to ``count`` pictures ``(H, W, 3)`` uint8 RGB, evenly spread over a folder or a pattern.
+
+    Without a source they are frames of the built-in rooms.
+
+    Raises:
+        ValueError: the source holds no pictures.
+    """
+    if source is None:
+        from eldenet.data.rooms import Rooms
+
+        rooms = Rooms(split, frames=count)
+        return [rooms.load_frame(index).image for index in range(len(rooms))]
+    folder = Path(source).expanduser()
+    paths = sorted(folder.iterdir() if folder.is_dir() else folder.parent.glob(folder.name))
+    paths = [path for path in paths if path.suffix.lower() in IMAGE_ENDINGS]
+    if not paths:
+        raise ValueError(
+            f"pictures={source} holds no pictures: give a folder, or a pattern such as 'photos/*.jpg'"
+        )
+    chosen = np.unique(np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int))
+    return [read_image(paths[index], upright=True) for index in chosen]
 
 
 def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:
-    """fp32 ONNX -> int8 ONNX with quantize/dequantize pairs (QDQ), scales per channel.
+    """Turn fp32 ONNX into int8 ONNX with quantize/dequantize pairs (QDQ), scales per channel.
 
-    Convolutions and matrix products are quantized; what is between them stays in fp32, for ONNX Runtime has
-    no int8 kernels for it.
+    Convolutions and matrix products are quantized; the rest stays fp32, as ONNX Runtime has no int8 kernels
+    for it.
 
     Args:
         source: fp32 file from :func:`eldenet.deploy.files.write_onnx`.
         path: of the new file.
-        inputs: what the graph takes, one batch each: calibration.
-
-    Raises:
-        ValueError: there are no calibration inputs.
+        inputs: calibration batches, as the graph takes them.
     """
     import onnx
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
-    _need(inputs)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {**read_metadata(source), "precision": "int8"}
@@ -43,7 +61,7 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
         def get_next(self) -> dict[str, np.ndarray] | None:
             return next(self.feeds, None)
 
-    with tempfile.TemporaryDirectory() as folder, redirect_stdout(StringIO()), _quiet():
+    with tempfile.TemporaryDirectory() as folder, quiet():
         prepared = Path(folder) / "prepared.onnx"
         quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
         quantize_static(
@@ -56,31 +74,28 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
         )
-    graph = onnx.load(path)
-    onnx.helper.set_model_props(graph, {METADATA_PREFIX + key: value for key, value in metadata.items()})
-    onnx.save(graph, path)
+    set_metadata(path, metadata)
     return path
 
 
 def quantize_openvino(
     source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
 ) -> Path:
-    """fp32 ONNX or OpenVINO IR -> int8 OpenVINO IR, by nncf.
+    """Turn fp32 ONNX or OpenVINO IR into int8 OpenVINO IR with nncf.
 
     Raises:
-        ValueError: there are no calibration inputs.
         ImportError: nncf is not installed.
     """
     import openvino
 
-    _need(inputs)
+    os.environ.setdefault("NNCF_DISABLE_TELEMETRY", "1")
     try:
-        with _quiet():
+        with quiet():
             import nncf
     except ImportError as error:
         raise ImportError(f"int8 for OpenVINO needs nncf (pip install 'eldenet[deploy]'): {error}") from error
     network = openvino.Core().read_model(str(source))
-    with redirect_stdout(StringIO()), redirect_stderr(StringIO()), _quiet():
+    with quiet():
         quantized = nncf.quantize(
             network,
             nncf.Dataset(list(inputs)),
@@ -88,20 +103,3 @@ def quantize_openvino(
             subset_size=len(inputs),
         )
     return save_openvino(quantized, path, {**metadata, "precision": "int8"})
-
-
-def _need(inputs: Sequence[np.ndarray]) -> None:
-    if not inputs:
-        raise ValueError("int8 needs calibration frames: pictures like those the network will see")
-
-
-class _quiet:
-    """Keep quantizers from logging to the user's terminal for a while."""
-
-    def __enter__(self) -> None:
-        os.environ.setdefault("NNCF_DISABLE_TELEMETRY", "1")
-        self.disabled = logging.root.manager.disable
-        logging.disable(logging.WARNING)
-
-    def __exit__(self, *error: object) -> None:
-        logging.disable(self.disabled)

@@ -1,123 +1,137 @@
-"""Video files before they are played: is this one, and is it whole?"""
+"""Video files, read by FFmpeg through PyAV: which files are videos, their frames, whether they are whole."""
 
-import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from eldenet.data.file_checks import FORMATS
-from eldenet.data.folder import IMAGE_ENDINGS
+from eldenet.data.io import IMAGE_ENDINGS
+
+if TYPE_CHECKING:
+    import av
 
 VIDEO_ENDINGS = (
     ".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".mkv", ".webm", ".wmv", ".asf", ".flv", ".ogv", ".mpg",
     ".mpeg", ".vob", ".ts", ".mts", ".m2ts", ".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg",
 )  # fmt: skip
-_BINARY = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")  # what no text holds
+LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordings were joined
+SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
+MATROSKA_SLACK = 0.1  # [s]
 
 
 def is_video_file(path: Path) -> bool:
-    """Whether a file is a video; False: a picture. Where its ending does not say, its content does.
+    """Return True for a video, False for a picture; the content decides where the ending does not.
 
     Raises:
-        ValueError: it is neither.
+        ValueError: the file is neither.
     """
     ending = path.suffix.lower()
     if ending in VIDEO_ENDINGS or ending in IMAGE_ENDINGS:
         return ending in VIDEO_ENDINGS
+    if _has_two_frames(path):
+        return True
     with path.open("rb") as file:
         start = file.read(4096)
-    if _BINARY.search(start) and _moves(path):  # of a text FFmpeg makes a film of its letters
-        return True
     if any(start.startswith(magic) for magic, _ in FORMATS):
         return False
     raise ValueError(
-        f"{path} is neither a picture ({', '.join(IMAGE_ENDINGS)}) nor a video that OpenCV can read "
+        f"{path} is neither a picture ({', '.join(IMAGE_ENDINGS)}) nor a video that FFmpeg can read "
         f"({', '.join(VIDEO_ENDINGS)}, and others): convert it to one of these"
     )
 
 
-def _moves(path: Path) -> bool:
-    """Whether OpenCV reads two frames from it: of a picture it reads one, and of a HEIC photo a part."""
-    import cv2
+def _has_two_frames(path: Path) -> bool:
+    """Return whether FFmpeg decodes two frames: a picture has one, and text is a film of its letters."""
+    import av
 
-    capture = cv2.VideoCapture(str(path))
     try:
-        return capture.isOpened() and capture.read()[0] and capture.read()[0]
-    finally:
-        capture.release()
+        with av.open(str(path)) as container:
+            frames = islice(container.decode(video=0), 2)
+            return container.format.name != "tty" and len(list(frames)) == 2
+    except (av.error.FFmpegError, IndexError):
+        return False
 
 
-def is_cut(path: Path) -> bool:
-    """Whether an MP4, AVI or Matroska file ends before its own parts do; of other kinds nobody can tell."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        start = file.read(12)
-        if start[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
-            return any(end > size for _, _, end in _mp4_boxes(file, 0, size))
-        if start[:4] == b"RIFF" and start[8:] == b"AVI ":
-            return _end_of_riff(file, size) > size
-        if start[:4] == b"\x1a\x45\xdf\xa3":
-            return _end_of_matroska(file) > size
-    return False
+class VideoFile:
+    """The frames of a video file, upright, at the times that the file states.
 
+    Attributes:
+        frames_per_second: 30 where the file states no plausible rate.
+        announced: frames that the file states, or that its length suggests; 0 where it says neither.
 
-def mp4_seconds(path: Path) -> float:
-    """How long an MP4 file plays [s], without what was trimmed from it; 0: it does not say."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        if file.read(8)[4:] != b"ftyp":
-            return 0.0
-        movies = [(start, end) for kind, start, end in _mp4_boxes(file, 0, size) if kind == b"moov"]
-        for kind, start, _ in (box for movie in movies for box in _mp4_boxes(file, *movie)):
-            if kind == b"mvhd":
-                file.seek(start)
-                content = file.read(32)
-                wide = content[0] == 1  # version 1 has times of 64 bits
-                scale, length = (content[20:24], content[24:32]) if wide else (content[12:16], content[16:20])
-                unknown = not any(scale) or length == b"\xff" * len(length)
-                return 0.0 if unknown else int.from_bytes(length, "big") / int.from_bytes(scale, "big")
-    return 0.0
+    Raises:
+        ValueError: the file holds no video.
+    """
 
+    def __init__(self, path: Path) -> None:
+        import av
 
-def _mp4_boxes(file: BinaryIO, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
-    """Kind, first byte of the content and end of the boxes from ``at`` on, one beside the other."""
-    while at < stop:
-        file.seek(at)
-        header = file.read(16)
-        length, kind, content = int.from_bytes(header[:4], "big"), header[4:8], at + 8
-        if length == 1:
-            length, content = int.from_bytes(header[8:], "big"), at + 16
-        if length < content - at:  # 0: to the file's end; less: something that cameras put behind the film
-            return
-        at += length
-        yield kind, content, at
+        try:
+            self._container = av.open(str(path), metadata_errors="replace")
+            self._stream = self._container.streams.video[0]
+        except (av.error.FFmpegError, IndexError) as error:
+            raise ValueError(
+                f"{path} holds no frame that can be read: it is cut, damaged or no video"
+            ) from error
+        self._stream.thread_type = "AUTO"
+        rate = float(self._stream.guessed_rate or 0)
+        self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
+        self._seconds = (self._container.duration or 0) / 1e6
+        if self._container.format.name == "avi" and rate:  # a cut one suggests a shorter length
+            self._seconds = max(self._seconds, self._stream.frames / rate)
+        self._stated = self._stream.frames
+        self._slack = MATROSKA_SLACK if "matroska" in self._container.format.name else SLACK
+        self.announced = self._stated or round(self._seconds * self.frames_per_second)
+        self._end = 0.0  # of the last packet of any stream, for sound outlasts pictures [s]
+        self._broken = 0  # packets that are cut or cannot be decoded
 
+    def frames(self) -> Generator[tuple[np.ndarray, float], None, None]:
+        """Yield each frame ``(H, W, 3)`` uint8 RGB and its time [s], the first at 0."""
+        start = float((self._stream.start_time or 0) * (self._stream.time_base or 0))
+        usual, previous, skipped = 1 / self.frames_per_second, -1.0, 0.0
+        for frame in self._decoded():
+            stated = previous + usual if frame.time is None else frame.time - start
+            self._end = max(self._end, stated + usual)
+            time = stated - skipped
+            # where recordings were joined, the stated time leaps or goes back
+            if previous >= 0 and not previous < time <= previous + LONGEST_STILL:
+                skipped += max(0.0, time - previous - usual)
+                time = previous + usual
+            previous = time
+            picture = frame.to_ndarray(format="rgb24", interpolation="BICUBIC")
+            yield np.ascontiguousarray(np.rot90(picture, frame.rotation // 90)), time
 
-def _end_of_riff(file: BinaryIO, size: int) -> int:
-    """Where the last RIFF chunk says that it ends; an AVI beyond 1 GB has several."""
-    at = 0
-    while at < size:
-        file.seek(at)
-        header = file.read(8)
-        length = int.from_bytes(header[4:], "little")
-        if header[:4] != b"RIFF" or not length:  # 0: a recorder that was cut off never came to write it
-            break
-        at += 8 + length
-    return at
+    def _decoded(self) -> Iterator["av.VideoFrame"]:
+        import av
 
+        with self._container:
+            try:
+                for packet in self._container.demux():
+                    self._broken += packet.is_corrupt
+                    if packet.pts is not None and packet.time_base is not None:
+                        self._end = max(
+                            self._end, float((packet.pts + (packet.duration or 0)) * packet.time_base)
+                        )
+                    if packet.stream is not self._stream:
+                        continue
+                    try:
+                        yield from cast("list[av.VideoFrame]", packet.decode())
+                    except av.error.InvalidDataError:
+                        self._broken += 1
+            except av.error.FFmpegError:
+                self._broken += 1
 
-def _end_of_matroska(file: BinaryIO) -> int:
-    """Where the segment, which holds everything, says that it ends; 0 where it leaves that open."""
-    return _end_of_element(file, _end_of_element(file, 0))  # behind the file's own header
+    def fault(self, frames: int) -> str:
+        """Return what is wrong with a file that gave ``frames`` frames; empty where it is whole.
 
-
-def _end_of_element(file: BinaryIO, at: int) -> int:
-    """Where a Matroska element with a name of four bytes ends; 0: it does not say."""
-    file.seek(at + 4)
-    number = file.read(8)
-    if not number or not number[0]:
-        return 0
-    width = 9 - number[0].bit_length()  # the leading zeros say how many bytes the length has
-    ones = (1 << 7 * width) - 1
-    length = int.from_bytes(number[:width], "big") & ones
-    return 0 if length == ones else at + 4 + width + length
+        Fewer frames than announced are no fault by themselves: the index may count frames that were trimmed,
+        and many formats state a length alone.
+        """
+        slack = max(self._slack, 1.5 / self.frames_per_second)
+        ends_early = self._end + slack < self._seconds
+        if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
+            return ""
+        return f"is cut or damaged: {frames} of {self.announced} frames could be read"

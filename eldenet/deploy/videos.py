@@ -1,49 +1,44 @@
-"""The frames of a video or a camera, for ``eldenet.predict``."""
+"""Depth of the frames of a video or a camera, for ``eldenet.predict``."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from eldenet.deploy.outputs import Results, in_time, open_video
+from eldenet.deploy.stream import DepthStream, without_password
+from eldenet.visualization import photo_beside_depth, visible_range
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-
-    from eldenet.deploy.outputs import Results
     from eldenet.results.run_log import RunLog
-    from eldenet.system.signals import StopWish
+    from eldenet.system.signals import GracefulStop
 
-    Predictor = Callable[[np.ndarray], np.ndarray]  # frame -> depth [m]
-
-RANGE_MEMORY = 0.9  # of a video's colors: the share of the range that the frame before decides
+RANGE_MEMORY = 0.9  # share of a video's color range that comes from the frame before
 
 
 def predict_video(
     source: Path | str,
     name: str,
-    predictor: "Predictor",
-    results: "Results",
+    predictor: Callable[[np.ndarray], np.ndarray],
+    results: Results,
     log: "RunLog",
-    stop: "StopWish",
+    stop: "GracefulStop",
     *,
     frames: int | None = None,
 ) -> str:
-    """Predict the frames of a video, or those of a camera that there is time for.
+    """Predict the frames of a video, or as many of a camera's as there is time for.
 
-    Color becomes one .mp4, which shows each frame as long as it lasted; the others one file a frame. A
+    Color becomes one .mp4 that shows each frame as long as it lasted; other formats are one file per frame. A
     camera runs until ``frames`` or Ctrl-C.
 
     Returns:
-        What broke off the source too soon, and how much of it was read; empty where nothing did.
+        Why the source ended early; empty where it is complete.
 
     Raises:
         ValueError: there was no frame.
     """
-    from eldenet.deploy.outputs import in_time, open_video
-    from eldenet.deploy.stream import DepthStream, without_password
-    from eldenet.visualization import photo_beside_depth, visible_range
-
     shown = without_password(str(source))
-    file = results.folder / f"{name}_depth.mp4"
     per_frame = [kind for kind in results.formats if kind != "color"]
     span = results.depth_range
     with DepthStream(source, predictor) as stream:
@@ -51,9 +46,9 @@ def predict_video(
         rate = results.frames_per_second = stream.frames_per_second
         with (
             log.bar("predicting", frames or stream.announced) as bar,
-            open_video(file, rate, lambda film: results.note(film, name)) as film,
+            open_video(results.folder / f"{name}_depth.mp4", rate) as video,
         ):
-            add = in_time(film, rate)
+            add = in_time(video, rate)
             for _, photo, depth, taken in stream:
                 results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
                 if "color" in results.formats:
@@ -65,7 +60,7 @@ def predict_video(
                     break
             if not results.images and not stop:
                 raise ValueError(
-                    f"{shown} gave no frame: in use elsewhere, or nothing sends there"
+                    f"{shown} gave no frame: another program uses it, or it sends nothing"
                     if stream.drop
                     else f"{shown} holds no frame that can be read: it is cut, damaged or no video"
                 )
@@ -76,7 +71,7 @@ def predict_video(
 
 
 def _follow(span: tuple[float, float] | None, now: tuple[float, float]) -> tuple[float, float]:
-    """The colors' range, moving slowly, so that a video does not flicker."""
+    """Move the range of the colors slowly, so that a video does not flicker."""
     if span is None:
         return now
     near, far = (RANGE_MEMORY * old + (1 - RANGE_MEMORY) * new for old, new in zip(span, now, strict=True))

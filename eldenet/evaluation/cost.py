@@ -2,10 +2,7 @@
 
 import itertools
 import resource
-import statistics
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.model import eval_mode
+from eldenet.system.timing import median_ms, percentile_ms, time_interleaved
 
 
 @dataclass(frozen=True)
@@ -90,53 +88,6 @@ def peak_memory_mb(device: torch.device) -> float:
         return torch.cuda.max_memory_allocated(device) / 1e6
     unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-
-
-def time_interleaved(
-    calls: Mapping[str, Callable[[], object]],
-    *,
-    rounds: int = 5,
-    seconds: float = 0.2,
-    synchronize: Callable[[], object] | None = None,
-    warm_up: int = 3,
-) -> dict[str, list[float]]:
-    """Time several calls in turns, so that a change in the machine's speed affects all of them alike.
-
-    Args:
-        calls: name -> function to time.
-        rounds: turns of each call.
-        seconds: of each turn; at least three calls are timed in it.
-        synchronize: waits until the device has finished; called before each start and before each stop.
-        warm_up: untimed calls before each turn, which refill the caches.
-
-    Returns:
-        Name -> the time of every timed call [s].
-    """
-    wait = synchronize or (lambda: None)
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            for _ in range(warm_up):
-                call()
-            wait()
-            end, done = time.perf_counter() + seconds, 0
-            while done < 3 or time.perf_counter() < end:
-                start = time.perf_counter()
-                call()
-                wait()
-                times[name].append(time.perf_counter() - start)
-                done += 1
-    return times
-
-
-def median_ms(times: Sequence[float]) -> float:
-    """Median [ms] of times [s]."""
-    return 1e3 * statistics.median(times)
-
-
-def percentile_ms(times: Sequence[float], percent: float) -> float:
-    """Percentile [ms] of times [s]."""
-    return 1e3 * torch.tensor(times, dtype=torch.float64).quantile(percent / 100).item()
 
 
 def measure_cost(

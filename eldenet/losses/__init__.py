@@ -1,1 +1,1 @@
-"""Training losses: terms that ignore unknown pixels, and their weighted sum."""
+"""Training losses that ignore unknown pixels, and their weighted sum."""

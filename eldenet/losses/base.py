@@ -1,4 +1,4 @@
-"""What a loss is, and the weighted sum that training minimizes."""
+"""The base class of losses, and the weighted sum that training minimizes."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -8,16 +8,16 @@ import torch
 from torch import Tensor, nn
 
 Autocast = Callable[[], AbstractContextManager[Any]]
-"""Makes the context of a precision, as ``Accelerator.autocast`` does."""
+"""Returns a mixed-precision context, as ``Accelerator.autocast`` does."""
 
 
 class Loss(nn.Module):
-    """Scalar loss over the pixels that ``mask`` allows.
+    """Base of losses: a scalar over the pixels where ``mask`` is True.
 
-    A masked pixel has no influence: not on the value, not on any gradient, whatever it holds.
+    A masked pixel affects neither the value nor any gradient, whatever it holds (NaN and infinity too).
 
     Attributes:
-        spaces: in which the loss makes sense, see :class:`WeightedTerm`.
+        spaces: spaces in which the loss can compare two maps, see :class:`WeightedTerm`.
     """
 
     spaces: tuple[str, ...] = ("meters", "log", "inverse")
@@ -28,14 +28,14 @@ class Loss(nn.Module):
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
-    """Mean of ``values`` where ``mask``; 0 where nothing is known, so that an empty batch does no harm.
+    """Return the mean of ``values`` where ``mask`` is True; 0 where it is False everywhere.
 
     Values outside the mask are replaced, not multiplied by zero: 0 x NaN would be NaN.
     """
     return values.masked_fill(~mask, 0.0).sum() / mask.sum().clamp(min=1)
 
 
-def neutralise(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+def fill_masked(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Set masked pixels of both maps to 1 m, so that logarithms, ratios and windows stay finite there."""
     return prediction.masked_fill(~mask, 1.0), target.masked_fill(~mask, 1.0)
 
@@ -48,77 +48,94 @@ SPACES: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 class WeightedTerm(nn.Module):
-    """One named term of the sum: ``weight * loss``.
+    """One term of the sum: ``weight * loss``.
 
     Args:
-        loss: of the two maps.
+        loss: compares the two maps.
         weight: 0 or more.
-        space: in which the two maps are compared: "meters"; "log" (errors count by their ratio, as AbsRel and
-            delta count it); "inverse" (1 / m: near counts most; DenseDepth's).
+        space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
+            AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
+
+    Raises:
+        ValueError: a weight below 0, an unknown space, or one that the loss does not support.
     """
 
     def __init__(self, loss: Loss, weight: float = 1.0, space: str = "meters") -> None:
         super().__init__()
         if weight < 0:
-            raise ValueError(f"weight={weight}: a loss weight is 0 or more")
+            raise ValueError(f"weight={weight}: a loss weight must be 0 or more")
         if space not in SPACES:
-            raise ValueError(f"space={space!r}: choose one of {tuple(SPACES)}")
+            raise ValueError(f"space={space!r}: choose one of {', '.join(SPACES)}")
         if space not in loss.spaces:
-            raise ValueError(f"{type(loss).__name__} compares in {loss.spaces} only, not in space={space!r}")
+            raise ValueError(
+                f"space={space!r} does not fit {type(loss).__name__}: choose one of {', '.join(loss.spaces)}"
+            )
         self.loss, self.weight, self.space = loss, weight, space
 
     @property
-    def identity(self) -> Mapping[str, Any]:
-        """What must be the same for a training to go on, beside the settings; nothing as a rule."""
+    def signature(self) -> Mapping[str, Any]:
+        """Facts beside the config that must stay the same when a training resumes; none by default."""
         return {}
 
-    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
-        """Called once, before the first step: what is trained, and the precision that it runs in."""
+    def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
+        """Prepare the term before the first step.
+
+        Args:
+            student: the network being trained.
+            autocast: the mixed-precision context it runs in.
+        """
 
     def forward(
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
     ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool -> scalar, not weighted; few terms look at ``image``."""
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight; most terms ignore ``image``."""
         if self.space != "meters":
-            prediction, target = (SPACES[self.space](m) for m in neutralise(prediction, target, mask))
+            prediction, target = (SPACES[self.space](m) for m in fill_masked(prediction, target, mask))
         return self.loss(prediction, target, mask)
 
 
 class WeightedSum(nn.Module):
-    """``total = sum of weight * term``; every term is reported by its name.
+    """``total = sum of weight * term``; also returns each term by its name, for the log.
 
     Args:
         terms: name -> :class:`WeightedTerm`.
+
+    Raises:
+        ValueError: no terms.
     """
 
     def __init__(self, terms: Mapping[str, WeightedTerm]) -> None:
         super().__init__()
         if not terms:
-            raise ValueError("a loss needs at least one term")
+            raise ValueError("terms={}: a loss needs at least one term")
         self.terms: Mapping[str, WeightedTerm] = nn.ModuleDict(dict(terms))  # type: ignore[assignment]
 
     @property
-    def identity(self) -> dict[str, Mapping[str, Any]]:
-        """Of the terms that have one, by their names (a teacher's)."""
-        found = {name: term.identity for name, term in self.terms.items()}
-        return {name: identity for name, identity in found.items() if identity}
+    def signature(self) -> dict[str, Mapping[str, Any]]:
+        """Signatures of the terms that have one, by name."""
+        signatures = {name: term.signature for name, term in self.terms.items()}
+        return {name: signature for name, signature in signatures.items() if signature}
 
-    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
-        """Show every term the network that is trained, and the context that it runs in."""
+    def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
+        """Prepare every term before the first step, see :meth:`WeightedTerm.setup`."""
         for term in self.terms.values():
-            term.attach(student, autocast)
+            term.setup(student, autocast)
 
     def forward(
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name."""
+        """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
+
+        Raises:
+            ValueError: the maps differ in shape, or the mask is not bool.
+        """
         if prediction.shape != target.shape or target.shape != mask.shape:
             raise ValueError(
                 f"prediction {tuple(prediction.shape)}, target {tuple(target.shape)} and mask "
-                f"{tuple(mask.shape)} must have one shape"
+                f"{tuple(mask.shape)} must have the same shape"
             )
         if mask.dtype != torch.bool:
-            raise ValueError(f"mask is {mask.dtype}: a bool tensor is needed, True where depth is known")
+            raise ValueError(f"mask is {mask.dtype}: give a bool tensor, True where depth is known")
         values = {name: term(prediction, target, mask, image) for name, term in self.terms.items()}
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

@@ -1,4 +1,4 @@
-"""Knowledge distillation: a trained network's depth, and its features, as what the student learns.
+"""Knowledge distillation: the student learns a trained network's depth and, optionally, its features.
 
 Outputs: the teacher's map is the target (Hinton et al. 2015; for depth Hu et al. 2021, "Boosting Light-Weight
 Depth Estimation via Knowledge Distillation"). Features: FitNets' hint (Romero et al. 2015, eq. 3), relative.
@@ -15,20 +15,17 @@ from torch import Tensor, nn
 
 from eldenet.losses.base import Autocast, Loss, WeightedTerm
 
-Features = dict[int, Tensor]
-"""Feature ``(B, C, h, w)`` by its stride."""
-
 
 class Teacher:
-    """A frozen network. No module, so that whoever holds it has neither its parameters nor its state.
+    """A frozen network. It is not a module, so its owner's parameters and state do not include it.
 
-    Once attached it runs in the student's precision, and always in its images' layout: a large teacher is
-    most of a step's work.
+    It runs in the images' memory layout and, once a :class:`DistilledTerm` is set up, in the student's
+    precision: a large teacher is most of a step's work.
 
     Args:
         network: image ``(B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m]; frozen in place.
-        source: where it came from, for the record.
-        input_size: ``(height, width)`` that it sees [px]; None: the student's.
+        source: where it came from, for the run's record.
+        input_size: ``(height, width)`` of the images it sees [px]; None: the student's.
     """
 
     def __init__(
@@ -41,14 +38,15 @@ class Teacher:
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
-        """Depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, in the image's own size."""
-        layout = torch.channels_last if _is_channels_last(image) else torch.contiguous_format
+        """Return the depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, at the image's size."""
+        channels_last = image.is_contiguous(memory_format=torch.channels_last)
+        layout = torch.channels_last if channels_last else torch.contiguous_format
         self.network.to(image.device).to(memory_format=layout)
-        size = image.shape[-2:]
-        if self.input_size is not None and self.input_size != tuple(size):
-            shrink = self.input_size < tuple(size)  # in height; in width where that stays
+        size = tuple(image.shape[-2:])
+        if self.input_size is not None and self.input_size != size:
+            shrinks = self.input_size < size  # compares the heights, and the widths where heights are equal
             image = F.interpolate(
-                image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrink
+                image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrinks
             )
         with self.autocast():
             depth = self.network(image).float()
@@ -57,18 +55,18 @@ class Teacher:
         return depth
 
     def describe(self, student_size: Sequence[int] | None) -> str:
-        """At which size it sees the images, and at which its training did, in words.
+        """Return a sentence with the image size that the teacher sees here and the one it was trained at.
 
         ``student_size`` is the student's ``(height, width)`` [px]; None: that of its pictures.
         """
         seen, trained = self.input_size or student_size, getattr(self.network, "info", {}).get("input_size")
-        sees = "the student's pictures as they are" if seen is None else f"{seen[0]} x {seen[1]} pixels"
-        known = "at a size that it does not state" if trained is None else f"at {trained[0]} x {trained[1]}"
+        sees = "the student's images at their own size" if seen is None else f"{seen[0]} x {seen[1]} pixels"
+        known = "at an unknown size" if trained is None else f"at {trained[0]} x {trained[1]}"
         return f"teacher {self.source}: sees {sees}, was trained {known}"
 
     @property
-    def identity(self) -> dict[str, Any]:
-        """What tells this teacher from another: its weights' hash above all."""
+    def signature(self) -> dict[str, Any]:
+        """Facts that tell this teacher from another: a hash of its weights above all."""
         digest = hashlib.sha256()
         for name, value in sorted(self.network.state_dict().items()):
             digest.update(name.encode())
@@ -77,23 +75,22 @@ class Teacher:
 
 
 class DistilledTerm(WeightedTerm):
-    """``weight * loss`` against the teacher's depth of the same, augmented images; no label is needed.
+    """``weight * loss`` between the student's and the teacher's depth of the same, augmented images.
 
-    A pixel counts where the teacher says something finite and above 0, whatever the ground truth knows. So
-    unlabelled images (a mask that is False everywhere) count here and nowhere else.
+    A pixel counts where the teacher's depth is finite and above 0, whatever the ground truth knows. So
+    unlabeled images (a mask that is False everywhere) count in this term alone.
 
     Args:
-        loss: of the student's and the teacher's map.
-        teacher: frozen.
+        loss: compares the student's map with the teacher's.
+        teacher: the frozen network.
         weight: 0 or more.
         space: as in :class:`WeightedTerm`.
-        feature_weight: of the feature term that is added; 0: outputs only.
-        feature_strides: of the backbones' features that are compared, each through a 1x1 projection that is
-            trained with the student where the channels differ. Both networks need a backbone then
-            (``network.backbone`` with ``feature_info``).
+        feature_weight: weight of an additional term that compares backbone features; 0: outputs only.
+        feature_strides: strides of the features to compare. Where channels differ, a 1x1 projection is
+            trained with the student. Both networks need a ``network.backbone`` with ``feature_info``.
 
     Raises:
-        ValueError: a weight below 0, or features asked for that a network does not have.
+        ValueError: a weight below 0, or a ``feature_weight`` without ``feature_strides``.
     """
 
     def __init__(
@@ -107,39 +104,42 @@ class DistilledTerm(WeightedTerm):
     ) -> None:
         super().__init__(loss, weight, space)
         if feature_weight < 0:
-            raise ValueError(f"feature_weight={feature_weight}: a loss weight is 0 or more")
+            raise ValueError(f"feature_weight={feature_weight}: a loss weight must be 0 or more")
         if feature_weight > 0 and not feature_strides:
-            raise ValueError("feature_weight is above 0 but feature_strides is empty: name strides, or set 0")
+            raise ValueError(f"feature_weight={feature_weight} needs feature_strides, which is empty")
         self.teacher, self.feature_weight = teacher, feature_weight
         self.feature_strides = tuple(int(stride) for stride in feature_strides)
         self.projections = nn.ModuleDict()
-        self._seen: dict[str, Features] = {}
+        self._features: dict[str, dict[int, Tensor]] = {}  # of the last images, by network and stride
 
     @property
-    def identity(self) -> Mapping[str, Any]:
-        """The teacher's."""
-        return self.teacher.identity
+    def signature(self) -> Mapping[str, Any]:
+        """The teacher's signature."""
+        return self.teacher.signature
 
-    def attach(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
-        """Listen to the features of both networks, and make the projections between them."""
+    def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
+        """Hook into the features of both networks and create the projections between them.
+
+        Raises:
+            ValueError: features are compared, and a network does not have them.
+        """
         self.teacher.autocast = autocast
-        if self.feature_weight == 0 or self._seen:
+        if self.feature_weight == 0 or self._features:
             return
-        channels = {}
-        for name, network in (("student", student), ("teacher", self.teacher.network)):
-            channels[name] = self._listen(name, network)
+        channels = self._keep_features("student", student)
+        wanted = self._keep_features("teacher", self.teacher.network)
         for stride in self.feature_strides:
-            wide, wanted = channels["student"][stride], channels["teacher"][stride]
-            same = wide == wanted
-            self.projections[str(stride)] = nn.Identity() if same else nn.Conv2d(wide, wanted, 1)
+            same = channels[stride] == wanted[stride]
+            projection = nn.Identity() if same else nn.Conv2d(channels[stride], wanted[stride], 1)
+            self.projections[str(stride)] = projection
 
-    def _listen(self, name: str, network: nn.Module) -> dict[int, int]:
-        """Keep the features of every forward pass; returns their channels by stride."""
+    def _keep_features(self, name: str, network: nn.Module) -> dict[int, int]:
+        """Keep the features of every forward pass; return their channels by stride."""
         backbone = getattr(getattr(network, "network", None), "backbone", None)
         if backbone is None:
             raise ValueError(
-                f"feature_weight is above 0, but the {name} has no network.backbone whose features could be "
-                "compared: set feature_weight=0"
+                f"feature_weight={self.feature_weight}: the {name} has no network.backbone to compare "
+                "features of; set feature_weight=0"
             )
         strides = [info.stride for info in backbone.feature_info]
         missing = sorted(set(self.feature_strides) - set(strides))
@@ -147,35 +147,31 @@ class DistilledTerm(WeightedTerm):
             raise ValueError(f"feature_strides={missing}: the {name}'s backbone has features of {strides}")
 
         def keep(_part: nn.Module, _inputs: Any, features: Sequence[Tensor]) -> None:
-            self._seen[name] = dict(zip(strides, features, strict=True))
+            self._features[name] = dict(zip(strides, features, strict=True))
 
-        self._seen[name] = {}
+        self._features[name] = {}
         backbone.register_forward_hook(keep)
         return {info.stride: info.channels for info in backbone.feature_info}
 
     def forward(
         self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
     ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool, ``image (B, 3, H, W)`` -> scalar, not weighted."""
+        """``(B, 1, H, W)`` [m] each, mask bool, ``image (B, 3, H, W)`` -> scalar without the weight."""
         if image is None:
-            raise ValueError("a distilled term needs the images: call the loss with image=...")
+            raise ValueError("image=None: a distilled term needs the images; call the loss with image=...")
         depth = self.teacher(image)
         value = super().forward(prediction, depth, torch.isfinite(depth) & (depth > 0))
         return value if self.feature_weight == 0 else value + self.feature_weight * self._feature_loss()
 
     def _feature_loss(self) -> Tensor:
-        """Squared difference of projected student and teacher features, relative to the teacher's square."""
+        """Mean square of projected student minus teacher features, divided by the teacher's mean square."""
         losses = []
         for stride in self.feature_strides:
-            wanted = self._seen["teacher"][stride].float()
-            found = self.projections[str(stride)](self._seen["student"][stride].float())
+            wanted = self._features["teacher"][stride].float()
+            found = self.projections[str(stride)](self._features["student"][stride].float())
             if wanted.shape[-2:] != found.shape[-2:]:
                 wanted = F.interpolate(wanted, size=found.shape[-2:], mode="bilinear", align_corners=False)
-            # image by image, so that a batch counts as its images do, however processes share it
+            # image by image, so that the result does not depend on how processes share the batch
             square, error = (value.square().mean(dim=(1, 2, 3)) for value in (wanted, found - wanted))
             losses.append((error / square.clamp(min=1e-12)).mean())
         return torch.stack(losses).mean()
-
-
-def _is_channels_last(image: Tensor) -> bool:
-    return image.is_contiguous(memory_format=torch.channels_last)

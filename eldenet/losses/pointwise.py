@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from eldenet.losses.base import Loss, masked_mean, neutralise
+from eldenet.losses.base import Loss, fill_masked, masked_mean
 
 
 class L1Loss(Loss):
@@ -10,7 +10,7 @@ class L1Loss(Loss):
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m]."""
-        prediction, target = neutralise(prediction, target, mask)
+        prediction, target = fill_masked(prediction, target, mask)
         return masked_mean((prediction - target).abs(), mask)
 
 
@@ -19,25 +19,25 @@ class L2Loss(Loss):
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m^2]."""
-        prediction, target = neutralise(prediction, target, mask)
+        prediction, target = fill_masked(prediction, target, mask)
         return masked_mean((prediction - target).square(), mask)
 
 
 class BerHuLoss(Loss):
-    """Reverse Huber loss [m] (Laina et al. 2016, eq. 1): L1 below c, (e^2 + c^2) / 2c above.
+    """Reverse Huber loss [m] (Laina et al. 2016, eq. 1): L1 below the threshold c, (e^2 + c^2) / 2c above.
 
     Args:
-        share: c is this share of the batch's largest error; 0.2 in the paper. c carries no gradient.
+        threshold_ratio: c divided by the batch's largest error; 0.2 in the paper. c carries no gradient.
     """
 
-    def __init__(self, share: float = 0.2) -> None:
+    def __init__(self, threshold_ratio: float = 0.2) -> None:
         super().__init__()
-        self.share = share
+        self.threshold_ratio = threshold_ratio
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m]."""
-        prediction, target = neutralise(prediction, target, mask)
+        prediction, target = fill_masked(prediction, target, mask)
         error = (prediction - target).abs()
-        threshold = (self.share * error.detach().max()).clamp(min=1e-6)
+        threshold = (self.threshold_ratio * error.detach().max()).clamp(min=1e-6)
         quadratic = (error.square() + threshold.square()) / (2 * threshold)
         return masked_mean(error.where(error <= threshold, quadratic), mask)

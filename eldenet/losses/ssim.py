@@ -6,15 +6,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from eldenet.losses.base import Loss, masked_mean, neutralise
+from eldenet.losses.base import Loss, fill_masked, masked_mean
 
 SIGMA = 1.5  # [px], Wang et al. 2004
 
 
 @lru_cache(maxsize=32)
-@torch.inference_mode(False)  # it is kept: training may need it after an evaluation made it
+@torch.inference_mode(False)  # cached: training may use one that an evaluation made
 def _blur_matrix(length: int, window: int) -> Tensor:
-    """Gaussian blur of a line of ``length`` pixels, its ends reflected, as a banded matrix (float64)."""
+    """Return the Gaussian blur of ``length`` pixels in a row, ends reflected, as a banded float64 matrix."""
     radius = window // 2
     kernel = torch.exp(-((torch.arange(window, dtype=torch.float64) - radius) ** 2) / (2 * SIGMA**2))
     kernel /= kernel.sum()
@@ -33,24 +33,27 @@ def _blur(maps: Tensor, window: int) -> Tensor:
 
 
 def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: float) -> Tensor:
-    """SSIM per pixel ``(B, 1, H, W)`` in [-1, 1] of two maps (Wang et al. 2004).
+    """Return the SSIM of two maps per pixel, ``(B, 1, H, W)`` in [-1, 1] (Wang et al. 2004).
 
-    The values are those of ``kornia.metrics.ssim``. The blur is written as two matrix products, because a
-    one-channel 11 x 11 convolution is what CPUs do worst: training spent most of its time in it.
+    The values equal those of ``kornia.metrics.ssim``. The blur is two matrix products, because CPUs are
+    slowest at one-channel 11 x 11 convolutions: training spent most of its time in them.
 
     Convention: Gaussian window with sigma 1.5, borders reflected, population (not sample) covariance, as
     scikit-image's ``structural_similarity(gaussian_weights=True, use_sample_covariance=False)``.
 
     Raises:
-        ValueError: the maps are smaller than the window's radius, which reflection needs.
+        ValueError: a map is no larger than the window's radius, which reflection needs.
     """
     if min(prediction.shape[-2:]) <= window // 2:
-        raise ValueError(f"SSIM's window of {window} pixels needs larger maps than {tuple(prediction.shape)}")
-    # a variance is a small difference of large means: nothing is left of it in autocast's bf16
+        raise ValueError(
+            f"maps of {tuple(prediction.shape)} are too small for SSIM's window of {window} pixels: "
+            f"height and width must exceed {window // 2}"
+        )
+    # a variance is a small difference of large means: bf16 autocast would lose it
     with torch.autocast(prediction.device.type, enabled=False):
         dtype = torch.promote_types(torch.promote_types(prediction.dtype, target.dtype), torch.float32)
         prediction, target = prediction.to(dtype), target.to(dtype)
-        # apart, so that nothing is propagated back into the target's own moments
+        # separate, so that no gradient is computed for the target's own moments
         mean_t, square_t = _blur(torch.cat([target, target**2]), window).chunk(2)
         moments = torch.cat([prediction, prediction**2, prediction * target])
         mean_p, square_p, product = _blur(moments, window).chunk(3)
@@ -63,29 +66,32 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
 class SSIMLoss(Loss):
     """``(1 - SSIM) / 2``, averaged where the whole window is known (ELDE-Net, eq. 5).
 
-    A pixel counts only if its window meets no unknown pixel: the mask is eroded by the window's radius.
-    Inside the image no border is added, so a full mask stays full.
+    A pixel counts only if its window holds no unknown pixel: the mask is eroded by the window's radius.
+    The image border does not erode it, so a full mask stays full.
 
     Args:
         window: side of the Gaussian window [px], odd.
-        value_range: L of the SSIM constants: the largest depth [m] (or what that is in the term's space).
+        value_range: L of the SSIM constants: the largest depth [m] (or its value in the term's space).
+
+    Raises:
+        ValueError: an even window.
     """
 
     def __init__(self, window: int = 11, value_range: float = 10.0) -> None:
         super().__init__()
         if window % 2 == 0:
-            raise ValueError(f"window={window}: an odd number is needed")
+            raise ValueError(f"window={window}: give an odd number of pixels")
         self.window, self.value_range = window, value_range
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar in [0, 1]."""
-        prediction, target = neutralise(prediction, target, mask)
+        prediction, target = fill_masked(prediction, target, mask)
         similarity = ssim_map(prediction, target, window=self.window, value_range=self.value_range)
         return masked_mean((1 - similarity) / 2, eroded(mask, self.window))
 
 
 def eroded(mask: Tensor, window: int) -> Tensor:
-    """Pixels ``(B, 1, H, W)`` whose whole ``window`` is known, as far as it lies inside the image."""
+    """Return the pixels ``(B, 1, H, W)`` whose ``window`` is known wherever it lies inside the image."""
     if bool(mask.all()):
         return mask
     unknown, radius = (~mask).float(), window // 2

@@ -1,9 +1,8 @@
-"""What lies in the way of an arc: tables that say, for a point on the floor, when the footprint reaches it.
+"""Collision times along arcs, from tables: when does the footprint reach a point on the floor?
 
-A robot that keeps its speed and turn rate drives along an arc. For every command and every 5 cm cell
-around the robot, the table holds the time at which the footprint covers the cell's middle, and how close
-it comes. Looking points up in it is a hundred times cheaper than moving rectangles about, and its error is
-half a cell.
+A robot with constant speed and turn rate drives along an arc. For every command and every 5 cm cell around
+the robot, a table has the time at which the footprint reaches the cell's center, and the clearance along the
+arc. A lookup is a hundred times cheaper than moving rectangles; its error is half a cell.
 """
 
 import functools
@@ -13,22 +12,22 @@ import numpy as np
 from eldenet.simulation.robot import ROBOT
 
 CELL = 0.05  # [m]
-REACH = 2.4  # the table is a square of twice this side [m]
+REACH = 2.4  # half the side of the table's square [m]
 STEP = 0.1  # between poses along an arc [s]
 _SIDE = round(2 * REACH / CELL)
 
 
 class ArcTable:
-    """Collision times and clearances of some commands.
+    """Collision times and clearances of a set of commands.
 
     Args:
         commands: rows of speed [m/s] and turn rate [rad/s].
-        horizon: how far ahead the arcs go [s].
+        horizon: duration of the arcs [s].
         margin: added to the footprint on all sides [m].
 
     Attributes:
-        time: ``(cells, K)`` uint8, the pose (in steps of 0.1 s) at which the cell is hit, ``count`` if never.
-        gap: ``(cells, K)`` uint8, least distance from footprint to cell along the arc [cm], at most 255.
+        time: ``(cells, K)`` uint8 first pose (every 0.1 s) that hits the cell, ``count`` if none.
+        gap: ``(cells, K)`` uint8 least distance between footprint and cell along the arc [cm], at most 255.
         count: number of poses.
     """
 
@@ -50,16 +49,16 @@ class ArcTable:
                 c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
                 dx, dy = x - np.float32(px), y - np.float32(py)
                 outside = _outside(c * dx + s * dy, c * dy - s * dx)
-                # what is within the margin already counts only where the footprint itself would hit it
+                # a cell within the margin already only counts where the footprint itself hits it
                 first[outside <= np.where(touching, 0, margin)] = step - 1
                 np.minimum(nearest, outside, out=nearest)
-            own = _outside(x, y) <= 0  # the robot stands there: drift or noise, no obstacle
+            own = _outside(x, y) <= 0  # under the robot: drift or noise, no obstacle
             first[own], nearest[own] = self.count, np.inf
             self.time[:, number] = first
             self.gap[:, number] = np.clip(nearest * 100, 0, 255)
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Cell numbers ``(M,)`` of points in the robot's frame [m], all within :data:`REACH`."""
+        """Return cell numbers ``(M,)`` of points in the robot's frame [m], all within :data:`REACH`."""
         rows, columns = (
             np.minimum(((axis + np.float32(REACH)) * np.float32(1 / CELL)).astype(np.int32), _SIDE - 1)
             for axis in (x, y)
@@ -84,5 +83,5 @@ def _pose(speed: float, turn: float, time: float) -> tuple[float, float, float]:
 
 @functools.lru_cache(maxsize=8)
 def arc_table(commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04) -> ArcTable:
-    """The table of some commands, made once a process."""
+    """Return the table of a set of commands, computed once per process."""
     return ArcTable(commands, horizon, margin)

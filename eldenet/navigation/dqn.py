@@ -1,13 +1,14 @@
-"""Deep Q-learning for the arena environment, as the paper's Algorithm 2 names it.
+"""Deep Q-learning, as in the paper's Algorithm 2.
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
-``target_every`` set, this is Algorithm 2 as written: replay, mean squared error, Adam, and a hard copy into
-the target network. The default takes five-step returns, double targets and a soft update: one-step
-targets hardly learned at five decisions a second.
+``target_update_interval`` above 0 this is Algorithm 2 as written: replay buffer, mean squared error, Adam,
+hard copies into the target network. The default uses five-step returns, double targets and soft updates: with
+one-step targets the driver hardly learned at five decisions per second.
 """
 
 import copy
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,127 +17,126 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.navigation.replay import Replay, Windows
 
 CHECKPOINT = "dqn.pt"
 
 
-class DQN:
-    """Learns a :class:`~eldenet.navigation.qnetwork.QNetwork` on a vector environment.
+@dataclass(frozen=True)
+class DQNSettings:
+    """Hyperparameters, named as in Stable-Baselines3 where it has them.
 
-    Training goes in legs; each begins all episodes anew, with random numbers of its own, and ends with a
-    checkpoint. So a training that is resumed equals, bit for bit, one that never stopped.
-
-    Args:
-        env: :class:`~eldenet.navigation.env.ArenaNavVectorEnv`, or any with the same autoreset mode.
-        steps: of the environment, all robots together.
-        n_step: rewards that a target adds up before it asks the target network.
+    Attributes:
+        total_timesteps: environment steps of all robots together.
+        n_step: rewards added up before the target network's value.
         double: let ``policy_dqn`` choose the action that ``target_dqn`` values.
-        tau: share of ``policy_dqn`` that goes into ``target_dqn`` after every gradient step.
-        target_every: gradient steps between hard copies instead; 0: soft updates with ``tau``.
-        gamma: discount a step.
-        learning_rate: Adam's at the start.
-        learning_rate_end: share of it to which it falls linearly; 1: it stays.
-        batch_size: transitions in a gradient step.
-        replay: transitions that are kept.
-        warmup: environment steps before the first gradient step.
-        gradient_every: environment steps (all robots) for each gradient step.
-        exploration: share of the training in which random actions fall from all to ``exploration_end``.
-        exploration_end: share of random actions afterwards.
-        gradient_clip: greatest norm of the gradient; 0: any.
+        tau: share of ``policy_dqn`` that is mixed into ``target_dqn`` after each gradient step.
+        target_update_interval: gradient steps between hard copies instead; 0: soft updates with ``tau``.
+        gamma: discount per step.
+        learning_rate: of Adam at the start.
+        learning_rate_end: final learning rate, relative to the first; it falls linearly. 1: constant.
+        batch_size: transitions per gradient step.
+        buffer_size: transitions in the replay buffer.
+        learning_starts: environment steps before the first gradient step.
+        train_freq: environment steps (all robots) per gradient step.
+        exploration_fraction: part of the training in which the rate of random actions falls from 1 to
+            ``exploration_final_eps``.
+        exploration_final_eps: rate of random actions after that.
+        max_grad_norm: gradient norm to clip at; 0: no clipping.
         hidden: widths of the network's layers.
-        quantiles: of every action's return that are learnt, as a documented variant; 0: its mean alone.
-        leg: environment steps between checkpoints.
+        quantiles: number of quantiles of each action's return (QR-DQN, a variant); 0: its mean only.
+        checkpoint_interval: environment steps between checkpoints.
         seed: of everything.
 
     Raises:
-        ValueError: a setting is out of its range.
+        ValueError: a setting is out of range.
     """
 
-    def __init__(
-        self,
-        env: Any,
-        *,
-        steps: int = 600_000,
-        n_step: int = 5,
-        double: bool = True,
-        tau: float = 0.005,
-        target_every: int = 0,
-        gamma: float = 0.98,
-        learning_rate: float = 5e-4,
-        learning_rate_end: float = 0.1,
-        batch_size: int = 256,
-        replay: int = 400_000,
-        warmup: int = 5_000,
-        gradient_every: int = 8,
-        exploration: float = 0.3,
-        exploration_end: float = 0.03,
-        gradient_clip: float = 10.0,
-        hidden: tuple[int, ...] = (128, 128),
-        quantiles: int = 0,
-        leg: int = 100_000,
-        seed: int = 0,
-    ) -> None:
-        if (
-            min(steps, n_step, batch_size, replay, gradient_every, leg) < 1
-            or not 0 < gamma < 1
-            or min(target_every, quantiles) < 0
-        ):
-            raise ValueError(
-                f"steps={steps}, n_step={n_step}, batch_size={batch_size}, replay={replay}, leg={leg}, "
-                f"gradient_every={gradient_every}, gamma={gamma}: give 1 or more, and gamma in (0, 1)"
-            )
-        self.env, self.steps, self.n_step, self.double, self.tau = env, steps, n_step, double, tau
-        self.target_every, self.gamma, self.learning_rate = target_every, gamma, learning_rate
-        self.learning_rate_end = learning_rate_end
-        self.batch_size, self.warmup, self.gradient_every = batch_size, warmup, gradient_every
-        self.exploration, self.exploration_end, self.gradient_clip = (
-            exploration,
-            exploration_end,
-            gradient_clip,
-        )
-        self.quantiles, self.leg, self.seed = quantiles, leg, seed
+    total_timesteps: int = 600_000
+    n_step: int = 5
+    double: bool = True
+    tau: float = 0.005
+    target_update_interval: int = 0
+    gamma: float = 0.98
+    learning_rate: float = 5e-4
+    learning_rate_end: float = 0.1
+    batch_size: int = 256
+    buffer_size: int = 400_000
+    learning_starts: int = 5_000
+    train_freq: int = 8
+    exploration_fraction: float = 0.3
+    exploration_final_eps: float = 0.03
+    max_grad_norm: float = 10.0
+    hidden: tuple[int, ...] = (128, 128)
+    quantiles: int = 0
+    checkpoint_interval: int = 100_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        counts = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
+        wrong = [f"{name}={getattr(self, name)}" for name in counts if getattr(self, name) < 1]
+        if wrong or self.checkpoint_interval < 1 or not 0 < self.gamma < 1:
+            wrong += [f"checkpoint_interval={self.checkpoint_interval}", f"gamma={self.gamma}"]
+            raise ValueError(f"{', '.join(wrong)}: give 1 or more, and gamma in (0, 1)")
+
+
+class DQN:
+    """Trains a :class:`~eldenet.navigation.qnetwork.QNetwork` on a vector environment.
+
+    After each checkpoint all episodes start anew with random numbers of their own, so a resumed training is
+    bit for bit the same as an uninterrupted one.
+
+    Args:
+        env: :class:`~eldenet.navigation.env.ArenaNavVectorEnv`, or any with the same autoreset mode.
+        settings: hyperparameters.
+    """
+
+    def __init__(self, env: Any, settings: DQNSettings = DQNSettings()) -> None:
+        self.env, self.settings = env, settings
         inputs, actions = env.single_observation_space.shape[0], int(env.single_action_space.n)
-        torch.manual_seed(seed)
-        self.policy_dqn = QNetwork(inputs, actions, tuple(hidden), max(1, quantiles))
+        torch.manual_seed(settings.seed)
+        self.policy_dqn = QNetwork(inputs, actions, tuple(settings.hidden), max(1, settings.quantiles))
         self.target_dqn = copy.deepcopy(self.policy_dqn)
-        self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=learning_rate, fused=True)
-        self.replay = Replay(replay, inputs)
-        self.done = 0  # environment steps
-        self.updates = 0  # gradient steps
+        self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=settings.learning_rate, fused=True)
+        self.replay = ReplayBuffer(settings.buffer_size, inputs)
+        self.num_timesteps = 0  # environment steps so far
+        self.updates = 0  # gradient steps so far
+
+    @property
+    def finished(self) -> bool:
+        """Whether all environment steps are done."""
+        return self.num_timesteps >= self.settings.total_timesteps
 
     def learn(
         self,
         *,
         folder: Path | None = None,
         report: Callable[[int, dict[str, float]], None] = lambda step, values: None,
-        after_leg: Callable[["DQN"], None] = lambda dqn: None,
+        at_checkpoint: Callable[["DQN"], None] = lambda dqn: None,
     ) -> None:
-        """Train to the end, from wherever the last checkpoint left off.
+        """Train to the end, from the last checkpoint on.
 
         Args:
-            folder: where the checkpoint is; None: none is written.
-            report: called about every 5,000 steps with the share of each outcome, loss and value.
-            after_leg: called after every leg, before its checkpoint is written.
+            folder: of the checkpoint; None: none is written.
+            report: called about every 5,000 steps with the rate of each outcome, loss and value.
+            at_checkpoint: called before each checkpoint is written.
         """
-        while self.done < self.steps:
-            self._leg(report)
-            after_leg(self)
+        while not self.finished:
+            self._train_to_checkpoint(report)
+            at_checkpoint(self)
             if folder is not None:
                 self.save(folder / CHECKPOINT)
 
-    def _leg(self, report: Callable[[int, dict[str, float]], None]) -> None:
-        env, robots = self.env, self.env.num_envs
-        number = self.done // self.leg
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((self.seed, number))))
-        windows = Windows(self.n_step, robots, self.gamma, self.replay)
-        # how far the training is: for arenas that grow harder
-        progress = {"progress": self.done / self.steps}
+    def _train_to_checkpoint(self, report: Callable[[int, dict[str, float]], None]) -> None:
+        env, robots, settings = self.env, self.env.num_envs, self.settings
+        number = self.num_timesteps // settings.checkpoint_interval
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((settings.seed, number))))
+        windows = NStepWindows(settings.n_step, robots, settings.gamma, self.replay)
+        progress = {"progress": self.num_timesteps / settings.total_timesteps}  # for a curriculum
         obs, _ = env.reset(seed=int(rng.integers(2**31)), options=progress)
-        end = min(self.steps, (number + 1) * self.leg)
+        end = min(settings.total_timesteps, (number + 1) * settings.checkpoint_interval)
         ends, losses, values = np.zeros(4), [], []
-        next_report = self.done + 5_000
-        while self.done < end:
+        next_report = self.num_timesteps + 5_000
+        while self.num_timesteps < end:
             action = self.act(obs, rng)
             next_obs, reward, terminated, truncated, info = env.step(action)
             ended = terminated | truncated
@@ -144,23 +144,25 @@ class DQN:
             windows.push(obs, action, reward, last_obs, terminated, ended)
             ends += np.bincount(info["event"][ended], minlength=4)
             obs = next_obs
-            before, self.done = self.done, self.done + robots
-            if self.done >= self.warmup:
-                for _ in range(self.done // self.gradient_every - before // self.gradient_every):
+            before, self.num_timesteps = self.num_timesteps, self.num_timesteps + robots
+            if self.num_timesteps >= settings.learning_starts:
+                for _ in range(self.num_timesteps // settings.train_freq - before // settings.train_freq):
                     loss, value = self.update(rng)
                     losses.append(loss)
                     values.append(value)
-            if self.done >= next_report and losses:
+            if self.num_timesteps >= next_report and losses:
                 total = max(ends.sum(), 1)
-                shares = dict(zip(("success", "collision", "timeout"), ends[1:] / total, strict=True))
-                report(self.done, shares | {"loss": float(np.mean(losses)), "value": float(np.mean(values))})
-                ends, losses, values, next_report = np.zeros(4), [], [], self.done + 5_000
+                rates = dict(zip(("success", "collision", "timeout"), ends[1:] / total, strict=True))
+                means = {"loss": float(np.mean(losses)), "value": float(np.mean(values))}
+                report(self.num_timesteps, rates | means)
+                ends, losses, values, next_report = np.zeros(4), [], [], self.num_timesteps + 5_000
 
     @property
     def epsilon(self) -> float:
-        """Share of random actions now."""
+        """Current rate of random actions."""
+        final, exploration = self.settings.exploration_final_eps, self.settings.exploration_fraction
         return max(
-            self.exploration_end, 1 - (1 - self.exploration_end) * self.done / (self.exploration * self.steps)
+            final, 1 - (1 - final) * self.num_timesteps / (exploration * self.settings.total_timesteps)
         )
 
     @torch.inference_mode()
@@ -171,49 +173,49 @@ class DQN:
         return np.where(rng.random(len(obs)) < self.epsilon, random, greedy)
 
     def update(self, rng: np.random.Generator) -> tuple[float, float]:
-        """One gradient step; returns the loss and the mean value."""
-        loss, value = self.loss(*self.replay.sample(rng, self.batch_size))
+        """Take one gradient step; return the loss and the mean value."""
+        settings = self.settings
+        loss, value = self.loss(*self.replay.sample(rng, settings.batch_size))
+        done = min(1.0, self.num_timesteps / settings.total_timesteps)
         for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate * (
-                1 - (1 - self.learning_rate_end) * min(1.0, self.done / self.steps)
-            )
+            group["lr"] = settings.learning_rate * (1 - (1 - settings.learning_rate_end) * done)
         self.optimizer.zero_grad()
         loss.backward()
-        if self.gradient_clip:
-            nn.utils.clip_grad_norm_(self.policy_dqn.parameters(), self.gradient_clip)
+        if settings.max_grad_norm:
+            nn.utils.clip_grad_norm_(self.policy_dqn.parameters(), settings.max_grad_norm)
         self.optimizer.step()
         self.updates += 1
-        if self.target_every == 0:
+        if settings.target_update_interval == 0:
+            target: list[Tensor] = list(self.target_dqn.parameters())
+            policy: list[Tensor] = list(self.policy_dqn.parameters())
             with torch.no_grad():
-                torch._foreach_lerp_(
-                    list(self.target_dqn.parameters()), list(self.policy_dqn.parameters()), self.tau
-                )
-        elif self.updates % self.target_every == 0:
+                torch._foreach_lerp_(target, policy, settings.tau)
+        elif self.updates % settings.target_update_interval == 0:
             self.target_dqn.load_state_dict(self.policy_dqn.state_dict())
         return float(loss.detach()), value
 
     def loss(
         self, obs: Tensor, action: Tensor, value: Tensor, next_obs: Tensor, discount: Tensor
     ) -> tuple[Tensor, float]:
-        """Of the actions taken: mean squared error or quantile regression; and their mean value."""
+        """Mean squared error or quantile regression loss of the taken actions, and their mean value."""
         rows = torch.arange(len(obs))
         with torch.no_grad():
-            chooser = self.policy_dqn if self.double else self.target_dqn
+            chooser = self.policy_dqn if self.settings.double else self.target_dqn
             after = self.target_dqn.spread(next_obs)[rows, chooser(next_obs).argmax(1)]
             target = value[:, None] + discount[:, None] * after
         q = self.policy_dqn.spread(obs)[rows, action]
-        loss = quantile_loss(q, target) if self.quantiles else nn.functional.mse_loss(q, target)
+        loss = quantile_loss(q, target) if self.settings.quantiles else nn.functional.mse_loss(q, target)
         return loss, float(q.detach().mean())
 
     def save(self, path: Path) -> None:
-        """Write all that the next leg needs; at once, so that a kill leaves the last checkpoint whole."""
+        """Write a checkpoint; a kill during the write leaves the previous one whole."""
         path.parent.mkdir(parents=True, exist_ok=True)
         state = {
             "policy_dqn": self.policy_dqn.state_dict(),
             "target_dqn": self.target_dqn.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "replay": self.replay.state_dict(),
-            "done": self.done,
+            "num_timesteps": self.num_timesteps,
             "updates": self.updates,
         }
         unfinished = path.with_name(f".{path.name}.part")
@@ -221,28 +223,109 @@ class DQN:
         unfinished.replace(path)
 
     def restore(self, path: Path) -> None:
-        """Go on from a checkpoint.
+        """Load a checkpoint.
 
         Raises:
             FileNotFoundError: there is none.
         """
         if not path.is_file():
-            raise FileNotFoundError(f"no checkpoint at {path}: training has not finished its first leg")
+            raise FileNotFoundError(f"no checkpoint at {path}: training has not reached its first one")
         state = torch.load(path, weights_only=True)
         self.policy_dqn.load_state_dict(state["policy_dqn"])
         self.target_dqn.load_state_dict(state["target_dqn"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
-        self.done, self.updates = state["done"], state["updates"]
+        self.num_timesteps = state.get("num_timesteps", state.get("done"))  # "done" in older checkpoints
+        self.updates = state["updates"]
+
+
+class ReplayBuffer:
+    """The last ``capacity`` transitions, with observations as float16 (three digits in [-1, 1])."""
+
+    def __init__(self, capacity: int, inputs: int) -> None:
+        self.capacity, self.added = capacity, 0
+        self.obs = torch.zeros(capacity, inputs, dtype=torch.float16)
+        self.next_obs = torch.zeros(capacity, inputs, dtype=torch.float16)
+        self.action = torch.zeros(capacity, dtype=torch.int64)
+        self.value = torch.zeros(capacity)  # discounted sum of the rewards
+        self.discount = torch.zeros(capacity)  # of the next value; 0 at the end of an episode
+
+    def __len__(self) -> int:
+        return min(self.added, self.capacity)
+
+    def add(self, obs: Any, action: Any, value: Any, next_obs: Any, discount: Any) -> None:
+        """Write a batch of transitions over the oldest ones."""
+        rows = torch.arange(self.added, self.added + len(action)) % self.capacity
+        self.obs[rows] = torch.from_numpy(obs).half()
+        self.next_obs[rows] = torch.from_numpy(next_obs).half()
+        self.action[rows] = torch.from_numpy(action)
+        self.value[rows] = torch.from_numpy(value).float()
+        self.discount[rows] = torch.from_numpy(discount).float()
+        self.added += len(action)
+
+    def sample(self, rng: np.random.Generator, count: int) -> tuple[Tensor, ...]:
+        """Return transitions drawn uniformly, with replacement."""
+        rows = torch.from_numpy(rng.integers(0, len(self), count))
+        columns = (self.obs, self.action, self.value, self.next_obs, self.discount)
+        return tuple(
+            column[rows].float() if column.is_floating_point() else column[rows] for column in columns
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all written transitions."""
+        names = ("obs", "next_obs", "action", "value", "discount")
+        return {"added": self.added} | {name: getattr(self, name)[: len(self)].clone() for name in names}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Load what :meth:`state_dict` returned."""
+        self.added = state.pop("added")
+        for name, rows in state.items():
+            getattr(self, name)[: len(rows)] = rows
+
+
+class NStepWindows:
+    """The last ``n`` steps of every robot, turned into n-step transitions within one episode."""
+
+    def __init__(self, n: int, robots: int, gamma: float, replay: ReplayBuffer) -> None:
+        self.n, self.gamma, self.replay = n, gamma, replay
+        self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # oldest first
+        self.length = np.zeros(robots, np.intp)  # steps of the current episode in the window
+
+    def push(
+        self,
+        obs: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        next_obs: np.ndarray,
+        terminated: np.ndarray,
+        ended: np.ndarray,
+    ) -> None:
+        """Add a step; where an episode ended, ``next_obs`` is its own last observation."""
+        self.steps = (
+            [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
+        )
+        self.length = np.minimum(self.length + 1, self.n)
+        value = np.zeros(len(action))
+        for back in range(1, len(self.steps) + 1):  # windows that start `back` steps ago
+            first_obs, first_action, first_reward = self.steps[-back]
+            value = first_reward + self.gamma * value
+            # a window is complete after n steps; the end of an episode completes shorter ones
+            whole = (self.length >= back) & (ended | (back == self.n))
+            if whole.any():
+                discount = self.gamma**back * ~terminated[whole]
+                self.replay.add(
+                    first_obs[whole], first_action[whole], value[whole], next_obs[whole], discount
+                )
+        self.length[ended] = 0
 
 
 def quantile_loss(predicted: Tensor, target: Tensor) -> Tensor:
-    """Quantile regression, with Huber's kappa 1.
+    """Quantile regression loss with Huber's kappa 1.
 
     Dabney et al., "Distributional reinforcement learning with quantile regression", AAAI 2018, eq. 10.
 
     Args:
-        predicted: ``(N, Q)`` at the middles of ``Q`` equal shares.
+        predicted: ``(N, Q)`` at the middles of ``Q`` equal intervals.
         target: samples ``(N, S)``.
     """
     count = predicted.shape[1]

@@ -1,13 +1,12 @@
 """``eldenet/ArenaNav-v0``: a Gymnasium environment, for one robot and for many."""
 
-import inspect
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from eldenet.navigation.episodes import TIME_LIMIT, Crossings, Event
+from eldenet.navigation.episodes import TIME_LIMIT, Episodes, EpisodeSettings, Event
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.sensors import Ranges, Sensor
@@ -18,9 +17,9 @@ GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0
 
 
 def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
-    """Algorithm 1: what brings the robot nearer is rewarded, the goal most, a collision punished.
+    """Reward of Algorithm 1: for progress and the goal, minus a penalty for collisions and time.
 
-    The paper gives the terms and no numbers; the constants are ours.
+    The paper gives the terms but no numbers; the constants are ours.
 
     Args:
         progress: towards the way-point [m].
@@ -32,7 +31,7 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
 
 
 def make_sensor(sensor: str | Sensor) -> Sensor:
-    """A sensor by name: "ranges", "noisy" (the packaged errors); or one that was built already."""
+    """Return a sensor by name, "ranges" or "noisy" (with the packaged errors); a sensor is returned as is."""
     if not isinstance(sensor, str):
         return sensor
     if sensor not in ("ranges", "noisy"):
@@ -40,39 +39,22 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
     return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 
-def make_observer(robots: int, options: dict[str, Any]) -> Observer:
-    """An observer with the options that an environment was given beside its own.
-
-    Raises:
-        ValueError: one is an option of neither.
-    """
-    known = inspect.signature(Observer).parameters.keys() - {"robots"}
-    unknown = sorted(options.keys() - known)
-    if unknown:
-        raise ValueError(
-            f"{', '.join(f'{name}={options[name]!r}' for name in unknown)}: no option of the environment or "
-            f"of its observer ({', '.join(sorted(known))}); arenas=TrainingArenas((80, 80)) says how many "
-            "obstacles there are"
-        )
-    return Observer(robots, **options)
-
-
 class ArenaNavVectorEnv(VectorEnv):
-    """``num_envs`` robots in arenas of their own.
+    """``num_envs`` robots, each in an arena of its own.
 
-    Convention: an episode that ends is followed by the next within the same step
-    (``AutoresetMode.SAME_STEP``): the observation returned is the new episode's first, and
-    ``info["final_obs"]`` (with the mask ``info["_final_obs"]``) holds the last of the one that ended. A
-    collision and the goal terminate; the time limit truncates. Where there is a camera, ``info["fed_by"]``
-    ``(num_envs, 5)`` names what fed each sector: "depth" or "box".
+    When an episode ends, the next one starts within the same step (``AutoresetMode.SAME_STEP``): the returned
+    observation is the first of the new episode, and ``info["final_obs"]`` (with the mask
+    ``info["_final_obs"]``) is the last of the old one. A collision and the goal terminate; the time limit
+    truncates. With a camera, ``info["fed_by"]`` ``(num_envs, 5)`` is the source of each sector: "depth" or
+    "box".
 
     Args:
-        num_envs: robots.
+        num_envs: number of robots.
         sensor: "ranges", "noisy" or a :class:`~eldenet.navigation.sensors.Sensor`.
         physics: "kinematic" or "wheels".
-        arenas: where to train; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
+        arenas: to train in; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
+        goal: "known", "fixes" or "odometry"; see :class:`~eldenet.navigation.episodes.EpisodeSettings`.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 
@@ -90,10 +72,9 @@ class ArenaNavVectorEnv(VectorEnv):
         **observer: Any,
     ) -> None:
         self.num_envs = num_envs
-        self.observer = make_observer(num_envs, observer)
-        self.crossings = Crossings(
-            num_envs, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal
-        )
+        self.observer = Observer(num_envs, **observer)
+        settings = EpisodeSettings(physics, goal, time_limit)
+        self.episodes = Episodes(num_envs, make_sensor(sensor), settings)
         self._arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
@@ -105,36 +86,36 @@ class ArenaNavVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every slot; of a list of seeds, each starts its own slot's stream.
+        """Start an episode in every slot; a list of seeds has one for each slot.
 
-        ``options={"progress": share}`` says how much of the training is done, for arenas that grow harder.
+        ``options={"progress": share}`` is the share of the training that is done, for a curriculum.
 
         Raises:
-            ValueError: a list of another length than there are robots.
+            ValueError: the number of seeds is not that of the robots.
         """
         if seed is not None or not self._rngs:
             if isinstance(seed, list):
                 if len(seed) != self.num_envs:
                     raise ValueError(
-                        f"{len(seed)} seeds for {self.num_envs} robots: give one each, or one number"
+                        f"{len(seed)} seeds for {self.num_envs} robots: give one per robot, or one number"
                     )
                 streams = [np.random.SeedSequence(s) for s in seed]
             else:
-                # a list of one number, as ever: trainings stay the same bit for bit
+                # a list of one number: trainings stay the same bit for bit
                 streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
             self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
             progress = float((options or {}).get("progress", 1.0))
             self._tasks = [self._arenas.fresh(progress) for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
-        return self.observer.observe(self.crossings.sense()), {}
+        return self.observer.observe(self.episodes.sense()), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control period of every robot."""
-        progress, events = self.crossings.step(self.observer.commands(np.asarray(actions)))
-        observation = self.observer.observe(self.crossings.sense())
+        """Run one control period of every robot."""
+        progress, events = self.episodes.step(self.observer.commands(np.asarray(actions)))
+        observation = self.observer.observe(self.episodes.sense())
         terminated = (events == Event.GOAL) | (events == Event.COLLISION)
         truncated = events == Event.TIMEOUT
         ended = np.flatnonzero(terminated | truncated)
@@ -142,38 +123,34 @@ class ArenaNavVectorEnv(VectorEnv):
         if len(ended):
             info["final_obs"] = observation.copy()
             info["_final_obs"] = terminated | truncated
-            info["seconds"] = self.crossings.seconds.copy()
+            info["seconds"] = self.episodes.seconds.copy()
             for slot in ended.tolist():
                 self._begin(slot)
-            senses = self.crossings.sense(ended.tolist())
+            senses = self.episodes.sense(ended.tolist())
             observation[ended] = self.observer.observe(senses, ended)
-        sights = self.crossings.sights
-        if sights[0] is not None and sights[0].image is not None:
-            info["fed_by"] = np.array([sight.sectors_fed_by for sight in sights if sight is not None])
+        scans = self.episodes.observations
+        if scans[0] is not None and scans[0].image is not None:
+            info["fed_by"] = np.array([scan.sectors_fed_by for scan in scans if scan is not None])
         return observation, reward(progress, events), terminated, truncated, info
 
     def _begin(self, slot: int) -> None:
         rng = self._rngs[slot]
-        self.crossings.start(slot, self._tasks[slot].draw(rng), (int(rng.integers(2**31)),))
+        self.episodes.start(slot, self._tasks[slot].draw(rng), (int(rng.integers(2**31)),))
         self.observer.reset(slot)
 
 
 class ArenaNavEnv(gym.Env):
-    """One robot: what ``gymnasium.make("eldenet/ArenaNav-v0")`` returns.
+    """One robot: the environment that ``gymnasium.make("eldenet/ArenaNav-v0")`` returns.
+
+    ``info["fed_by"]`` is the source of each sector's nearest range, right to left: "simulator", "depth" or
+    "box".
 
     Args:
-        arena: always this one, such as :func:`~eldenet.simulation.arenas.triangle_course`; None: a new one
-            every episode.
-        arenas: where those come from.
-        sensor: as of :class:`ArenaNavVectorEnv`.
-        physics: "kinematic" or "wheels".
-        time_limit: of an episode [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
+        arena: of every episode, such as :func:`~eldenet.simulation.arenas.triangle_course`; None: a new one
+            each time.
+        arenas: source of the new ones.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
-        observer: options of :class:`~eldenet.navigation.observer.Observer`.
-
-    ``info["fed_by"]`` names what the nearest range of each sector rests on, right to left: "simulator",
-    "depth" or "box".
+        sensor, physics, time_limit, goal, observer: as in :class:`ArenaNavVectorEnv`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
@@ -193,8 +170,8 @@ class ArenaNavEnv(gym.Env):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
-        self.observer = make_observer(1, observer)
-        self.crossings = Crossings(1, make_sensor(sensor), physics=physics, time_limit=time_limit, goal=goal)
+        self.observer = Observer(1, **observer)
+        self.episodes = Episodes(1, make_sensor(sensor), EpisodeSettings(physics, goal, time_limit))
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)
         self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()
@@ -203,44 +180,40 @@ class ArenaNavEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; a seed starts the stream of arenas anew."""
+        """Start an episode; a seed restarts the stream of arenas."""
         super().reset(seed=seed)
         if seed is not None:
             self._arenas = self._arenas.fresh()
         arena = self._arena or self._arenas.draw(self.np_random)
-        self.crossings.start(0, arena, (int(self.np_random.integers(2**31)),))
+        self.episodes.start(0, arena, (int(self.np_random.integers(2**31)),))
         self.observer.reset()
         self._scene = None
-        observation = self.observer.observe(self.crossings.sense())[0]
+        observation = self.observer.observe(self.episodes.sense())[0]
         return observation, {"arena": arena.name, "fed_by": self._fed_by}
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control period."""
-        progress, events = self.crossings.step(self.observer.commands(np.array([int(action)])))
-        observation = self.observer.observe(self.crossings.sense())[0]
+        """Run one control period."""
+        progress, events = self.episodes.step(self.observer.commands(np.array([int(action)])))
+        observation = self.observer.observe(self.episodes.sense())[0]
         event = Event(int(events[0]))
         if self._scene is not None:
-            self._scene.trail.append(tuple(self.crossings.poses[0]))
+            self._scene.trail.append(tuple(self.episodes.poses[0]))
         value = float(reward(progress, events)[0])
-        info = {
-            "event": event.name.lower(),
-            "is_success": event is Event.GOAL,
-            "fed_by": self._fed_by,
-        }
+        info = {"event": event.name.lower(), "is_success": event is Event.GOAL, "fed_by": self._fed_by}
         return observation, value, event in (Event.GOAL, Event.COLLISION), event is Event.TIMEOUT, info
 
     @property
     def _fed_by(self) -> tuple[str, ...]:
-        sight = self.crossings.sights[0]
-        return () if sight is None else sight.sectors_fed_by
+        scan = self.episodes.observations[0]
+        return () if scan is None else scan.sectors_fed_by
 
     def render(self) -> np.ndarray | None:
-        """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail begins with the first call."""
+        """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail starts at the first call."""
         from eldenet.navigation.visualization import Scene
 
-        if self.render_mode is None or self.crossings.worlds[0] is None:
+        if self.render_mode is None or self.episodes.worlds[0] is None:
             return None
         if self._scene is None:
-            self._scene = Scene(self.crossings.worlds[0].arena)
-            self._scene.trail.append(tuple(self.crossings.poses[0]))
-        return self._scene.draw(self.crossings, 0)
+            self._scene = Scene(self.episodes.worlds[0].arena)
+            self._scene.trail.append(tuple(self.episodes.poses[0]))
+        return self._scene.draw(self.episodes, 0)

@@ -1,22 +1,24 @@
-"""Robots that cross arenas: many at once, one arena each, told apart by slot.
+"""Robots that drive through arenas: many at once, each in a slot with its own arena.
 
-A slot's random numbers come from its crossing's own seed, so a crossing ends the same alone or among others.
+Each slot draws its random numbers from its episode's own seed, so an episode ends the same alone or among
+others.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from eldenet.navigation.localization import Fixes, Localizer
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.sensors import Eye, Odometry, Sensor, Sight
+from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 
-SUBSTEPS = 2  # of a control period, after each of which contacts are looked for: at most 10 cm apart
+SUBSTEPS = 2  # contact checks per control period: at most 10 cm apart
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
 GOALS = ("known", "fixes", "odometry")
@@ -31,70 +33,78 @@ class Event(IntEnum):
     TIMEOUT = 3
 
 
-class Crossings:
-    """``count`` robots under way.
+@dataclass(frozen=True)
+class EpisodeSettings:
+    """Conditions of an episode, the same for every driver.
 
-    Args:
-        count: of robots.
-        sensor: what they see with.
+    Attributes:
         physics: "kinematic" or "wheels"; see :class:`~eldenet.simulation.arena_world.ArenaWorld`.
-        time_limit: of a crossing [s].
-        goal: where the robot takes the goal's distance and bearing from. "known": always the true ones, as
-            with a beacon at the goal; "fixes": from a :class:`~eldenet.navigation.localization.Localizer`
-            that gets a noisy position now and then, and calibrates the odometry; "odometry": from where the
-            odometry believes it is, as on a robot without either, so that they drift with it. The true pose
-            ends a crossing in all.
-        fixes: how often "fixes" come and how good they are.
+        goal: source of the goal's distance and bearing. "known": the true ones, as with a beacon at the goal;
+            "fixes": a :class:`~eldenet.navigation.localization.Localizer` that gets a noisy position now and
+            then and calibrates the odometry; "odometry": the odometry alone, so they drift with it. The true
+            pose decides when an episode ends.
+        time_limit: [s].
+        seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
+        fixes: rate and accuracy of the positions for ``goal="fixes"``.
 
     Raises:
         ValueError: unknown goal.
+    """
+
+    physics: str = "kinematic"
+    goal: str = "known"
+    time_limit: float = TIME_LIMIT
+    seed: int = 0
+    fixes: Fixes = Fixes()  # noqa: RUF009 - immutable
+
+    def __post_init__(self) -> None:
+        if self.goal not in GOALS:
+            raise ValueError(f"goal={self.goal!r}: choose one of {', '.join(GOALS)}")
+
+
+class Episodes:
+    """``count`` robots that drive at the same time.
+
+    Args:
+        count: number of robots.
+        sensor: of all robots.
+        settings: of all episodes.
 
     Attributes:
         worlds: one per slot.
-        sights: what each slot's camera gave last, with its pictures where it has any.
+        observations: last scan of each slot.
     """
 
-    def __init__(
-        self,
-        count: int,
-        sensor: Sensor,
-        *,
-        physics: str = "kinematic",
-        time_limit: float = TIME_LIMIT,
-        goal: str = "known",
-        fixes: Fixes = Fixes(),  # noqa: B008 - immutable
-    ) -> None:
-        if goal not in GOALS:
-            raise ValueError(f"goal={goal!r}: choose one of {', '.join(GOALS)}")
-        self.goal_from, self.fixes = goal, fixes
-        self.count, self.sensor, self.physics, self.time_limit = count, sensor, physics, time_limit
+    def __init__(self, count: int, sensor: Sensor, settings: EpisodeSettings = EpisodeSettings()) -> None:
+        self.count, self.sensor, self.settings = count, sensor, settings
         self.worlds: list[ArenaWorld | None] = [None] * count
-        self.sights: list[Sight | None] = [None] * count
-        self._eyes: list[Eye | None] = [None] * count
+        self.observations: list[Observation | None] = [None] * count
+        self._sensors: list[SensorInstance | None] = [None] * count
         self._odometry: list[Odometry | None] = [None] * count
-        self._localizers: list[Localizer | None] = [None] * count  # of goal="fixes" alone
+        self._localizers: list[Localizer | None] = [None] * count  # for goal="fixes" only
         self._rngs: list[np.random.Generator | None] = [None] * count
-        self.poses = np.zeros((count, 3))  # where they are
+        self.poses = np.zeros((count, 3))  # true ones
         self.travelled = np.zeros(count)  # [m]
         self._waypoint = np.zeros(count, np.intp)
         self._steps = np.zeros(count, np.intp)
 
     def start(self, slot: int, arena: Arena, seed: Sequence[int]) -> None:
-        """Put the robot of a slot at the start of an arena; ``seed`` is of its sensor's errors."""
+        """Put a slot's robot at the start of an arena; ``seed`` is that of its sensor's errors."""
         world = self.worlds[slot]
         if world is not None and world.arena.obstacles == arena.obstacles and world.arena.side == arena.side:
             world.arena = arena
             world.place(arena.start)
         else:
-            world = self.worlds[slot] = ArenaWorld(arena, self.physics)
+            world = self.worlds[slot] = ArenaWorld(arena, self.settings.physics)
         stream = np.random.SeedSequence(tuple(seed))
         rng = np.random.Generator(np.random.PCG64(stream))
-        self._eyes[slot] = self.sensor.begin(world, rng)
-        self._odometry[slot] = Odometry(self.sensor.drift, rng, world.pose)
-        if self.goal_from == "fixes":
-            drift = self.sensor.drift
+        self._sensors[slot] = self.sensor.begin(world, rng)
+        drift = self.sensor.drift
+        self._odometry[slot] = Odometry(drift, rng, world.pose)
+        if self.settings.goal == "fixes":
+            deviation = self.settings.fixes.deviation
             self._localizers[slot] = Localizer(
-                world.pose, deviation=self.fixes.deviation, distance=drift.distance, heading=drift.heading
+                world.pose, deviation=deviation, distance=drift.distance, heading=drift.heading
             )
             self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
         self.poses[slot] = world.pose
@@ -103,16 +113,15 @@ class Crossings:
 
     @property
     def seconds(self) -> np.ndarray:
-        """Time under way of every slot ``(N,)`` [s]."""
+        """Time since the start in each slot ``(N,)`` [s]."""
         return self._steps * ROBOT.period
 
     def goal(self, slot: int) -> tuple[float, float]:
-        """Next way-point of a slot in the world [m]."""
-        world = self._world(slot)
-        return world.arena.waypoints[self._waypoint[slot]]
+        """Next way-point of a slot in the world frame [m]."""
+        return self._world(slot).arena.waypoints[self._waypoint[slot]]
 
     def goals(self) -> np.ndarray:
-        """True distance [m] and bearing [rad] of every slot's next way-point ``(N, 2)``."""
+        """True distance [m] and bearing [rad] of each slot's next way-point ``(N, 2)``."""
         return self._goals_from(self.poses)
 
     def _goals_from(self, poses: np.ndarray) -> np.ndarray:
@@ -121,26 +130,28 @@ class Crossings:
         bearing = np.arctan2(dy, dx) - poses[:, 2]
         return np.stack([np.hypot(dx, dy), np.arctan2(np.sin(bearing), np.cos(bearing))], axis=1)
 
-    def look(self, slots: Sequence[int]) -> None:
-        """Let the cameras of some slots look."""
+    def scan(self, slots: Sequence[int]) -> None:
+        """Take a new scan in some slots."""
         for slot in slots:
-            self.sights[slot] = self._eyes[slot].look()  # type: ignore[union-attr]
+            self.observations[slot] = self._sensors[slot].scan()  # type: ignore[union-attr]
 
     def senses(self) -> Senses:
-        """What the robots sensed when they looked last, with odometry and goals as they are now."""
-        ranges = np.stack([sight.ranges for sight in self.sights if sight is not None])
+        """Ranges of the last scans, with odometry and goals as of now."""
+        ranges = np.stack(
+            [observation.ranges for observation in self.observations if observation is not None]
+        )
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
-        if self.goal_from == "fixes":
-            believed = [localizer for localizer in self._localizers if localizer is not None]
-            odometry = np.array([localizer.odometry for localizer in believed])
-            goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(believed)])
+        if self.settings.goal == "fixes":
+            localizers = [localizer for localizer in self._localizers if localizer is not None]
+            odometry = np.array([localizer.odometry for localizer in localizers])
+            goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(localizers)])
         else:
-            goals = self._goals_from(odometry if self.goal_from == "odometry" else self.poses)
+            goals = self._goals_from(odometry if self.settings.goal == "odometry" else self.poses)
         return Senses(ranges, odometry, goals)
 
     def sense(self, slots: Sequence[int] | None = None) -> Senses:
-        """Look and sense: all slots, or new looks of some and the last ones of the others."""
-        self.look(range(self.count) if slots is None else slots)
+        """Scan in all slots, or in some of them, and return the senses of all."""
+        self.scan(range(self.count) if slots is None else slots)
         return self.senses()
 
     def step(self, commands: np.ndarray, slots: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -151,22 +162,20 @@ class Crossings:
         """
         progress, events = np.zeros(self.count), np.zeros(self.count, np.intp)
         for slot in range(self.count) if slots is None else slots:
-            progress[slot], events[slot] = self._drive(
-                slot, float(commands[slot, 0]), float(commands[slot, 1])
-            )
+            speed, turn = commands[slot].tolist()
+            progress[slot], events[slot] = self._drive(slot, speed, turn)
         return progress, events
 
     def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:
-        """One robot, one period: collision is looked for before the goal.
+        """Drive one robot for one period; a collision counts before the goal.
 
-        Progress is towards the way-point that the period began with.
+        Progress is towards the way-point at the start of the period.
         """
         world = self._world(slot)
         goal = self.goal(slot)
-        before = math.dist(self.poses[slot, :2], goal)
+        distance = before = math.dist(self.poses[slot, :2], goal)
         event = Event.NONE
         self._steps[slot] += 1
-        distance = before
         for _ in range(SUBSTEPS):
             last = world.pose
             collided = world.advance(speed, turn, ROBOT.period / SUBSTEPS)
@@ -181,22 +190,22 @@ class Crossings:
                 if self._waypoint[slot] + 1 == len(world.arena.waypoints):
                     event = Event.GOAL
                     break
-                self._waypoint[slot] += 1  # a way-point on the way ends no period
+                self._waypoint[slot] += 1  # the period continues towards the next one
         self.poses[slot] = world.pose
         self._localize(slot)
-        if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.time_limit - 1e-9:
+        if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.settings.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event
 
     def _localize(self, slot: int) -> None:
-        """Tell the localizer what the wheels did, and where it is when a fix is due."""
+        """Pass the odometry to the localizer, and a position when one is due."""
         localizer, rng = self._localizers[slot], self._rngs[slot]
         if localizer is None or rng is None:
             return
         localizer.move(self._odometry[slot].pose)  # type: ignore[union-attr]
-        due = max(1, round(self.fixes.period / ROBOT.period))
-        if self._steps[slot] % due == 0:
-            error = self.fixes.deviation * rng.standard_normal(2)
+        period, deviation = self.settings.fixes
+        if self._steps[slot] % max(1, round(period / ROBOT.period)) == 0:
+            error = deviation * rng.standard_normal(2)
             localizer.fix(*(self.poses[slot, :2] + error).tolist())
 
     def _world(self, slot: int) -> ArenaWorld:

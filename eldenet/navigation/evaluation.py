@@ -1,42 +1,42 @@
-"""Cross frozen arenas with a policy and count: success, collision, time-out, time, path."""
+"""Run a driver through a fixed set of arenas and summarize: success, collision, time-out, time, path."""
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from eldenet.navigation.episodes import GOAL_RADIUS, Crossings, Event
+from eldenet.navigation.episodes import GOAL_RADIUS, Episodes, EpisodeSettings, Event
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import optimal_length
 from eldenet.navigation.sensors import Sensor
-from eldenet.navigation.statistics import spl, wilson_interval
 from eldenet.simulation.arenas import Arena
 
 
 class Policy(Protocol):
-    """Whatever drives: learnt or planned, one robot or many."""
+    """A driver, learned or planned, for one robot or many."""
 
     name: str
 
     def reset(self, robot: int, world: Any = None) -> None:
-        """Start a crossing; ``world`` is the simulator's, for planners that are given the map."""
+        """Start an episode; ``world`` is the simulator's, for planners that know the map."""
 
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``; only the rows of ``robots`` count."""
 
 
 @dataclass(frozen=True)
-class Crossing:
-    """One row of the per-world table.
+class Episode:
+    """Result of one episode: a row of the table of an evaluation.
 
     Attributes:
-        world: the arena's name.
+        world: name of the arena.
         density: its number of standing obstacles.
         outcome: "success", "collision" or "timeout".
-        seconds: until then [s].
-        travelled: way driven [m].
-        shortest: shortest way on the inflated grid, up to the goal's radius [m].
+        seconds: duration [s].
+        travelled: length of the driven path [m].
+        shortest: length of the shortest path on the inflated grid, up to the goal's radius [m].
     """
 
     world: str
@@ -50,81 +50,75 @@ class Crossing:
 OUTCOMES = {Event.GOAL: "success", Event.COLLISION: "collision", Event.TIMEOUT: "timeout"}
 
 
-def cross(
+def run_episodes(
     arenas: Sequence[Arena],
     make_policy: Callable[[int], Policy],
     sensor: Sensor,
+    settings: EpisodeSettings = EpisodeSettings(),  # noqa: B008 - immutable
     *,
-    physics: str = "kinematic",
     robots: int = 32,
-    seed: int = 0,
-    time_limit: float = 60.0,
-    goal: str = "known",
     advance: Callable[[int], None] = lambda count: None,
-) -> list[Crossing]:
-    """Cross every arena once; rows come in the order of the arenas.
-
-    The sensor's errors in arena ``k`` come from ``(seed, k)``, so an outcome does not depend on the others.
+) -> list[Episode]:
+    """Run one episode in every arena; the results are in the order of the arenas.
 
     Args:
-        arenas: worlds with start and goal.
+        arenas: with start and goal.
         make_policy: number of robots -> policy.
-        sensor: what the robots see with.
-        physics: "kinematic" or "wheels".
-        robots: under way at once.
-        seed: of the sensor's errors.
-        time_limit: of a crossing [s].
-        goal: "known" or "odometry"; see :class:`~eldenet.navigation.episodes.Crossings`.
-        advance: told how many crossings have ended, for a progress bar.
+        sensor: of the robots.
+        settings: of the episodes. No outcome depends on the other arenas.
+        robots: episodes that run at once.
+        advance: called with the number of episodes that have ended, for a progress bar.
     """
     robots = min(robots, len(arenas))
-    crossings = Crossings(robots, sensor, physics=physics, time_limit=time_limit, goal=goal)
+    episodes = Episodes(robots, sensor, settings)
     policy = make_policy(robots)
-    rows: dict[int, Crossing] = {}
-    at = np.arange(robots)  # the arena of every slot
+    rows: dict[int, Episode] = {}
+    at = np.arange(robots)  # arena of each slot
     waiting = iter(range(robots, len(arenas)))
+
+    def start(slot: int, number: int) -> None:
+        at[slot] = number
+        episodes.start(slot, arenas[number], (settings.seed, number))
+        policy.reset(slot, episodes.worlds[slot])
+
     for slot in range(robots):
-        crossings.start(slot, arenas[slot], (seed, slot))
-        policy.reset(slot, crossings.worlds[slot])
+        start(slot, slot)
     active = np.arange(robots)
-    crossings.sense()
+    episodes.sense()
     while len(active):
-        commands = policy.commands(crossings.senses(), active)
-        _, events = crossings.step(commands, active.tolist())
+        commands = policy.commands(episodes.senses(), active)
+        _, events = episodes.step(commands, active.tolist())
         still = []
         for slot in active.tolist():
             event = Event(int(events[slot]))
             if event is not Event.NONE:
                 arena = arenas[at[slot]]
-                rows[int(at[slot])] = Crossing(
+                rows[int(at[slot])] = Episode(
                     arena.name,
                     arena.density,
                     OUTCOMES[event],
-                    round(float(crossings.seconds[slot]), 3),
-                    round(float(crossings.travelled[slot]), 3),
+                    round(float(episodes.seconds[slot]), 3),
+                    round(float(episodes.travelled[slot]), 3),
                     round(optimal_length(arena) - GOAL_RADIUS, 3),
                 )
                 advance(1)
                 following = next(waiting, None)
                 if following is None:
                     continue
-                at[slot] = following
-                crossings.start(slot, arenas[following], (seed, following))
-                policy.reset(slot, crossings.worlds[slot])
+                start(slot, following)
             still.append(slot)
         active = np.array(still, dtype=np.intp)
-        crossings.look(still)
+        episodes.scan(still)
     return [rows[number] for number in range(len(arenas))]
 
 
-def summarize(rows: Sequence[Crossing]) -> dict[str, Any]:
-    """Shares [%] with their Wilson intervals, time over successes [s], SPL."""
+def summarize(rows: Sequence[Episode]) -> dict[str, Any]:
+    """Rates [%] with Wilson intervals, mean time of the successes [s], SPL."""
     outcomes = np.array([row.outcome for row in rows])
     success = outcomes == "success"
     low, high = wilson_interval(int(success.sum()), len(rows))
-    seconds = np.array([row.seconds for row in rows])
-    travelled, shortest = (
-        np.array([getattr(row, name) for row in rows]) for name in ("travelled", "shortest")
+    seconds, travelled, shortest = (
+        np.array([getattr(row, name) for row in rows]) for name in ("seconds", "travelled", "shortest")
     )
     return {
         "worlds": len(rows),
@@ -138,19 +132,55 @@ def summarize(rows: Sequence[Crossing]) -> dict[str, Any]:
     }
 
 
-def solved_by_all(tables: Sequence[Sequence[Crossing]]) -> np.ndarray:
-    """Which worlds every method solved ``(worlds,)`` bool.
+def solved_by_all(tables: Sequence[Sequence[Episode]]) -> np.ndarray:
+    """Mask of the arenas that every method solved ``(arenas,)`` bool.
 
     Raises:
-        ValueError: the tables are not of the same worlds.
+        ValueError: the tables are from different arenas.
     """
     names = [[row.world for row in table] for table in tables]
     if any(other != names[0] for other in names[1:]):
-        raise ValueError("the tables are of different worlds: times can be compared on the same worlds only")
+        raise ValueError("the tables are from different arenas: compare times on the same arenas only")
     return np.all([[row.outcome == "success" for row in table] for table in tables], axis=0)
 
 
-def as_rows(rows: Sequence[Crossing]) -> tuple[list[str], list[list[Any]]]:
-    """Header and rows for :func:`eldenet.results.run_record.write_rows`."""
-    content = [asdict(row) for row in rows]
-    return list(content[0]), [list(row.values()) for row in content]
+def as_rows(rows: Sequence[Any], without: Sequence[str] = ()) -> tuple[list[str], list[list[Any]]]:
+    """Header and rows of a list of dataclasses, for :func:`eldenet.results.run_record.write_rows`."""
+    names = [name for name in vars(rows[0]) if name not in without]
+    return names, [[getattr(row, name) for name in names] for row in rows]
+
+
+def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+    """Confidence interval of a rate (95 % by default): Wilson, JASA 1927."""
+    rate = successes / trials
+    middle = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
+    half = z / (1 + z * z / trials) * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials**2))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int, float]:
+    """Exact paired test of two methods on the same arenas: McNemar, Psychometrika 1947.
+
+    Returns:
+        Arenas that only the first solved, arenas that only the second solved, and the two-sided p-value.
+    """
+    from scipy.stats import binomtest
+
+    if len(first) != len(second):
+        raise ValueError(f"{len(first)} and {len(second)} outcomes: a paired test needs the same arenas")
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    only_first, only_second = int((a & ~b).sum()), int((b & ~a).sum())
+    if only_first + only_second == 0:
+        return 0, 0, 1.0
+    return only_first, only_second, float(binomtest(only_first, only_first + only_second).pvalue)
+
+
+def spl(success: np.ndarray, length: np.ndarray, shortest: np.ndarray) -> float:
+    """Success weighted by path length: Anderson et al., "On evaluation of embodied navigation agents", 2018.
+
+    Args:
+        success: bool.
+        length: of the driven path [m].
+        shortest: length of the shortest path [m].
+    """
+    return float(np.mean(np.asarray(success) * shortest / np.maximum(length, shortest)))

@@ -1,11 +1,11 @@
-"""Where a robot is: wheel odometry and now and then a position, such as ultra-wideband beacons or GPS give.
+"""Localization from wheel odometry and occasional positions, such as from ultra-wideband beacons or GPS.
 
-An extended Kalman filter over the pose and over what is wrong with the odometry, so that it also learns by
-how much distances are off and how the heading drifts with the way (Larsen, Bak, Andersen, Poulsen, "Location
-estimation for an autonomously guided vehicle using an augmented Kalman filter to autocalibrate the
-odometry", FUSION 1998). A position tells no heading; driving does.
+An extended Kalman filter estimates the pose and the errors of the odometry: the scale of distances and the
+drift of the heading (Larsen, Bak, Andersen, Poulsen, "Location estimation for an autonomously guided vehicle
+using an augmented Kalman filter to autocalibrate the odometry", FUSION 1998). A position contains no heading;
+the filter learns it from driving.
 
-NumPy alone; nothing here knows a simulator.
+Needs NumPy only, no simulator.
 """
 
 import math
@@ -17,10 +17,10 @@ Pose = tuple[float, float, float]
 
 
 class Fixes(NamedTuple):
-    """Positions from outside.
+    """External positions.
 
     Attributes:
-        period: between two [s].
+        period: time between two [s].
         deviation: standard deviation of x and of y [m].
     """
 
@@ -29,17 +29,17 @@ class Fixes(NamedTuple):
 
 
 class Localizer:
-    """Follows one robot.
+    """Pose estimate of one robot.
 
     Args:
-        pose: at the start: x, y [m], heading [rad], in the frame of the positions; the odometry begins there.
-        deviation: of the positions that will come [m].
-        distance: standard deviation of the odometry's scale of distances that is expected.
-        heading: standard deviation of its drift of the heading that is expected [rad/m].
+        pose: at the start, also of the odometry: x, y [m], heading [rad], in the frame of the positions.
+        deviation: standard deviation of the positions [m].
+        distance: expected standard deviation of the odometry's scale of distances.
+        heading: expected standard deviation of its heading drift [rad/m].
 
     Attributes:
-        odometry: without the errors that are known by now ``(x, y, heading)``. It jumps at no fix, so that
-            what was seen keeps its place: the memory's frame.
+        odometry: odometry without the errors known so far ``(x, y, heading)``. It does not jump at a fix, so
+            remembered obstacles keep their place.
     """
 
     def __init__(
@@ -53,12 +53,12 @@ class Localizer:
 
     @property
     def pose(self) -> Pose:
-        """Best guess now: x, y [m], heading [rad]."""
+        """Current estimate: x, y [m], heading [rad]."""
         x, y, yaw = self._state[:3].tolist()
         return x, y, yaw
 
     def move(self, odometry: Pose) -> None:
-        """Take over what the wheels say: x, y [m], heading [rad] of raw odometry."""
+        """Update with raw odometry: x, y [m], heading [rad]."""
         dx, dy = odometry[0] - self._raw[0], odometry[1] - self._raw[1]
         c, s = math.cos(self._raw[2]), math.sin(self._raw[2])
         turned = odometry[2] - self._raw[2]
@@ -76,7 +76,7 @@ class Localizer:
         jacobian[:2, 2] = -step[1], step[0]
         jacobian[:2, 3] = -step / (1 + scale)
         jacobian[2, 3:] = drift * way / (1 + scale), -way
-        # what no scale and no drift explains: wheels slip
+        # wheel slip: neither scale nor drift explains it
         slip = np.diag([0.01**2, 0.01**2, 0.003**2, 0.0, 0.0]) * way
         self._covariance = jacobian @ self._covariance @ jacobian.T + slip
         x, y, yaw = self.odometry
@@ -84,13 +84,13 @@ class Localizer:
         self.odometry = (x + c * ahead - s * left, y + s * ahead + c * left, yaw + turned)
 
     def fix(self, x: float, y: float) -> None:
-        """Take over a position from outside [m]."""
+        """Update with an external position [m]."""
         gain = self._covariance[:, :2] @ np.linalg.inv(self._covariance[:2, :2] + self._noise)
         self._state += gain @ (np.array([x, y]) - self._state[:2])
         self._covariance -= gain @ self._covariance[:2]
         self._covariance = (self._covariance + self._covariance.T) / 2
 
     def towards(self, x: float, y: float) -> tuple[float, float]:
-        """Distance [m] and bearing [rad, counter-clockwise from ahead] of a point."""
+        """Return distance [m] and bearing [rad, counter-clockwise from ahead] of a point."""
         dx, dy = x - self._state[0], y - self._state[1]
         return float(math.hypot(dx, dy)), float(math.remainder(math.atan2(dy, dx) - self._state[2], math.tau))

@@ -1,18 +1,17 @@
-"""What a learnt driver knows: five camera sectors, the goal, its last command, and what it has seen before.
+"""Observations of a learned driver: five camera sectors, the goal, its last command, remembered obstacles.
 
-Works on ``N`` robots at once with NumPy alone; nothing here knows a simulator. The observation is
-``(N, size)`` float32:
+Works on ``N`` robots at once; needs NumPy only, no simulator. The observation is ``(N, size)`` float32:
 
 ======================  ==============================================  =======================
-columns                 what                                            range
+columns                 meaning                                         range
 ======================  ==============================================  =======================
 0-4                     nearest range per sector, right to left         sqrt(r / 10), 0.17 to 1
 5                       goal distance                                   min(d / 20, 1)
 6, 7                    sine and cosine of the goal's bearing           -1 to 1
-8                       last turn rate over the greatest                -1 to 1
-9                       last speed over the greatest                    -1 to 1
-then ``bins``           memory: least distance to a remembered point    min(d, 3) / 3
-then one per action     free time along the action's arc                t / 1.8 s, 0 to 1
+8                       last turn rate, relative to the greatest        -1 to 1
+9                       last speed, relative to the greatest            -1 to 1
+next ``bins``           memory: least distance to a remembered point    min(d, 3) / 3
+next, one per action    free time along the action's arc                t / 1.8 s, 0 to 1
 ======================  ==============================================  =======================
 """
 
@@ -27,17 +26,17 @@ from eldenet.navigation.obstacle_memory import MEMORY_REACH, Memory
 from eldenet.simulation.robot import ROBOT
 
 SECTORS = 5
-HORIZON = 1.8  # of the arcs [s]
+HORIZON = 1.8  # duration of the arcs [s]
 SPEED_LAWS = ("paper", "turn", "prox")
-_LEVELS = 20  # of speed, in the table of arcs
+_LEVELS = 20  # of speed in the table of arcs
 
 
 class Senses(NamedTuple):
-    """What ``N`` robots sense at one moment.
+    """What ``N`` robots sense at one time.
 
     Attributes:
         ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
-        odometry: ``(N, 3)`` x, y [m], heading [rad] by the wheels: drifts.
+        odometry: ``(N, 3)`` x, y [m], heading [rad] of the wheels, which drift.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
     """
 
@@ -50,20 +49,21 @@ class Observer:
     """Turns senses into observations and action numbers into commands.
 
     Args:
-        robots: how many at once.
+        robots: number of robots.
         turn_rates: of the actions [rad/s].
-        turn_factors: speed of each action, as a share; 0 turns on the spot, below 0 backs up. speed="paper"
-            knows none.
-        speed: law of the speed. "paper": proportional to the goal's distance within 3 m (at least a quarter),
-            the same for all actions; "turn": times the action's factor; "prox": and slower near obstacles.
-        memory: control periods that are remembered, every second frame of them; 0: the last frame alone.
-        bins: bearings into which the memory is divided; 0: no memory columns.
+        turn_factors: relative speed of each action; 0 turns on the spot, below 0 backs up. Unused by
+            speed="paper".
+        speed: speed law. "paper": proportional to the goal's distance within 3 m (at least a quarter), the
+            same for all actions; "turn": times the action's factor; "prox": also slower near obstacles.
+        memory: control periods to remember, of which every second scan is kept; 0: the last scan only.
+        bins: bearings that the memory is divided into; 0: no memory columns.
         arcs: add the free time along each action's arc.
-        seen_through: looks that must see through a remembered point before it is forgotten; 0: none do.
-        walkers: follow what moves: where it was is forgotten, where it will be is remembered.
+        seen_through: scans that must see through a remembered point before it is forgotten; 0: they do not
+            matter.
+        walkers: track pedestrians: forget where they were, remember where they will be.
 
     Raises:
-        ValueError: an argument is out of its range.
+        ValueError: an argument is out of range.
     """
 
     def __init__(
@@ -87,8 +87,8 @@ class Observer:
             )
         if speed == "paper" and min(turn_factors) <= 0:
             raise ValueError(
-                f"turn_factors={list(turn_factors)} with speed=paper, which knows none: "
-                "for actions that stop or back up choose speed=turn or prox"
+                f"turn_factors={list(turn_factors)}: speed=paper ignores them; choose speed=turn or prox for "
+                "actions that stop or back up"
             )
         if min(memory, bins, seen_through) < 0 or robots < 1:
             raise ValueError(
@@ -107,7 +107,7 @@ class Observer:
         self.actions = len(self.turn_rates)
         self.size = 10 + bins + (self.actions if arcs else 0)
         self.memory = Memory(robots, memory, seen_through=seen_through, walkers=walkers)
-        self.last = np.zeros((robots, 2))  # command that was carried out: speed [m/s], turn rate [rad/s]
+        self.last = np.zeros((robots, 2))  # last command: speed [m/s], turn rate [rad/s]
         self.speeds = np.zeros((robots, self.actions))
 
     def reset(self, robot: int | slice = slice(None)) -> None:
@@ -116,19 +116,19 @@ class Observer:
         self.last[robot] = 0.0
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
-        """Speed [m/s] and turn rate [rad/s] ``(N, 2)`` of the actions chosen on the last observation.
+        """Return speed [m/s] and turn rate [rad/s] ``(N, 2)`` of actions chosen for the last observation.
 
-        They are noted as carried out; who overrides them writes what was done to :attr:`last`.
+        They are stored as :attr:`last`; a caller that drives otherwise writes its own commands there.
         """
         self.last = np.stack([self.speeds[np.arange(self.robots), actions], self.turn_rates[actions]], axis=1)
         return self.last
 
     def observe(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
-        """Remember the frame and return observations ``(N, size)`` float32.
+        """Remember a scan and return observations ``(N, size)`` float32.
 
         Args:
             senses: of all robots.
-            robots: numbers of those that look; None: all of them, and a row for each.
+            robots: numbers of the robots to observe; None: all.
         """
         who = np.arange(self.robots) if robots is None else robots
         ranges, odometry = senses.ranges[who], senses.odometry[who]
@@ -152,7 +152,7 @@ class Observer:
         return np.concatenate(columns, axis=1).astype(np.float32)
 
     def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-        """Speed of every action ``(N, actions)`` [m/s]."""
+        """Speed of each action ``(N, actions)`` [m/s]."""
         speed = ROBOT.max_speed * np.clip(distance / 3.0, 0.25, 1.0)[:, None] * np.ones(self.actions)
         if self.speed != "paper":
             speed = speed * self.turn_factors
@@ -163,7 +163,7 @@ class Observer:
     def _by_bearing(
         self, count: int, row: np.ndarray, x: np.ndarray, y: np.ndarray, away: np.ndarray
     ) -> np.ndarray:
-        """Least distance in every bearing, over 3 m ``(count, bins)``; the first bin begins right behind."""
+        """Least distance per bearing, relative to 3 m ``(count, bins)``; the first bin starts behind."""
         width = np.float32(2 * math.pi / self.bins)
         bearing = np.arctan2(y, x) + np.float32(math.pi)
         bins = np.minimum((bearing / width).astype(np.intp), self.bins - 1)
@@ -172,7 +172,7 @@ class Observer:
         return out.reshape(count, self.bins) / np.float32(MEMORY_REACH)
 
     def _free_times(self, who: np.ndarray, row: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Share of the horizon that each action's arc stays free ``(len(who), actions)``."""
+        """Free time along each action's arc, relative to the horizon ``(len(who), actions)``."""
         table = _action_arcs(tuple(self.turn_rates.tolist()))
         inside = (np.abs(x) < REACH) & (np.abs(y) < REACH)
         row, cells = row[inside], table.cells(x[inside], y[inside])

@@ -1,26 +1,25 @@
-"""What a robot has seen and no longer sees: points on the floor, in the odometry's frame.
+"""Memory of seen obstacles: points on the floor in the odometry's frame.
 
-Points are forgotten with age, and when later looks see through them. The second matters: a depth network is
-wrong by a tenth, so a thing seen from 6 m smears over half a meter, and odometry shifts what was seen long
-ago. Without it every such error stays an obstacle until it is old, and the arena fills with things that are
-not there (of 200 "val" arenas of 80 under measured errors, one driver crossed 66 % without and 91 % with it).
-It is the free space of an occupancy grid (Elfes, "Using occupancy grids for mobile robot perception and
-navigation", 1989), kept on points.
+Points are forgotten with age, and when later scans see through them. The second matters: with a depth
+network's error of 10 % an object seen from 6 m smears over half a meter, and odometry shifts old points.
+Without it each such error stays an obstacle until it is old (in 200 "val" arenas of 80 obstacles with
+measured errors, one driver succeeded in 66 % without and 91 % with it). It is the free space of an occupancy
+grid (Elfes, "Using occupancy grids for mobile robot perception and navigation", 1989), applied to points.
 
-NumPy alone; nothing here knows a simulator.
+Needs NumPy only, no simulator.
 """
 
 import math
 
 import numpy as np
 
-from eldenet.navigation.pedestrians import AHEAD, MOST, Walkers, marks
+from eldenet.navigation.pedestrians import AHEAD, MAX_MARKED, Walkers, marks
 from eldenet.simulation.robot import ROBOT
 
-MEMORY_REACH = 3.0  # of what is asked for [m]
-TRAIL = 0.35  # half width of what a walker leaves in the memory [m]
-LOOKED_AT = 5.0  # from the camera: farther points are left alone until it comes near [m]
-BEHIND, SLACK = 0.2, 0.05  # a look sees through a point if its range is longer by this share and length [m]
+MEMORY_REACH = 3.0  # distance up to which points are returned [m]
+TRAIL = 0.35  # half width of a pedestrian's trail in the memory [m]
+CHECKED = 5.0  # distance from the camera up to which points are checked [m]
+BEHIND, SLACK = 0.2, 0.05  # a scan sees through a point if its range is longer by this share and length [m]
 _NOWHERE = np.float32(1e6)
 
 
@@ -28,63 +27,63 @@ class Memory:
     """Points that ``robots`` robots saw.
 
     Args:
-        robots: how many.
-        periods: control periods that are remembered, every second frame of them; 0: the last frame alone.
-        seen_through: looks one after the other that must see through a point before it is forgotten; one may
-            have missed the thing. 0: points are forgotten with age alone.
-        walkers: follow what moves: where it was is forgotten, where it will be is remembered.
+        robots: number of robots.
+        periods: control periods to remember, of which every second scan is kept; 0: the last scan only.
+        seen_through: consecutive scans that must see through a point before it is forgotten, as one may have
+            missed the object; 0: points are forgotten with age only.
+        walkers: track pedestrians: forget where they were, remember where they will be.
     """
 
     def __init__(self, robots: int, periods: int, *, seen_through: int, walkers: bool) -> None:
         self.seen_through = seen_through
         self._angles = np.array(ROBOT.column_angles)
         self._points = np.full((robots, periods // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
-        self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # looks that saw through a point, so far
-        self._looks = np.zeros(robots, np.intp)  # frames seen so far
+        self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # scans that saw through a point so far
+        self._scans = np.zeros(robots, np.intp)  # scans so far
         self._walkers = [Walkers() for _ in range(robots)] if walkers else []
-        marked = MOST * len(AHEAD) * 8 if walkers else 0
+        marked = MAX_MARKED * len(AHEAD) * 8 if walkers else 0
         self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
 
     def reset(self, robot: int | slice) -> None:
-        """Forget all that one robot (or some) saw."""
+        """Forget everything that one or more robots saw."""
         self._points[robot] = _NOWHERE
-        self._looks[robot] = 0
+        self._scans[robot] = 0
         self._marks[robot] = _NOWHERE
-        for number in range(len(self._looks))[robot] if isinstance(robot, slice) else [robot]:
+        for number in range(len(self._scans))[robot] if isinstance(robot, slice) else [robot]:
             if self._walkers:
                 self._walkers[number] = Walkers()
 
     def add(self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray) -> None:
-        """Write frames over the oldest ones or the odd frame before, and forget what they see through.
+        """Store scans in place of the oldest ones or the last odd one, and forget points they see through.
 
         Args:
-            who: numbers of the robots that look ``(K,)``.
-            ranges: theirs ``(K, columns)`` [m].
-            odometry: theirs ``(K, 3)``.
+            who: numbers of the scanning robots ``(K,)``.
+            ranges: of these robots ``(K, columns)`` [m].
+            odometry: of these robots ``(K, 3)``.
         """
         yaw = odometry[:, 2]
-        eyes = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        cameras = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
         angles = yaw[:, None] + self._angles
         frame = np.stack(
-            [eyes[:, :1] + ranges * np.cos(angles), eyes[:, 1:] + ranges * np.sin(angles)], axis=2
+            [cameras[:, :1] + ranges * np.cos(angles), cameras[:, 1:] + ranges * np.sin(angles)], axis=2
         )
         if self.seen_through:
-            self._forget_seen_through(who, ranges, eyes, yaw)
+            self._forget_seen_through(who, ranges, cameras, yaw)
         for row, robot in enumerate(who) if self._walkers else ():
-            self._follow(int(robot), frame[row], ranges[row], eyes[row])
+            self._follow(int(robot), frame[row], ranges[row], cameras[row])
         frame[ranges >= ROBOT.far] = _NOWHERE
-        place = self._looks[who] // 2 % self._points.shape[1]
+        place = self._scans[who] // 2 % self._points.shape[1]
         self._points[who, place] = frame
         self._doubts[who, place] = 0
-        self._looks[who] += 1
+        self._scans[who] += 1
 
     def _forget_seen_through(
-        self, who: np.ndarray, ranges: np.ndarray, eyes: np.ndarray, yaw: np.ndarray
+        self, who: np.ndarray, ranges: np.ndarray, cameras: np.ndarray, yaw: np.ndarray
     ) -> None:
-        points, eye = self._points[who], eyes.astype(np.float32)
-        dx, dy = points[..., 0] - eye[:, 0, None, None], points[..., 1] - eye[:, 1, None, None]
+        points, camera = self._points[who], cameras.astype(np.float32)
+        dx, dy = points[..., 0] - camera[:, 0, None, None], points[..., 1] - camera[:, 1, None, None]
         squared = dx * dx + dy * dy
-        at = np.nonzero((squared < np.float32(LOOKED_AT**2)) & (squared > np.float32(ROBOT.near**2)))
+        at = np.nonzero((squared < np.float32(CHECKED**2)) & (squared > np.float32(ROBOT.near**2)))
         away, row = np.sqrt(squared[at]), at[0]
         bearing = np.arctan2(dy[at], dx[at]) - yaw[row] + math.pi
         bearing -= 2 * math.pi * np.floor(bearing / (2 * math.pi)) + math.pi
@@ -92,7 +91,7 @@ class Memory:
         seen = (column >= 0) & (column < ROBOT.columns)
         row, column, away = row[seen], column[seen], away[seen]
         place = (who[row], at[1][seen], at[2][seen])
-        # also beside it: at the edge of a thing, the ray in the middle of the column may miss it
+        # check the neighbors too: at an object's edge, the ray at the column's center may miss it
         beside = np.pad(ranges, ((0, 0), (1, 1)), constant_values=np.inf)
         free = np.minimum(np.minimum(beside[:, :-2], ranges), beside[:, 2:])
         through = free[row, column] > away * (1 + BEHIND) + SLACK
@@ -101,27 +100,27 @@ class Memory:
         gone = doubts >= self.seen_through
         self._points[tuple(part[gone] for part in place)] = _NOWHERE
 
-    def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, eye: np.ndarray) -> None:
-        """Forget the trails of what moves, also in this frame, and mark where it will be."""
-        moving = self._walkers[robot].look(frame, ranges)
+    def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, camera: np.ndarray) -> None:
+        """Forget the trails of pedestrians, also in this scan, and mark where they will be."""
+        moving = self._walkers[robot].update(frame, ranges)
         self._marks[robot] = _NOWHERE
         if not moving:
             return
         points = self._points[robot]
         for track in moving:
-            # its trail lies between where it began and where it is
+            # the trail is the line from its first to its current position
             along, at = track.position - track.began, points - track.began.astype(np.float32)
             share = np.clip(at @ along / max(float(along @ along), 1e-6), 0, 1)
             off = at - share[..., None] * along
             points[np.hypot(off[..., 0], off[..., 1]) < TRAIL] = _NOWHERE
             frame[track.columns] = _NOWHERE
-        marked = marks(moving, eye)
+        marked = marks(moving, camera)
         self._marks[robot, : len(marked)] = marked
 
     def near(
         self, odometry: np.ndarray, robots: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Remembered points within 3 m: row of ``odometry``, x ahead, y left, distance; ``(M,)``, by row."""
+        """Return points within 3 m: row of ``odometry``, x ahead, y left, distance; ``(M,)`` each, by row."""
         place = odometry.astype(np.float32)
         points = self._points if robots is None else self._points[robots]
         points = points.reshape(len(place), -1, 2)

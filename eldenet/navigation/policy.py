@@ -1,7 +1,7 @@
-"""The trained driver without a simulator: what a robot runs.
+"""The trained driver, without a simulator, for a robot.
 
-``navigator = Navigator.load(); speed, turn = navigator.step(depth, goal, odometry)``, five times a second.
-Needs torch, NumPy and safetensors; neither MuJoCo nor Gymnasium is imported.
+``navigator = Navigator.load(); speed, turn = navigator.step(depth, goal, odometry)``, five times per second.
+Needs torch, NumPy and safetensors; imports neither MuJoCo nor Gymnasium.
 """
 
 import copy
@@ -22,25 +22,25 @@ from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
-POLICY = "policy.safetensors"  # of a training, in its run folder
-SLOWS_WITHIN = 3.0  # [m] of the observer's speed laws, and so of training
+POLICY = "policy.safetensors"  # in the run folder of a training
+SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
 
 class Driver(Observer):
-    """An observer that may drive with another slow-down before the goal than that of its training.
+    """An observer that can slow down at another distance to the goal than in training.
 
     Args:
-        robots: how many at once.
-        slows_within: meters from the goal where it begins to slow down.
+        robots: number of robots.
+        slows_within: distance to the goal at which it starts to slow down [m].
         options: of :class:`~eldenet.navigation.observer.Observer`.
 
     Raises:
-        ValueError: an argument is out of its range.
+        ValueError: an argument is out of range.
     """
 
     def __init__(self, robots: int = 1, *, slows_within: float = SLOWS_WITHIN, **options: Any) -> None:
         if slows_within <= 0:
-            raise ValueError(f"slows_within={slows_within}: give meters from the goal, above 0")
+            raise ValueError(f"slows_within={slows_within}: give a distance above 0 [m]")
         super().__init__(robots, **options)
         self.trained_with = dict(self.options)
         self.slows_within = float(slows_within)
@@ -51,10 +51,10 @@ class Driver(Observer):
 
 
 class Ensemble(nn.Module):
-    """Networks of one shape that were trained apart; a value is their mean.
+    """Networks of one shape from separate trainings; an action's value is their mean.
 
     Raises:
-        ValueError: they have different shapes.
+        ValueError: the shapes differ.
     """
 
     def __init__(self, members: Sequence[QNetwork]) -> None:
@@ -62,24 +62,30 @@ class Ensemble(nn.Module):
         shapes = {(member.inputs, member.actions, member.hidden) for member in members}
         if len(shapes) > 1:
             raise ValueError(
-                f"networks of {sorted(shapes)} (inputs, actions, hidden): give those of one shape"
+                f"networks of shapes {sorted(shapes)} (inputs, actions, hidden): give networks of one shape"
             )
         self.members = nn.ModuleList(members)
         ((self.inputs, self.actions, self.hidden),) = shapes
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Values ``(N, actions)``, the greater the better."""
+        """Values ``(N, actions)``, the higher the better."""
         return torch.stack([member(observation) for member in self.members]).mean(0)
 
 
 class Navigator:
-    """A Q-network, or several, with the observer of their training, for one robot or many.
+    """One or more trained Q-networks with the observer of their training, for one robot or many.
 
     Args:
         network: trained.
         observer: options of :class:`Driver`.
-        robots: how many drive at once.
-        info: what is known of the training.
+        robots: number of robots.
+        info: notes about the training.
+
+    Attributes:
+        files: that it was loaded from.
+
+    Raises:
+        ValueError: network and observer do not fit together.
     """
 
     name = "dqn"
@@ -95,12 +101,13 @@ class Navigator:
         self.observer = Driver(robots, **observer)
         if network.inputs != self.observer.size or network.actions != self.observer.actions:
             raise ValueError(
-                f"the network takes {network.inputs} inputs, values {network.actions} actions; its observer "
-                f"gives {self.observer.size} and {self.observer.actions}: they were not trained together"
+                f"the network has {network.inputs} inputs and {network.actions} actions, its observer "
+                f"{self.observer.size} and {self.observer.actions}: they were not trained together"
             )
-        # float64, so that a robot drives alike alone and among others: no tie is broken by rounding
+        # float64, so that a robot drives the same alone and among others: rounding breaks no tie
         self.network = network.double().eval()
         self.info = info or {}
+        self.files: list[Path] = []
 
     @classmethod
     def load(
@@ -112,42 +119,44 @@ class Navigator:
         slows_within: float | None = None,
         robots: int = 1,
     ) -> Self:
-        """Read a policy.
+        """Load a policy.
 
         Args:
-            path: of the file, or of its training's run folder; several: their networks drive together, by the
-                mean of their values; None: the policy that comes with the package.
-            observer: what it must have been trained with; None: anything.
-            walkers: follow what moves (:class:`~eldenet.navigation.observer.Observer`), also with a policy
-                that was trained without; None: as the file says.
-            slows_within: meters from the goal where it begins to slow down; None: as the file says.
-            robots: how many drive at once.
+            path: file, or run folder of its training; a list: the networks drive together by the mean of
+                their values; None: the packaged policy.
+            observer: the observer it must have been trained with; None: any.
+            walkers: track pedestrians (:class:`~eldenet.navigation.observer.Observer`), even if it was
+                trained without; None: as stored.
+            slows_within: distance to the goal at which it starts to slow down [m]; None: as stored.
+            robots: number of robots.
 
         Raises:
-            FileNotFoundError: there is none.
-            ValueError: a file is no policy, or of another observer than was asked for or another shape than
-                the others.
+            FileNotFoundError: there is no such file.
+            ValueError: a file is not a policy, or has another observer or another shape than it should.
         """
         networks, notes = [], []
-        for file in policy_files(path):
+        files = policy_files(path)
+        for file in files:
             members, content = _read(file)
             networks += members
             notes.append(content)
             wanted = notes[0]["observer"] if observer is None else observer
             if Driver(**wanted).trained_with != Driver(**content["observer"]).trained_with:
                 raise ValueError(
-                    f"{file} was trained with the observer {content['observer']}, not {wanted}: give the "
-                    "checkpoint of a driver that was trained so"
+                    f"{file} was trained with the observer {content['observer']}, not {wanted}: give a "
+                    "checkpoint that was trained with it"
                 )
         options = dict(notes[0]["observer"])
         options |= {} if walkers is None else {"walkers": walkers}
         options |= {} if slows_within is None else {"slows_within": slows_within}
         info = notes[0]["info"] if len(notes) == 1 else {"members": [each["info"] for each in notes]}
         network = networks[0] if len(networks) == 1 else Ensemble(networks)
-        return cls(network, options, robots=robots, info=info)
+        navigator = cls(network, options, robots=robots, info=info)
+        navigator.files = files
+        return navigator
 
     def save(self, path: str | Path) -> None:
-        """Write weights and observer into one ``.safetensors`` file; the networks of several as float16."""
+        """Write weights and observer to one ``.safetensors`` file; several networks are stored as float16."""
         members = len(self.network.members) if isinstance(self.network, Ensemble) else 1
         notes = {
             "inputs": self.network.inputs,
@@ -164,12 +173,12 @@ class Navigator:
         save_file(weights, str(path), metadata={"navigator": json.dumps(notes)})
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
-        """Forget what a robot saw: call it whenever a robot starts from somewhere else."""
+        """Forget what a robot saw; call this at every new start."""
         self.observer.reset(robot)
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
-        """Speed [m/s] and turn rate [rad/s] ``(N, 2)`` of all robots; rows beyond ``robots`` are void."""
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``; only the rows of ``robots`` count."""
         who = np.arange(self.observer.robots) if robots is None else robots
         observation = self.observer.observe(senses, robots)
         actions = np.zeros(self.observer.robots, np.intp)
@@ -178,29 +187,29 @@ class Navigator:
 
     def step(
         self,
-        sight: np.ndarray,
+        depth: np.ndarray,
         goal: tuple[float, float],
         odometry: tuple[float, float, float],
         *,
         intrinsics: np.ndarray | None = None,
     ) -> tuple[float, float]:
-        """One decision of one robot; call it every 0.2 s.
+        """Decide for one robot; call this every 0.2 s.
 
         Args:
-            sight: depth ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)`` [m],
-                equal in angle over the field of view, right to left; or the five sectors' ``(5,)``.
+            depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
+                [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
-            odometry: x, y [m] and heading [rad] in any frame that stays.
+            odometry: x, y [m] and heading [rad] in any fixed frame.
             intrinsics: ``(3, 3)`` of the depth map [px].
 
         Returns:
             Speed [m/s] and turn rate [rad/s, counter-clockwise].
 
         Raises:
-            ValueError: the sight has none of these shapes, a depth map came without intrinsics, or its camera
-                sees less than the 69.4 degrees that the driver was trained with.
+            ValueError: ``depth`` has another shape, a depth map has no intrinsics, or its camera sees less
+                than the 69.4 degrees of the training.
         """
-        ranges = as_ranges(np.asarray(sight, dtype=np.float64), intrinsics)
+        ranges = as_ranges(np.asarray(depth, dtype=np.float64), intrinsics)
         senses = Senses(
             ranges[None], np.array([odometry], dtype=np.float64), np.array([goal], dtype=np.float64)
         )
@@ -209,31 +218,29 @@ class Navigator:
 
 
 def policy_files(path: str | Path | Sequence[str | Path] | None) -> list[Path]:
-    """The files that :meth:`Navigator.load` reads: of a run folder its policy, of None the packaged one.
+    """Files for :meth:`Navigator.load`: a run folder stands for its policy, None for the packaged one.
 
     Raises:
-        ValueError: an empty list, or something that is no path.
+        ValueError: an empty list.
     """
     given = DEFAULT_WEIGHTS if path is None else path
     paths = [given] if isinstance(given, str | Path) else given
-    if not (isinstance(paths, Sequence) and all(isinstance(each, str | Path) for each in paths)):
-        raise ValueError(f"no policy: {given} was given, give a run folder, a file or a list of them")
     if not paths:
-        raise ValueError("no policy: an empty list was given, give one file or more")
+        raise ValueError("checkpoint=[]: give at least one run folder or policy file")
     return [Path(each) / POLICY if Path(each).is_dir() else Path(each) for each in paths]
 
 
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
-    """Networks of a policy's file, and its notes.
+    """Return the networks and the notes in a policy file.
 
     Raises:
-        FileNotFoundError: there is none.
-        ValueError: the file is no policy.
+        FileNotFoundError: there is no such file.
+        ValueError: the file is not a policy.
     """
     if not path.is_file():
         raise FileNotFoundError(
-            f"no policy at {path}: train one with python -m eldenet.navigate mode=train, which writes it at "
-            "its end, and give its run folder or the file"
+            f"no policy at {path}: give a policy file or the run folder of a finished training (python -m "
+            "eldenet.navigate mode=train)"
         )
     try:
         with safe_open(str(path), framework="pt") as file:
@@ -241,10 +248,10 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
             weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise ValueError(
-            f"{path} is no .safetensors file ({error}): give a training's run folder, or the {POLICY} in it"
+            f"{path} is not a .safetensors file ({error}): give a training's run folder, or its {POLICY}"
         ) from error
     if notes is None:
-        raise ValueError(f"{path} holds no navigation policy: no note of the observer in it")
+        raise ValueError(f"{path} is not a navigation policy: it has no notes about the observer")
     content: dict[str, Any] = json.loads(notes)
     shape = content["inputs"], content["actions"], tuple(content["hidden"])
     networks = [QNetwork(*shape) for _ in range(content.get("members", 1))]
@@ -252,26 +259,26 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     return networks, content
 
 
-def as_ranges(sight: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
-    """Ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
-    if sight.ndim == 2:
+def as_ranges(depth: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
+    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    if depth.ndim == 2:
         if intrinsics is None:
-            raise ValueError("a depth map needs its camera's intrinsics=(3, 3) [px]")
-        return depth_to_ranges(sight, intrinsics)
-    if sight.ndim != 1 or not sight.size or ROBOT.columns % sight.size:
+            raise ValueError("a depth map needs intrinsics=..., the (3, 3) matrix of its camera [px]")
+        return depth_to_ranges(depth, intrinsics)
+    if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
-            f"sight has shape {sight.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
+            f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
         )
-    # unknown (0, nan) reads as near: a camera that is blind close up must not drive on; inf shows nothing
-    known = sight > 0
-    ranges = np.where(known, np.clip(sight, ROBOT.near, ROBOT.far), ROBOT.near)
-    return np.repeat(ranges, ROBOT.columns // sight.size)
+    # unknown (0, nan) counts as near: the robot must stop where its camera is blind; inf is free
+    known = depth > 0
+    ranges = np.where(known, np.clip(depth, ROBOT.near, ROBOT.far), ROBOT.near)
+    return np.repeat(ranges, ROBOT.columns // depth.size)
 
 
 def export_onnx(navigator: Navigator, path: str | Path) -> None:
-    """Write the network (observation ``(N, inputs)`` float32 -> values ``(N, actions)``) as ONNX.
+    """Export the network (observation ``(N, inputs)`` float32 -> values ``(N, actions)``) as ONNX.
 
-    The observer's options stand in the file's metadata under "navigator".
+    The file's metadata has the observer's options as "navigator".
     """
     import onnx
 

@@ -1,37 +1,34 @@
-"""What drove and what it saw with, for ``run.json``: told by content, wherever the files lie."""
+"""Origin of a stored result: versions of the code's behavior, and hashes of policy and sensor files.
 
-from collections.abc import Mapping
+Raise a version whenever the results that it names change. Golden episodes in the tests fail where episodes
+change and their version does not.
+"""
+
 from typing import Any
 
-from eldenet.navigation.noisy_ranges import errors_file
-from eldenet.navigation.policy import Navigator, policy_files
+from eldenet.navigation.evaluation import Policy
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.sensors import Sensor
 from eldenet.results.fingerprints import sha256
 
+#: Of how drivers are trained. A stopped training can only continue with the version that started it.
+TRAINING_VERSION = 1
+#: Of everything that an episode's outcome depends on: arenas, sensors, drivers, rendering.
+EPISODE_VERSION = 1
 
-def driver_identity(policy: Any, options: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Files of a learnt driver, what is known of its training, its observer; None of a planner.
 
-    Args:
-        policy: that drives.
-        options: that it was built with.
-    """
+def driver_identity(policy: Policy) -> dict[str, Any] | None:
+    """Files, training notes and observer of a learned driver; None for a planner."""
     if not isinstance(policy, Navigator):
         return None
-    files = [{"file": str(file), "sha256": sha256(file)} for file in policy_files(options.get("path"))]
+    files = [{"file": str(file), "sha256": sha256(file)} for file in policy.files]
     return {"files": files, "info": policy.info, "observer": policy.observer.options}
 
 
-def sensor_identity(options: Mapping[str, Any]) -> dict[str, dict[str, str | None]]:
-    """Of the depth network, the detector and the table of errors, where the options name some.
+def sensor_identity(sensor: Sensor) -> dict[str, dict[str, str | None]]:
+    """Name and hash of each file that a sensor uses: depth network, detector, range errors.
 
-    The hash is None where the content does not lie here, as of a Hub id.
+    The hash is None if the file is not on this machine, as for a Hub id.
     """
-    found = {"depth": options.get("checkpoint"), "errors": options.get("errors")}
-    if isinstance(options.get("detector"), Mapping):
-        found["detector"] = options["detector"].get("path")
-    identity = {
-        name: {"source": str(source), "sha256": sha256(source)} for name, source in found.items() if source
-    }
-    if "errors" in identity:
-        identity["errors"]["sha256"] = sha256(errors_file(identity["errors"]["source"] or ""))
-    return identity
+    sources = getattr(sensor, "sources", {})
+    return {name: {"source": source, "sha256": sha256(file)} for name, (source, file) in sources.items()}

@@ -1,17 +1,17 @@
-"""The network that values actions."""
+"""The Q-network."""
 
 import torch
 from torch import Tensor, nn
 
 
 class QNetwork(nn.Module):
-    """Observation ``(N, inputs)`` -> value of every action ``(N, actions)``.
+    """Observation ``(N, inputs)`` -> value of each action ``(N, actions)``.
 
     Args:
         inputs: columns of the observation.
-        actions: to choose from.
-        hidden: widths of the layers between.
-        quantiles: of every action's return; the value is their mean. 1: the value alone.
+        actions: number of actions.
+        hidden: widths of the hidden layers.
+        quantiles: of each action's return, whose mean is the value; 1: the value only.
     """
 
     def __init__(
@@ -25,20 +25,20 @@ class QNetwork(nn.Module):
         self.layers = nn.Sequential(*layers, nn.Linear((inputs, *hidden)[-1], actions * quantiles))
 
     def spread(self, observation: Tensor) -> Tensor:
-        """Quantiles of the return ``(N, actions, quantiles)``."""
+        """Return quantiles of the return ``(N, actions, quantiles)``."""
         out: Tensor = self.layers(observation)
         return out.unflatten(1, (self.actions, self.quantiles))
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Values, the greater the better."""
+        """Values, the higher the better."""
         return self.spread(observation).mean(2)
 
     @torch.no_grad()
     def plain(self) -> "QNetwork":
-        """A copy that gives the values at once: the last layer is linear, so its rows can be averaged."""
+        """Return an equal network without quantiles: the last layer is linear, so its rows are averaged."""
         network = QNetwork(self.inputs, self.actions, self.hidden)
         state = {name: tensor.clone() for name, tensor in self.state_dict().items()}
-        for name in list(state)[-2:]:  # weight and bias of the last layer
+        for name in list(state)[-2:]:  # weights and bias of the last layer
             state[name] = state[name].unflatten(0, (self.actions, self.quantiles)).mean(1)
         network.load_state_dict(state)
         return network

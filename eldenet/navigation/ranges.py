@@ -1,4 +1,4 @@
-"""From a depth map, or from boxes on the floor, to ranges per column. NumPy alone."""
+"""Ranges per column from a depth map or from boxes on the floor. Needs NumPy only."""
 
 import math
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from eldenet.simulation.robot import ROBOT
 
-LOWEST, HIGHEST = 0.15, 0.60  # heights that could touch the robot, with room for an error of the floor's [m]
-QUANTILE = 0.10  # of a column's pixels that is taken for its nearest surface
-_BEYOND = 100.0  # stands for what is out of reach [m]
+LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
+QUANTILE = 0.10  # of a column's pixels: its nearest surface
+_BEYOND = 100.0  # stands for infinite [m]
 
 
 def depth_to_ranges(
@@ -16,22 +16,21 @@ def depth_to_ranges(
 ) -> np.ndarray:
     """Nearest range in each column of the field of view ``(columns,)`` [m], right to left.
 
-    Of the pixels that show something between 15 and 60 cm above the floor, the 10 % quantile of each
-    column's horizontal ranges: one wrong pixel is no obstacle.
+    This is the 10 % quantile of the horizontal ranges of a column's pixels between 15 and 60 cm above the
+    floor, so that one wrong pixel is no obstacle.
 
-    Infinite depth shows nothing within reach (ROS REP 117), negative infinite depth something too close.
-    What is unknown (0, negative, nan) is taken for a thing that stands on the floor where the floor is last
-    seen below it: small holes are lower than 15 cm and count for nothing, a patch that could hide an obstacle
-    is one. Where no floor is seen below, the camera may be blind close up, and the column reads as near.
+    Infinite depth means nothing in range (ROS REP 117), negative infinite depth something too close. Unknown
+    pixels (0, negative, nan) count as an object that stands on the floor right above the last visible floor
+    below them: small holes are lower than 15 cm and are ignored, a patch that could hide an obstacle is one.
+    Without visible floor below, the camera may be blind close up, and the column reads as near.
 
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(3, 3)`` of the depth map [px].
-        camera_height: optical center above the floor [m].
+        camera_height: of the optical center above the floor [m].
 
     Raises:
-        ValueError: the camera sees less than the driver's field of view, or its pixels are too few for the
-            columns.
+        ValueError: the camera's field of view is too small, or its pixels are too few for the columns.
     """
     height, width = depth.shape
     column = check_view(width, intrinsics)
@@ -57,11 +56,11 @@ def depth_to_ranges(
 def _standing_on_the_floor(
     depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float
 ) -> np.ndarray:
-    """Depth ``(H, W)`` whose unknown pixels have that of the floor where their column last shows it."""
+    """Depth ``(H, W)`` with unknown pixels at the distance of the last visible floor in their column."""
     with np.errstate(divide="ignore"):
         floor = np.where(down > 0, camera_height / down, _BEYOND)[:, 0]
     filled, at = depth.copy(), np.full(depth.shape[1], np.nan)
-    below = np.full(depth.shape[1], False)  # there is a known pixel below
+    below = np.full(depth.shape[1], False)  # a pixel below is known
     for row in range(len(depth) - 1, -1, -1):
         at = np.where(known[row], np.nan, np.where(np.isnan(at), floor[row], at))
         below |= known[row]
@@ -71,10 +70,10 @@ def _standing_on_the_floor(
 
 
 def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
-    """Number of the column of the field of view that each pixel column lies in ``(width,)``, from the right.
+    """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
     Raises:
-        ValueError: a column has no pixel: it would read as near for ever, and the robot would not move.
+        ValueError: a column has no pixels, so it would always read as near, and the robot would not move.
     """
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
@@ -85,9 +84,9 @@ def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
         left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
         least = math.ceil(2 * math.tan(ROBOT.field_of_view / 2) / math.tan(step))
         raise ValueError(
-            f"a depth map {width} px wide, {left:.1f} degrees to the left and {right:.1f} to the "
-            f"right, shows nothing in {empty} of the driver's {ROBOT.columns} columns: give a camera that "
-            f"sees {math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
+            f"a depth map {width} px wide that covers {left:.1f} degrees to the left and {right:.1f} to the "
+            f"right has no pixels in {empty} of the driver's {ROBOT.columns} columns: give one that covers "
+            f"{math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
         )
     return column
 
@@ -96,7 +95,7 @@ def footprints_to_ranges(footprints: np.ndarray) -> np.ndarray:
     """Range to the near face of the nearest box in each column ``(columns,)`` [m]; ``far`` without one.
 
     Args:
-        footprints: ``(K, 5)`` middle ahead of and left of the camera [m], yaw [rad], half length, half width
+        footprints: ``(K, 5)`` center ahead of and left of the camera [m], yaw [rad], half length, half width
             [m].
     """
     angles = np.array(ROBOT.column_angles)

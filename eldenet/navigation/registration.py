@@ -1,12 +1,12 @@
-"""Tell Gymnasium of the environment: importing this does.
+"""Registers the environment with Gymnasium on import.
 
-``gymnasium.make("eldenet.navigation.registration:eldenet/ArenaNav-v0")`` imports it by itself. Gymnasium
-reads the entry points of packages no more since 1.0; pyproject's ``gymnasium.envs`` is for what still does.
+``gymnasium.make("eldenet.navigation.registration:eldenet/ArenaNav-v0")`` imports this module. Since 1.0
+Gymnasium ignores the ``gymnasium.envs`` entry points of packages; pyproject's is for tools that read them.
 """
 
 
 def register() -> None:
-    """Register ``eldenet/ArenaNav-v0``; loads neither the environment nor the simulator."""
+    """Register ``eldenet/ArenaNav-v0`` without loading the environment or the simulator."""
     from gymnasium.envs.registration import register, registry
 
     if "eldenet/ArenaNav-v0" not in registry:

@@ -1,8 +1,9 @@
-"""What feeds the sectors: the interface of all sensors, the simulator's own ranges, and wheel odometry.
+"""Interface of all sensors, the simulator's own ranges, and wheel odometry.
 
-A :class:`Sensor` makes an :class:`Eye` per crossing; an eye looks and returns a :class:`Sight`. Ranges with a
-network's errors are in :mod:`eldenet.navigation.noisy_ranges`, networks themselves in
-:mod:`eldenet.navigation.cameras`.
+A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which returns an
+:class:`Observation` per scan.
+:mod:`eldenet.navigation.noisy_ranges` adds a network's errors to the ranges,
+:mod:`eldenet.navigation.cameras` runs the networks themselves.
 """
 
 import math
@@ -19,15 +20,15 @@ Pose = tuple[float, float, float]
 FED_BY = ("simulator", "depth", "box")
 
 
-class Sight(NamedTuple):
-    """What one look gave.
+class Observation(NamedTuple):
+    """Result of one scan.
 
     Attributes:
         ranges: ``(columns,)`` [m].
-        fed_by: ``(columns,)`` numbers of :data:`FED_BY`: what each column rests on.
-        image: ``(H, W, 3)`` uint8 RGB, where there is a camera.
-        depth: ``(H, W)`` [m], where there is a network.
-        boxes: in the level frame of the camera, where there is a detector.
+        fed_by: ``(columns,)`` source of each column's range, as an index into :data:`FED_BY`.
+        image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
+        depth: ``(H, W)`` [m], if there is a network.
+        boxes: in the level camera frame, if there is a detector.
     """
 
     ranges: np.ndarray
@@ -43,28 +44,28 @@ class Sight(NamedTuple):
 
     @property
     def sectors_fed_by(self) -> tuple[str, ...]:
-        """What the nearest range of each sector rests on: "simulator", "depth" or "box"."""
+        """Source of each sector's nearest range: "simulator", "depth" or "box"."""
         nearest = self.ranges.reshape(SECTORS, -1).argmin(axis=1)[:, None]
         sources = np.take_along_axis(self.fed_by.reshape(SECTORS, -1), nearest, axis=1)[:, 0]
         return tuple(FED_BY[int(number)] for number in sources)
 
 
-class Eye(Protocol):
-    """Looks, once a control period."""
+class SensorInstance(Protocol):
+    """A sensor in one episode; scans once per control period."""
 
-    def look(self) -> Sight: ...  # noqa: D102
+    def scan(self) -> Observation: ...  # noqa: D102
 
 
 class Sensor(Protocol):
-    """Makes the eye of one crossing. ``drift`` is the odometry's that goes with it."""
+    """Starts a :class:`SensorInstance` for each episode; ``drift`` is that of the odometry used with it."""
 
     drift: "Drift"
 
-    def begin(self, world: ArenaWorld, rng: np.random.Generator) -> Eye: ...  # noqa: D102
+    def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance: ...  # noqa: D102
 
 
 class Drift(NamedTuple):
-    """Errors of wheel odometry, each drawn once a crossing from a normal distribution.
+    """Errors of wheel odometry, drawn from normal distributions once per episode.
 
     Attributes:
         distance: standard deviation of the scale of distances.
@@ -79,7 +80,7 @@ EXACT = Drift(0.0, 0.0)
 
 
 class Odometry:
-    """Where the robot believes it is: its true motion with a scale error and a heading that drifts."""
+    """Pose estimate from the true motion with a scale error and a drifting heading."""
 
     def __init__(self, drift: Drift, rng: np.random.Generator, pose: Pose) -> None:
         self.scale = 1.0 + drift.distance * rng.standard_normal()
@@ -87,7 +88,7 @@ class Odometry:
         self.pose = pose
 
     def move(self, before: Pose, after: Pose) -> None:
-        """Take over a true motion."""
+        """Update the estimate with a true motion."""
         dx, dy = after[0] - before[0], after[1] - before[1]
         x, y, yaw = self.pose
         error = yaw - before[2]
@@ -102,14 +103,14 @@ class Ranges:
 
     drift = EXACT
 
-    def begin(self, world: ArenaWorld, rng: np.random.Generator) -> Eye:
-        """An eye that needs no random numbers."""
-        return _TrueEye(world)
+    def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
+        """Return an instance that uses no random numbers."""
+        return _TrueRanges(world)
 
 
-class _TrueEye:
+class _TrueRanges:
     def __init__(self, world: ArenaWorld) -> None:
         self.world = world
 
-    def look(self) -> Sight:
-        return Sight(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))
+    def scan(self) -> Observation:
+        return Observation(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))

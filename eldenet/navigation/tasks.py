@@ -1,91 +1,88 @@
-"""Which arenas are crossed: an endless stream to train on, a frozen list to report on."""
+"""Arenas for drivers: an endless stream to train on, fixed lists to evaluate on."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import Arena, clearance_map, draw_crossing, generate_arena
+from eldenet.simulation.arenas import Arena, clearance_map, draw_start_and_goal, generate_arena
 from eldenet.simulation.rendering.mjcf import Draw
 
-TASK_STREAM = 103  # beside arenas.SPLITS: further crossings of training arenas
+TASK_STREAM = 103  # next to arenas.SPLITS: further start and goal pairs of training arenas
 
 
+@dataclass
 class TrainingArenas:
-    """Random crossings of random arenas, for one slot of a training environment.
+    """Random arenas for one slot of a training environment.
 
-    Each arena is crossed ``repeats`` times, between other points each time.
+    Each arena is used ``repeats`` times, with another start and goal each time.
 
-    Args:
+    Attributes:
         densities: least and greatest number of obstacles.
-        dense_share: of the arenas, which lie in the upper half of the densities.
-        movers: greatest number of walking people; each arena has 0 to that many.
-        repeats: crossings of an arena.
-        min_distance: from start to goal [m].
+        dense_share: share of the arenas with a number in the upper half of the densities.
+        pedestrians: greatest number of walking people; each arena has 0 to that many.
+        repeats: episodes per arena.
+        min_distance: between start and goal [m].
         split: seed stream.
-        curriculum: share of the training in which the greatest number of obstacles grows from a quarter of
-            its range to the whole; 0: it is the whole from the start.
+        curriculum: share of the training during which the greatest number of obstacles grows from a quarter
+            of its range to the whole; 0: it is the whole from the start.
+
+    Raises:
+        ValueError: an argument is out of range.
     """
 
-    def __init__(
-        self,
-        densities: tuple[int, int] = (0, 80),
-        *,
-        dense_share: float = 0.5,
-        movers: int = 0,
-        repeats: int = 4,
-        min_distance: float = 6.0,
-        split: str = "train",
-        curriculum: float = 0.0,
-    ) -> None:
-        low, high = densities
-        if not 0 <= low <= high <= 120 or repeats < 1 or not (0 <= dense_share <= 1 and 0 <= curriculum <= 1):
+    densities: tuple[int, int] = (0, 80)
+    _: KW_ONLY
+    dense_share: float = 0.5
+    pedestrians: int = 0
+    repeats: int = 4
+    min_distance: float = 6.0
+    split: str = "train"
+    curriculum: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = self.densities
+        shares = 0 <= self.dense_share <= 1 and 0 <= self.curriculum <= 1
+        if not 0 <= low <= high <= 120 or self.repeats < 1 or not shares:
             raise ValueError(
-                f"densities={tuple(densities)}, dense_share={dense_share}, repeats={repeats}, "
-                f"curriculum={curriculum}: give 0 <= least <= greatest <= 120 obstacles, shares in [0, 1] "
-                "and at least 1 crossing"
+                f"densities={(low, high)}, dense_share={self.dense_share}, repeats={self.repeats}, "
+                f"curriculum={self.curriculum}: give 0 <= least <= greatest <= 120 obstacles, shares 0 to 1 "
+                "and at least 1 episode"
             )
-        self.low, self.high, self.dense_share = low, high, dense_share
-        self.movers, self.repeats, self.min_distance, self.split = movers, repeats, min_distance, split
-        self.curriculum, self._whole = curriculum, high
+        self.low, self.high = low, high
         self._arena: Arena | None = None
         self._clearance = np.empty((0, 0))
         self._left = 0
 
     def fresh(self, progress: float = 1.0) -> "TrainingArenas":
-        """The same settings, for another slot; ``progress`` is the share of the training that is done."""
-        arenas = TrainingArenas(
-            (self.low, self._whole),
-            dense_share=self.dense_share, movers=self.movers, repeats=self.repeats,
-            min_distance=self.min_distance, split=self.split, curriculum=self.curriculum,
-        )  # fmt: skip
+        """Return a copy for another slot, when ``progress`` (0 to 1) of the training is done."""
+        arenas = replace(self)
         if progress < self.curriculum:
             share = 0.25 + 0.75 * progress / self.curriculum
-            arenas.high = self.low + round(share * (self._whole - self.low))
+            arenas.high = arenas.low + round(share * (arenas.high - arenas.low))
         return arenas
 
     def draw(self, rng: np.random.Generator) -> Arena:
-        """The next crossing."""
+        """Return the arena of the next episode."""
         if self._arena is None or self._left == 0:
             least = self.low
             if rng.random() < self.dense_share:
                 least = (self.low + self.high) // 2
             density = int(rng.integers(least, self.high + 1))
-            movers = int(rng.integers(0, self.movers + 1))
+            pedestrians = int(rng.integers(0, self.pedestrians + 1))
+            index = int(rng.integers(2**31))
             self._arena = generate_arena(
-                self.split, density, int(rng.integers(2**31)), movers=movers, min_distance=self.min_distance
+                self.split, density, index, pedestrians=pedestrians, min_distance=self.min_distance
             )
             self._left = self.repeats - 1
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
         self._left -= 1
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
-        crossing = draw_crossing(draw, self._clearance, self.min_distance, self._arena.movers)
-        if crossing is None:
-            return self._arena
-        return replace(self._arena, start=crossing[0], waypoints=(crossing[1],))
+        ends = draw_start_and_goal(draw, self._clearance, self.min_distance, self._arena.pedestrians)
+        return self._arena if ends is None else replace(self._arena, start=ends[0], waypoints=(ends[1],))
 
 
-def frozen_arenas(density: int, count: int, *, split: str = "test", movers: int = 0) -> Sequence[Arena]:
+def frozen_arenas(density: int, count: int, *, split: str = "test", pedestrians: int = 0) -> Sequence[Arena]:
     """Arenas 0 to ``count - 1`` of a split at one density, the same on every machine."""
-    return [generate_arena(split, density, index, movers=movers) for index in range(count)]
+    return [generate_arena(split, density, index, pedestrians=pedestrians) for index in range(count)]

@@ -1,123 +1,129 @@
-"""Train a driver: legs, validation on arenas of their own, TensorBoard, the policy file."""
+"""Train a driver: checkpoints, validation on arenas of their own, TensorBoard, the policy file."""
 
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from eldenet.navigation.dqn import CHECKPOINT, DQN
-from eldenet.navigation.evaluation import cross, summarize
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.policy import POLICY, Navigator
+from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import TRAINING_VERSION
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import environment, read_record, write_json
+from eldenet.results.run_record import environment, read_record
+from eldenet.system.files import write_json
 
 PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80
 
 
-def train(
-    make_learner: Callable[[], DQN],
-    sensor: Sensor,
-    folder: Path,
-    log: RunLog,
-    *,
-    validate: int = 100,
-    settings: dict[str, Any] | None = None,
-    config: dict[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Train in ``folder`` to the end; a folder that holds a checkpoint of the same settings is gone on with.
+@dataclass(frozen=True)
+class TrainingSetup:
+    """A training.
 
-    One that is finished is left as it is: its record keeps the version that trained it.
-    After every leg the driver crosses ``validate`` dense arenas of the "val" split. The policy that is
-    kept is the last one: the validation is for people to see, and chooses nothing.
-
-    Args:
+    Attributes:
         make_learner: builds the learner with its environment.
-        sensor: of the validation.
-        folder: of the run.
-        log: bar, TensorBoard.
-        validate: number of arenas; 0: none.
-        settings: what must agree for a checkpoint to fit.
-        config: the whole of it, for the record.
+        sensor: for the validation.
+        validate: number of arenas to validate on; 0: no validation.
+        settings: a checkpoint only fits a training with equal settings.
+        config: the resolved config, for the record.
+    """
+
+    make_learner: Callable[[], DQN]
+    sensor: Sensor
+    validate: int
+    settings: dict[str, Any]
+    config: dict[str, Any]
+
+
+def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
+    """Train in ``folder`` to the end; continue from its checkpoint if there is one with the same settings.
+
+    A finished training is left unchanged: its record keeps the version that trained it. At each checkpoint
+    the driver is validated on dense arenas of the "val" split. The last policy is kept, whatever the
+    validation says.
 
     Returns:
-        Steps, seconds spent by the processor and on the clock, and the validation after every leg.
+        Settings, version, seconds of processor time and wall clock, and the validation at each checkpoint
+        ("legs").
 
     Raises:
-        ValueError: the folder holds a run with other settings, or one that another version began.
+        ValueError: the folder has a training with other settings, or one that another version started.
     """
-    learner = make_learner()
+    learner = setup.make_learner()
+    total = learner.settings.total_timesteps
     note: dict[str, Any] = {
-        "settings": settings or {}, "version": TRAINING_VERSION, "legs": [],
+        "settings": setup.settings, "version": TRAINING_VERSION, "legs": [],
         "cpu_seconds": 0.0, "wall_seconds": 0.0,
     }  # fmt: skip
     if (folder / CHECKPOINT).is_file() and (folder / PROGRESS).is_file():
-        note = _begun(learner, folder, note)
-        if learner.done >= learner.steps and (folder / POLICY).is_file() and (folder / RECORD).is_file():
-            log.say(f"{folder}: finished already")
+        note = _restore(learner, folder, note)
+        if learner.finished and (folder / POLICY).is_file() and (folder / RECORD).is_file():
+            log.say(f"{folder}: already finished")
             return note
-        log.say(f"going on at step {learner.done:,} of {learner.steps:,}")
-    arenas = frozen_arenas(VALIDATION_DENSITY, validate, split="val")
+        log.say(f"continuing at step {learner.num_timesteps:,} of {total:,}")
+    arenas = frozen_arenas(VALIDATION_DENSITY, setup.validate, split="val")
     clocks = time.process_time(), time.perf_counter()
     spent = note["cpu_seconds"], note["wall_seconds"]
-    with log.bar("training", learner.steps, learner.done, "steps") as bar:
+    with log.bar("training", total, learner.num_timesteps, "steps") as bar:
 
         def report(step: int, values: dict[str, float]) -> None:
             log.scalars(step, {f"training/{name}": value for name, value in values.items()})
             shown = f"success {values['success']:.0%}  loss {values['loss']:.3f}"
             bar.advance(step - bar.done, shown)
 
-        def after_leg(learner: DQN) -> None:
-            leg: dict[str, Any] = {"steps": learner.done}
+        def at_checkpoint(learner: DQN) -> None:
+            leg: dict[str, Any] = {"steps": learner.num_timesteps}
             if arenas:
-                rows = cross(
-                    arenas, lambda robots: as_navigator(learner, robots), sensor,
-                    goal=learner.env.crossings.goal_from,
-                )  # fmt: skip
-                leg |= {
-                    name: summarize(rows)[name] for name in ("success", "collision", "timeout", "seconds")
-                }
-                log.scalars(learner.done, {f"validation/{name}": value for name, value in leg.items()})
+                settings = EpisodeSettings(goal=learner.env.episodes.settings.goal)
+                rows = run_episodes(
+                    arenas, lambda robots: as_navigator(learner, robots), setup.sensor, settings
+                )
+                summary = summarize(rows)
+                leg |= {name: summary[name] for name in ("success", "collision", "timeout", "seconds")}
+                log.scalars(leg["steps"], {f"validation/{name}": value for name, value in leg.items()})
                 log.say(
-                    f"step {learner.done:,}: {leg['success']:.1f} % of {len(arenas)} validation arenas at "
-                    f"{VALIDATION_DENSITY} obstacles crossed"
+                    f"step {leg['steps']:,}: success in {leg['success']:.1f} % of {len(arenas)} validation "
+                    f"arenas with {VALIDATION_DENSITY} obstacles"
                 )
             note["legs"].append(leg)
             note["cpu_seconds"] = round(spent[0] + time.process_time() - clocks[0], 1)
             note["wall_seconds"] = round(spent[1] + time.perf_counter() - clocks[1], 1)
             write_json(folder / PROGRESS, note)
 
-        learner.learn(folder=folder, report=report, after_leg=after_leg)
+        learner.learn(folder=folder, report=report, at_checkpoint=at_checkpoint)
     navigator = as_navigator(learner, 1)
-    navigator.info = {"steps": learner.done, "seed": learner.seed}
+    navigator.info = {"steps": learner.num_timesteps, "seed": learner.settings.seed}
     navigator.save(folder / POLICY)
-    write_json(folder / RECORD, {**note, "config": config or {}, **environment()})
+    write_json(folder / RECORD, {**note, "config": setup.config, **environment()})
     return note
 
 
-def _begun(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
-    """The note of the training that ``folder`` holds; the learner is put where it stopped.
+def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
+    """Load the checkpoint in ``folder`` into the learner and return the training's note.
 
     Raises:
-        ValueError: it has other settings than ``fresh``, or it is not finished and another version began it.
+        ValueError: its settings differ from those of ``fresh``, or it is unfinished and another version
+            started it.
     """
-    before: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
-    if before["settings"] != json.loads(json.dumps(fresh["settings"])):
-        raise ValueError(f"run_dir={folder} holds a training with other settings: give another folder")
+    note: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
+    if note["settings"] != json.loads(json.dumps(fresh["settings"])):
+        raise ValueError(f"run_dir={folder} has a training with other settings: give another run_dir")
     learner.restore(folder / CHECKPOINT)
-    if learner.done < learner.steps and before["version"] != fresh["version"]:
+    if not learner.finished and note["version"] != fresh["version"]:
         raise ValueError(
-            f"run_dir={folder} holds a training that version {before['version']} began and that stopped at "
-            f"step {learner.done:,} of {learner.steps:,}; this is version {fresh['version']}: give another "
-            "folder, or finish it with the eldenet that began it"
+            f"run_dir={folder} has a training that version {note['version']} started and that stopped at "
+            f"step {learner.num_timesteps:,} of {learner.settings.total_timesteps:,}; this is version "
+            f"{fresh['version']}: give another run_dir, or finish it with the eldenet that started it"
         )
-    return before | {"legs": [leg for leg in before["legs"] if leg["steps"] <= learner.done]}
+    return note | {"legs": [leg for leg in note["legs"] if leg["steps"] <= learner.num_timesteps]}
 
 
 def as_navigator(learner: DQN, robots: int) -> Navigator:
-    """The learner's present policy."""
+    """Return the learner's current policy."""
     return Navigator(learner.policy_dqn.plain(), learner.env.observer.options, robots=robots)

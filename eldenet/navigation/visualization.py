@@ -1,17 +1,22 @@
-"""A crossing for people: top view with the trail, beside what the camera sees and what the sectors say."""
+"""Pictures and videos of an episode: top view with the trail, camera, depth and sectors."""
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from eldenet.geometry import PinholeCamera
-from eldenet.navigation.episodes import GOAL_RADIUS, Crossings
+from eldenet.navigation.episodes import GOAL_RADIUS, Episodes, EpisodeSettings, Event
+from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.observer import SECTORS
-from eldenet.navigation.sensors import Sight
+from eldenet.navigation.sensors import Observation, Sensor
 from eldenet.perception.drawing import draw_boxes
-from eldenet.simulation.arena_view import robot_intrinsics
+from eldenet.simulation.arena_view import ArenaView, robot_intrinsics
 from eldenet.simulation.arenas import Arena, Obstacle
 from eldenet.simulation.robot import ROBOT
 from eldenet.visualization import color_depth, visible_range
@@ -22,20 +27,17 @@ _COLORS = {
     "vehicle": (84, 110, 122),
     "person": (239, 108, 80),
 }
-_FLOOR, _WALL, _TRAIL, _ROBOT, _GOAL = (
-    (245, 245, 242),
-    (60, 60, 60),
-    (30, 100, 220),
-    (250, 190, 20),
-    (40, 160, 70),
-)
+_FLOOR, _WALL, _TRAIL = (245, 245, 242), (60, 60, 60), (30, 100, 220)
+_ROBOT, _GOAL = (250, 190, 20), (40, 160, 70)
 _FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "box": (239, 108, 80)}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 TITLE = 20  # height of the line of text above a picture [px]
+VIDEO_FORMATS = ("gif", "mp4")
+_ENDS = {Event.NONE: "", Event.GOAL: "  goal", Event.COLLISION: "  COLLISION", Event.TIMEOUT: "  time-out"}
 
 
 class Scene:
-    """Draws one crossing.
+    """Draws one episode.
 
     Args:
         arena: the world.
@@ -65,9 +67,8 @@ class Scene:
         x, y = obstacle.position(time)
         color = _COLORS[obstacle.kind]
         if obstacle.round:
-            cv2.circle(
-                picture, self.pixel(x, y), round(obstacle.half[0] * self.scale), color, -1, cv2.LINE_AA
-            )
+            radius = round(obstacle.half[0] * self.scale)
+            cv2.circle(picture, self.pixel(x, y), radius, color, -1, cv2.LINE_AA)
         else:
             self._box(picture, (x, y, obstacle.yaw), obstacle.half, color)
 
@@ -86,108 +87,103 @@ class Scene:
         ]
         cv2.fillConvexPoly(picture, np.array(corners), color, cv2.LINE_AA)
 
-    def top_view(self, crossings: Crossings, slot: int) -> np.ndarray:
-        """``(size, size, 3)`` uint8 RGB: obstacles, way-points, what was seen, trail, robot."""
+    def top_view(self, episodes: Episodes, slot: int) -> np.ndarray:
+        """``(size, size, 3)`` uint8 RGB: obstacles, way-points, last scan, trail, robot."""
         picture = self._standing.copy()
-        world = crossings.worlds[slot]
-        for obstacle in self.arena.movers:
+        world = episodes.worlds[slot]
+        for obstacle in self.arena.pedestrians:
             self._obstacle(picture, obstacle, 0.0 if world is None else world.time)
         for x, y in self.arena.waypoints:
             cv2.circle(picture, self.pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
-        x, y, yaw = (float(value) for value in crossings.poses[slot])
-        sight = crossings.sights[slot]
-        eye = (x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw))
-        if sight is not None:
-            for number, nearest in enumerate(sight.ranges.reshape(SECTORS, -1).min(axis=1)):
-                step = ROBOT.field_of_view / SECTORS
+        x, y, yaw = (float(value) for value in episodes.poses[slot])
+        scan = episodes.observations[slot]
+        camera = (x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw))
+
+        def seen(angle: float, distance: float) -> tuple[int, int]:
+            return self.pixel(camera[0] + distance * math.cos(angle), camera[1] + distance * math.sin(angle))
+
+        if scan is not None:
+            step = ROBOT.field_of_view / SECTORS
+            for number, nearest in enumerate(scan.sectors):
                 first = yaw - ROBOT.field_of_view / 2 + number * step
-                edges = [
-                    self.pixel(eye[0] + nearest * math.cos(a), eye[1] + nearest * math.sin(a))
-                    for a in np.linspace(first, first + step, 6)
-                ]
-                cv2.polylines(
-                    picture, [np.array([self.pixel(*eye), *edges])], True, (170, 190, 215), 1, cv2.LINE_AA
-                )
-            for angle, distance in zip(ROBOT.column_angles, sight.ranges, strict=True):
+                edges = [seen(angle, nearest) for angle in np.linspace(first, first + step, 6)]
+                outline = [np.array([self.pixel(*camera), *edges])]
+                cv2.polylines(picture, outline, True, (170, 190, 215), 1, cv2.LINE_AA)
+            for angle, distance in zip(ROBOT.column_angles, scan.ranges, strict=True):
                 if distance < ROBOT.far:
-                    at = (
-                        eye[0] + distance * math.cos(yaw + angle),
-                        eye[1] + distance * math.sin(yaw + angle),
-                    )
-                    cv2.circle(picture, self.pixel(*at), 1, (200, 30, 30), -1)
-        for before, after in zip(self.trail, self.trail[1:], strict=False):
+                    cv2.circle(picture, seen(yaw + angle, distance), 1, (200, 30, 30), -1)
+        for before, after in pairwise(self.trail):
             cv2.line(picture, self.pixel(*before[:2]), self.pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
         self._box(picture, (x, y, yaw), (ROBOT.length / 2, ROBOT.width / 2), _ROBOT)
-        cv2.line(picture, self.pixel(x, y), self.pixel(*eye), (0, 0, 0), 2)
+        cv2.line(picture, self.pixel(x, y), self.pixel(*camera), (0, 0, 0), 2)
         return picture
 
-    def draw(self, crossings: Crossings, slot: int, note: str = "", view: Any = None) -> np.ndarray:
+    def draw(self, episodes: Episodes, slot: int, note: str = "", view: Any = None) -> np.ndarray:
         """Camera, depth and sectors beside the top view, under a line of text.
 
-        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB; without a look yet, the top view alone.
+        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB; before the first scan the top view only.
 
         Args:
-            crossings: under way.
-            slot: which robot.
-            note: the line of text.
-            view: :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without pictures; None: their
+            episodes: the running episodes.
+            slot: number of the robot.
+            note: line of text.
+            view: :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without images; None: their
                 panels stay empty.
         """
-        top = self.top_view(crossings, slot)
-        sight = crossings.sights[slot]
-        if sight is None:
+        top = self.top_view(episodes, slot)
+        scan = episodes.observations[slot]
+        if scan is None:
             return _titled(top, note)
-        if sight.image is None and view is not None:
-            world = crossings.worlds[slot]
-            photo = view.photo(tuple(crossings.poses[slot]), 0.0 if world is None else world.time)
-            sight = sight._replace(image=photo.image, depth=photo.depth)
-        return _titled(np.concatenate([camera_panels(sight, self.size), top], axis=1), note)
+        if scan.image is None and view is not None:
+            world = episodes.worlds[slot]
+            photo = view.photo(tuple(episodes.poses[slot]), 0.0 if world is None else world.time)
+            scan = scan._replace(image=photo.image, depth=photo.depth)
+        return _titled(np.concatenate([camera_panels(scan, self.size), top], axis=1), note)
 
 
 def _titled(picture: np.ndarray, note: str) -> np.ndarray:
-    """A line of text above a picture, covering nothing of it."""
+    """Add a line of text above a picture."""
     line = np.full((TITLE, picture.shape[1], 3), 255, np.uint8)
     cv2.putText(line, note, (6, 14), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
     return np.concatenate([line, picture], axis=0)
 
 
 def _label(picture: np.ndarray, text: str) -> None:
-    """Text on a white patch in the upper left corner, in place."""
+    """Write text on a white patch in the upper left corner, in place."""
     (width, height), below = cv2.getTextSize(text, _FONT, 0.4, 1)
     cv2.rectangle(picture, (0, 0), (width + 7, height + below + 3), (255, 255, 255), -1)
     cv2.putText(picture, text, (4, height + 2), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
-def camera_panels(sight: Sight, size: int) -> np.ndarray:
-    """Photo, depth and sector bars below each other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
+def camera_panels(scan: Observation, size: int) -> np.ndarray:
+    """Photo, depth and sector bars, one below the other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
     height = size * 2 // 5
     width = height * 4 // 3
-    near, far = (0.3, 8.0) if sight.depth is None else visible_range(sight.depth)
+    near, far = (0.3, 8.0) if scan.depth is None else visible_range(scan.depth)
     empty = np.full((height, width, 3), 225, np.uint8)
     photo = empty
-    if sight.image is not None:
-        photo = np.asarray(cv2.resize(sight.image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
-        if sight.boxes is not None:
-            photo = draw_boxes(
-                photo, sight.boxes, PinholeCamera(robot_intrinsics((height, width))), front=False
-            )
+    if scan.image is not None:
+        photo = np.asarray(cv2.resize(scan.image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+        if scan.boxes is not None:
+            camera = PinholeCamera(robot_intrinsics((height, width)))
+            photo = draw_boxes(photo, scan.boxes, camera, front=False)
     depth = empty
-    if sight.depth is not None:
-        colors = color_depth(sight.depth, near, far, sight.depth > 0)
+    if scan.depth is not None:
+        colors = color_depth(scan.depth, near, far, scan.depth > 0)
         depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
-    bars = sector_bars(sight, (size - 2 * height, width))
-    if sight.image is not None:
+    bars = sector_bars(scan, (size - 2 * height, width))
+    if scan.image is not None:
         _label(photo, "camera")
-    if sight.depth is not None:
+    if scan.depth is not None:
         _label(depth, f"depth, {near:.1f} to {far:.1f} m")
     return np.concatenate([photo, depth, bars], axis=0)
 
 
-def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
-    """Nearest range [m] per sector, left to right as the camera sees them; each says what fed it."""
+def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
+    """Nearest range [m] and its source per sector, left to right as in the camera image."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
-    for number, (near, source) in enumerate(zip(sight.sectors, sight.sectors_fed_by, strict=True)):
+    for number, (near, source) in enumerate(zip(scan.sectors, scan.sectors_fed_by, strict=True)):
         distance = float(near)
         left = (SECTORS - 1 - number) * width // SECTORS
         right = (SECTORS - number) * width // SECTORS
@@ -197,3 +193,65 @@ def sector_bars(sight: Sight, size: tuple[int, int]) -> np.ndarray:
         short = source.replace("simulator", "rays")
         cv2.putText(picture, short, (left + 8, height - 8), _FONT, 0.36, (255, 255, 255), 1, cv2.LINE_AA)
     return picture
+
+
+def record_episode(
+    arena: Arena,
+    policy: Policy,
+    sensor: Sensor,
+    path: Path,
+    settings: EpisodeSettings = EpisodeSettings(),  # noqa: B008 - immutable
+    *,
+    speed: float = 2.0,
+    advance: Callable[[int], None] = lambda count: None,
+) -> tuple[Event, float]:
+    """Run one episode and write it as a video; no display is needed.
+
+    Args:
+        arena: of the episode.
+        policy: for one robot.
+        sensor: of the robot.
+        path: of the video, ``.gif`` or ``.mp4``.
+        settings: of the episode.
+        speed: of the video, relative to real time.
+        advance: called for each frame.
+
+    Returns:
+        How the episode ended, and its duration [s].
+    """
+    episodes = Episodes(1, sensor, settings)
+    episodes.start(0, arena, (settings.seed, arena.index))
+    policy.reset(0, episodes.worlds[0])
+    scene, view = Scene(arena), ArenaView(arena)
+    event = Event.NONE
+    with video_writer(path, speed / ROBOT.period) as add:
+        while True:
+            senses = episodes.sense()
+            scene.trail.append(tuple(episodes.poses[0]))
+            note = f"{policy.name}  {arena.name}  {episodes.seconds[0]:4.1f} s{_ENDS[event]}"
+            frame = scene.draw(episodes, 0, note, view)
+            for _ in range(1 if event is Event.NONE else 8):  # the last frame stays for a moment
+                add(frame)
+            advance(1)
+            if event is not Event.NONE:
+                return event, float(episodes.seconds[0])
+            _, events = episodes.step(policy.commands(senses))
+            event = Event(int(events[0]))
+
+
+@contextmanager
+def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
+    """Yield a function that adds a frame ``(H, W, 3)`` uint8 RGB to a ``.gif`` or ``.mp4``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".mp4":
+        from eldenet.deploy.outputs import open_video
+
+        with open_video(path, per_second) as add:
+            yield add
+        return
+    from PIL import Image
+
+    frames: list[Image.Image] = []
+    yield lambda frame: frames.append(Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE))
+    duration = round(1000 / per_second)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=False)

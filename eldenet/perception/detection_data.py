@@ -1,4 +1,4 @@
-"""Rendered scenes as a data set for a YOLO trainer: pictures, one text file of boxes each, ``data.yaml``."""
+"""Rendered scenes as a data set in YOLO's layout: images, a text file of boxes for each, ``data.yaml``."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.boxes import Detections2D
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.simulation.object_views import KINDS, NAMES, render_objects
+from eldenet.simulation.street_views import KINDS, NAMES, render_objects
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
@@ -23,33 +23,33 @@ def write_dataset(
     kinds: Sequence[str] = KINDS,
     advance: Callable[[int], None] | None = None,
 ) -> Path:
-    """Render ``counts[split]`` pictures of each split and write them below ``folder``; returns ``data.yaml``.
+    """Render ``counts[split]`` images of each split into ``folder``; return the path of ``data.yaml``.
 
-    Kinds take turns. Pictures that are there already are left as they are, so a killed run goes on.
+    The kinds of scenes alternate. Existing images are kept, so a killed run continues.
 
     Args:
-        folder: ``images/<split>/*.png``, ``labels/<split>/*.txt`` (class, then middle and size of the box as
-            shares of the picture).
+        folder: gets ``images/<split>/*.png`` and ``labels/<split>/*.txt`` (class, then center and size of the
+            box as shares of the image).
         counts: by split of the simulator: "train", "val", "test".
         size: ``(height, width)`` [px].
-        kinds: of scenes, see :data:`eldenet.simulation.object_views.KINDS`.
-        advance: called with the number of pictures that came to be.
+        kinds: of scenes, see :data:`eldenet.simulation.street_views.KINDS`.
+        advance: called with the number of new images.
 
     Raises:
-        ValueError: no pictures, unknown kinds, or the folder holds pictures of other settings.
+        ValueError: no images, unknown kinds, or the folder holds images of other settings.
     """
     if not kinds or not set(kinds) <= set(KINDS):
         raise ValueError(f"kinds={list(kinds)}: give some of {list(KINDS)}")
-    if any(count < 1 for count in counts.values()):
-        raise ValueError(f"counts={dict(counts)}: every split needs a picture or more")
+    if min(counts.values()) < 1:
+        raise ValueError(f"counts={dict(counts)}: give every split at least one image")
     settings = {"size": list(size), "kinds": list(kinds), "names": list(NAMES)}
-    held = folder / SETTINGS
-    if held.is_file() and json.loads(held.read_text()) != settings:
+    stored = folder / SETTINGS
+    if stored.is_file() and json.loads(stored.read_text()) != settings:
         raise ValueError(
-            f"{folder} holds pictures of other settings ({held.read_text()}): give another folder"
+            f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    held.write_text(json.dumps(settings))
+    stored.write_text(json.dumps(settings))
     for split, count in counts.items():
         for number in range(count):
             picture = folder / PICTURES / split / f"{number:06d}.png"
@@ -57,7 +57,7 @@ def write_dataset(
                 kind = kinds[number % len(kinds)]
                 view = render_objects(split, number // len(kinds), size, kind)
                 _write_boxes(folder / BOXES / split / f"{number:06d}.txt", view.detections, size)
-                write_picture(picture, view.image)  # last: where it is, its boxes are too
+                write_picture(picture, view.image)  # last: an image is only there with its boxes
             if advance is not None:
                 advance(1)
     lines = [f"path: {json.dumps(str(folder.resolve()))}"]
@@ -68,30 +68,22 @@ def write_dataset(
 
 
 def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, Detections2D]]:
-    """The first ``count`` pictures ``(H, W, 3)`` uint8 of a split with their boxes."""
+    """The first ``count`` images ``(H, W, 3)`` uint8 of a split with their boxes."""
     pairs = []
     for number in range(count):
         image = read_image(folder / PICTURES / split / f"{number:06d}.png")
         text = (folder / BOXES / split / f"{number:06d}.txt").read_text()
-        pairs.append((image, _read_boxes(text, image.shape[:2])))
+        table = np.array(text.split(), float).reshape(-1, 5)
+        sides = np.array(image.shape[1::-1])
+        center, half = table[:, 1:3] * sides, table[:, 3:] * sides / 2
+        xyxy = from_corner(np.concatenate([center - half, center + half], axis=1))
+        pairs.append((image, Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)))
     return pairs
 
 
 def _write_boxes(path: Path, found: Detections2D, size: tuple[int, int]) -> None:
     sides = np.array([size[1], size[0]], float)
     xyxy = to_corner(found.xyxy)
-    middle, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
-    lines = [
-        f"{label} {x:.6f} {y:.6f} {width:.6f} {height:.6f}\n"
-        for label, (x, y), (width, height) in zip(found.label, middle, extent, strict=True)
-    ]
+    center, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(lines))
-
-
-def _read_boxes(text: str, size: tuple[int, int]) -> Detections2D:
-    table = np.array([line.split() for line in text.splitlines()], float).reshape(-1, 5)
-    sides = np.array([size[1], size[0]], float)
-    middle, extent = table[:, 1:3] * sides, table[:, 3:] * sides
-    xyxy = from_corner(np.concatenate([middle - extent / 2, middle + extent / 2], axis=1))
-    return Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)
+    np.savetxt(path, np.column_stack([found.label, center, extent]), fmt="%d" + 4 * " %.6f")

@@ -1,6 +1,6 @@
-"""What finds objects in a picture: one protocol, and the simple adapters to it."""
+"""The detector protocol, and simple adapters to it."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -34,31 +34,30 @@ class Detector(Protocol):
 
 
 def check_frame(frame: np.ndarray) -> None:
-    """Raise ValueError for anything but ``(H, W, 3)`` uint8."""
-    if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
-        raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
+    """Raise ValueError unless ``frame`` is ``(H, W, 3)`` uint8."""
+    if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
+        raise ValueError(f"frame is {frame.shape} {frame.dtype}: give (H, W, 3) uint8 RGB")
 
 
 class FixedDetections:
-    """Detections that are known already (labels, a simulator, a file), one per call, in order.
+    """Known detections (labels, a simulator, a file), one per call, in order.
 
     Args:
-        detections: of the frames that will come.
+        detections: of the frames, in the order of the calls.
     """
 
     def __init__(self, detections: Iterable[Detections2D]) -> None:
-        self._coming = iter(detections)
+        self._remaining = iter(detections)
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """The next frame's.
+        """The next frame's detections.
 
         Raises:
-            ValueError: there are none left.
+            ValueError: no detections are left.
         """
-        check_frame(frame)
-        found = next(self._coming, None)
+        found = next(self._remaining, None)
         if found is None:
-            raise ValueError("more frames than fixed detections: give one Detections2D per frame")
+            raise ValueError("more frames than detections: give one Detections2D per frame")
         return found
 
 
@@ -66,10 +65,10 @@ class CallableDetector:
     """Any function as a detector.
 
     Args:
-        function: frame -> ``(xyxy (N, 4), score (N,), label (N,))`` as anything numpy takes; boxes counted
-            from the picture's corner, as detectors do (its first pixel is from 0 to 1).
+        function: frame -> ``(xyxy (N, 4), score (N,), label (N,))``, as arrays or lists; boxes counted from
+            the image corner (the first pixel reaches from 0 to 1), as most detectors do.
         names: of the classes.
-        box_style: how its boxes lie around objects.
+        box_style: how its boxes enclose objects.
     """
 
     def __init__(
@@ -94,28 +93,24 @@ class CallableDetector:
 
 
 class TorchvisionDetector:
-    """A detection network of torchvision (or of its interface) with its weights.
+    """A detection network of torchvision, or one with the same interface.
 
-    Frames go to the device, and into the precision, that the model's parameters have at each call.
+    Frames are converted to the device and precision of the model's parameters at each call.
 
     Args:
         model: ``images -> [{"boxes", "scores", "labels"}]``, such as
-            ``torchvision.models.detection.ssdlite320_mobilenet_v3_large(weights="DEFAULT")``, put into eval
-            mode.
-        names: of its classes; torchvision's weights carry theirs in ``weights.meta["categories"]``.
+            ``torchvision.models.detection.ssdlite320_mobilenet_v3_large(weights="DEFAULT")``; it is put into
+            eval mode.
+        names: of the classes, such as ``weights.meta["categories"]`` of torchvision's weights.
         threshold: detections below this score are dropped.
-        box_style: how its boxes lie around objects.
+        box_style: how its boxes enclose objects.
     """
 
     def __init__(
         self, model: Any, names: tuple[str, ...], *, threshold: float = 0.3, box_style: BoxStyle = "tight"
     ) -> None:
-        self.model, self.names, self.threshold, self.box_style = (
-            model.eval(),
-            tuple(names),
-            threshold,
-            box_style,
-        )
+        self.model, self.names = model.eval(), tuple(names)
+        self.threshold, self.box_style = threshold, box_style
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
         """Find objects."""
@@ -126,24 +121,18 @@ class TorchvisionDetector:
         image = torch.from_numpy(np.ascontiguousarray(frame.transpose(2, 0, 1)))
         with torch.inference_mode():
             found = self.model([(image.to(weight.device).float() / 255).to(weight.dtype)])[0]
-        # the three that are used alone: masks are large; numpy knows no bfloat16
+        # only what is used: masks are large; and as float32, for NumPy has no bfloat16
         boxes, score = (found[name].float().cpu().numpy() for name in ("boxes", "scores"))
         label = found["labels"].cpu().numpy().astype(np.int64)
         kept = score >= self.threshold
         return Detections2D(from_corner(boxes[kept]), score[kept], label[kept], self.names, self.box_style)
 
 
-def only(detections: Detections2D, names: Iterable[str]) -> Detections2D:
-    """Those of some classes."""
-    wanted = {name.lower() for name in names}
-    return detections.select(np.array([name.lower() in wanted for name in detections.classes], bool))
-
-
 def merge_cyclists(detections: Detections2D) -> Detections2D:
-    """A person on a bicycle becomes one "cyclist": KITTI counts them as one, COCO as two.
+    """Turn each person on a bicycle into one "cyclist": KITTI counts them as one object, COCO as two.
 
-    The two are one where the boxes overlap by a fifth of the smaller and the person's feet are above the
-    bicycle's lower edge, or near it.
+    The boxes must overlap by a fifth of the smaller one, and the person's feet must be above the bicycle's
+    lower edge, or near it.
     """
     names = detections.names if "cyclist" in detections.names else (*detections.names, "cyclist")
     classes, xyxy = detections.classes, np.array(detections.xyxy, np.float64)
@@ -169,8 +158,3 @@ def merge_cyclists(detections: Detections2D) -> Detections2D:
             if mask is not None:
                 mask[bicycle] |= mask[best]
     return replace(detections, xyxy=xyxy, label=label, names=names, mask=mask).select(kept)
-
-
-def rename(detections: Detections2D, table: Mapping[str, str]) -> Detections2D:
-    """The same objects under other class names; names that the table lacks stay."""
-    return replace(detections, names=tuple(table.get(name, name) for name in detections.names))

@@ -1,4 +1,4 @@
-"""Boxes for people: drawn into the picture, and from above on a grid of meters."""
+"""Draw boxes: into the image, and in a bird's-eye view with a grid in meters."""
 
 import cv2
 import numpy as np
@@ -7,18 +7,18 @@ from eldenet.boxes import FRONT_FACE, Boxes3D, Detections2D, clipped_edges
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.iou import footprints
 
-_NEAR = 0.1  # [m]: edges are cut there
+_NEAR = 0.1  # [m]: edges are cut at this depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _COLOR_OF = {
     "car": (255, 120, 60), "van": (255, 190, 60), "truck": (190, 120, 255), "person": (80, 200, 255),
     "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
     "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
 }  # fmt: skip
-_GROUND, _GRID, _SIGHT, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
+_GROUND, _GRID, _FIELD_OF_VIEW, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
 
 
 def color_of(name: str) -> tuple[int, int, int]:
-    """The color of a class, RGB: the same in every picture."""
+    """The RGB color of a class, the same in every image."""
     colors = list(_COLOR_OF.values())
     number = sum(ord(letter) * (place + 1) for place, letter in enumerate(name.lower()))
     return _COLOR_OF.get(name.lower(), colors[number % len(colors)])
@@ -32,20 +32,19 @@ def draw_boxes(
     front: bool | np.ndarray = False,
     labels: bool = True,
 ) -> np.ndarray:
-    """A copy of ``image (H, W, 3)`` uint8 RGB with the twelve edges of every box, far ones first.
+    """Draw the twelve edges of every box on a copy of ``image (H, W, 3)`` uint8 RGB.
 
     Args:
-        image: the picture.
+        image: to draw on.
         boxes: in the camera's level frame.
-        camera: of the picture.
-        front: shade the front face, of all or of those chosen ``(N,)``: of boxes whose front is known, for
-            geometry cannot tell it.
-        labels: class and distance [m] above each box.
+        camera: of the image.
+        front: shade the front face of all boxes, or of those chosen ``(N,)``: for boxes whose front is known.
+        labels: write class and distance [m] above each box.
     """
     picture = np.ascontiguousarray(image).copy()
     thick = max(1, round(image.shape[0] / 300))
     front = np.broadcast_to(front, len(boxes))
-    for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):
+    for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):  # distant boxes first
         corners = camera.to_camera(boxes.corners[index])
         color = color_of(boxes.names[boxes.label[index]])
         if front[index] and (corners[list(FRONT_FACE), 2] > _NEAR).all():
@@ -70,11 +69,11 @@ def draw_boxes(
 
 
 def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
-    """A copy of the picture with the 2D boxes, their classes and scores."""
+    """Draw 2D boxes, classes and scores on a copy of ``image (H, W, 3)`` uint8 RGB."""
     picture = np.ascontiguousarray(image).copy()
     for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
         color = color_of(name)
-        # the outermost pixels that the box holds, of those that there are
+        # the outermost pixels inside the box and the image
         last = np.array([picture.shape[1] - 1, picture.shape[0] - 1])
         left, top = np.clip(np.ceil(box[:2]), 0, last).astype(int).tolist()
         right, bottom = np.clip(np.floor(box[2:]), 0, last).astype(int).tolist()
@@ -92,14 +91,14 @@ def draw_bev(
     reach: float | None = None,
     truth: Boxes3D | None = None,
 ) -> np.ndarray:
-    """The boxes from above: ``size`` (height, width) [px], the camera at the bottom, round meters as a grid.
+    """Draw boxes in a bird's-eye view, with the camera at the bottom and a grid in round meters.
 
     Args:
-        boxes: in the level frame; of a tracked box its velocity is drawn: where it is in a second.
-        camera: whose field of view is shaded.
-        width: of the camera's picture [px].
-        size: of the panel [px].
-        reach: depth at the upper edge [m]; None: so that every box is in the panel, from 10 to 120 m.
+        boxes: in the level frame; tracked boxes get an arrow to where they are in a second.
+        camera: its field of view is shaded.
+        width: of the camera's image [px].
+        size: (height, width) of the view [px].
+        reach: depth at the upper edge [m]; None: 10 to 120 m, so that every box is inside.
         truth: other boxes, drawn in gray.
     """
     height, wide = size
@@ -112,7 +111,7 @@ def draw_bev(
 
     edges = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
     rays = (edges[[0, 2]] / edges[2]).T * reach * 1.5
-    cv2.fillPoly(panel, [_fixed(place(np.concatenate([[[0.0, 0.0]], rays])))], _SIGHT, cv2.LINE_AA, 4)
+    cv2.fillPoly(panel, [_fixed(place(np.concatenate([[[0.0, 0.0]], rays])))], _FIELD_OF_VIEW, cv2.LINE_AA, 4)
     step = next(value for value in (1, 2, 5, 10, 20, 50) if reach / value <= 8)
     for z in np.arange(0, reach, step):
         row = round(height - 6 - z * scale)
@@ -140,7 +139,7 @@ def draw_bev(
 
 
 def bev_reach(boxes: Boxes3D, size: tuple[int, int]) -> float:
-    """Depth at the upper edge of a panel of ``size`` that holds every box: 10 to 120 m."""
+    """Depth [m] at the upper edge of a bird's-eye view of ``size`` that shows every box: 10 to 120 m."""
     height, wide = size
     aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # where the panel is as wide
     farthest = float(max(boxes.center[:, 2].max(), aside.max())) if len(boxes) else 10.0
@@ -148,26 +147,24 @@ def bev_reach(boxes: Boxes3D, size: tuple[int, int]) -> float:
 
 
 def picture_beside_bev(picture: np.ndarray, panel: np.ndarray) -> np.ndarray:
-    """One picture with even sides: the drawn photo and the panel, of one height."""
+    """Join the drawn image and the bird's-eye view, resized to one height; the result has even sides."""
     tall = max(picture.shape[0], panel.shape[0])
-    parts = []
-    for part in (picture, panel):
-        if part.shape[0] != tall:
-            wide = round(part.shape[1] * tall / part.shape[0])
-            part = np.asarray(cv2.resize(part, (wide, tall), interpolation=cv2.INTER_LINEAR), np.uint8)
-        parts.append(part)
+    parts = [
+        np.asarray(cv2.resize(part, (round(part.shape[1] * tall / part.shape[0]), tall)), np.uint8)
+        for part in (picture, panel)
+    ]
     row = np.concatenate([parts[0], np.full((tall, 4, 3), 255, np.uint8), parts[1]], axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
 def _pixels(points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Pixels ``(K, 2)`` of camera points ``(K, 3)`` in front, kept within what OpenCV can draw."""
+    """Pixels ``(K, 2)`` of camera points ``(K, 3)`` in front, clipped to what OpenCV can draw."""
     pixels = (points / points[:, 2:]) @ camera.intrinsics.T
     return np.asarray(np.clip(pixels[:, :2], -20000, 20000))
 
 
 def _fixed(points: np.ndarray) -> np.ndarray:
-    """Sixteenths of a pixel, as OpenCV's ``shift=4`` wants them."""
+    """Pixels in sixteenths, for OpenCV's ``shift=4``."""
     return np.asarray(np.round(np.clip(points, -20000, 20000) * 16), np.int32)
 
 

@@ -1,4 +1,4 @@
-"""The ground: a plane fitted to depth or known from calibration, and the view from above that it gives."""
+"""The ground: a plane fitted to depth or known from calibration, and the bird's-eye view it gives."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from eldenet.geometry import PinholeCamera
 
-STEEPEST = 0.27  # [rad], 15 degrees: of a plane that may be the ground, against the level frame
+MAX_SLOPE = 0.27  # [rad], 15 degrees: of a plane that counts as ground, in the level frame
 _TRIALS = 128
 _SAMPLES = 1500
 
@@ -18,61 +18,55 @@ class GroundPlane:
     Attributes:
         normal: ``(3,)`` unit.
         offset: height of the frame's origin above the ground [m].
-        share: of the pixels tried that lie on it.
-        tilt: by which it may rise or fall elsewhere [rad].
-        fitted: to a depth map, whose errors it shares.
+        tilt: by which the ground may rise or fall elsewhere [rad].
+        fitted: True for a plane fitted to a depth map: it shares the errors of the depth.
     """
 
     normal: np.ndarray
     offset: float
-    share: float = 1.0
     tilt: float = 0.01
     fitted: bool = False
 
-    def below(self, points: np.ndarray) -> np.ndarray:
+    def height_above(self, points: np.ndarray) -> np.ndarray:
         """Height ``(...)`` of level points ``(..., 3)`` above the ground [m]."""
         return np.asarray(self.offset - points @ self.normal)
 
-    def level_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def y_at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Y of the ground at ``(x, z)`` [m]."""
         n = self.normal
         return np.asarray((self.offset - n[0] * x - n[2] * z) / n[1])
 
 
 def flat_ground(camera_height: float, tilt: float = 0.02) -> GroundPlane:
-    """Level ground below a camera at ``camera_height`` [m] in the origin; a driving car tilts by ``tilt``."""
+    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about ``tilt`` [rad]."""
     return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=tilt)
 
 
 def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> GroundPlane | None:
     """Fit the ground to a depth map ``(H, W)`` [m] (0 or NaN: unknown): RANSAC, then least squares.
 
-    Returns None where no nearly level plane below the camera holds a tenth of the lower half.
+    Return None if no nearly level plane below the camera holds a tenth of the lower half of the image.
     """
     rng = np.random.default_rng(seed)
     rows, columns = _known_pixels(depth, rng)
     if len(rows) < 50:
         return None
-    away = depth[rows, columns]  # along the view, wherever that points in the level frame
-    points = camera.back_project(columns, rows, away)
+    distance = depth[rows, columns]  # along the optical axis, wherever that points in the level frame
+    points = camera.back_project(columns, rows, distance)
     triple = points[rng.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(triple[:, 1] - triple[:, 0], triple[:, 2] - triple[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals = normals / np.maximum(length, 1e-12)[:, None]
     normals *= np.where(normals[:, 1:2] < 0, -1.0, 1.0)
     offsets = (normals * triple[:, 0]).sum(1)
-    # Depth errors grow with depth, and so does the tolerance; what they do to heights is the ray's share
-    # of y.
-    tolerance = 0.03 + 0.012 * away
-    misses = np.abs(normals @ points.T - offsets[:, None])
-    near = misses < tolerance
-    # Far points outnumber none here, but hold little about the height: near ones count more.
-    votes = (near / (1.0 + 0.05 * away)).sum(1)
-    votes[(length < 1e-9) | (normals[:, 1] < np.cos(STEEPEST)) | (offsets <= 0)] = -1
+    tolerance = 0.03 + 0.012 * distance  # depth errors grow with depth
+    inliers = np.abs(normals @ points.T - offsets[:, None]) < tolerance
+    votes = (inliers / (1.0 + 0.05 * distance)).sum(1)  # near points say more about the height
+    votes[(length < 1e-9) | (normals[:, 1] < np.cos(MAX_SLOPE)) | (offsets <= 0)] = -1
     best = int(np.argmax(votes))
     if votes[best] <= 0:
         return None
-    normal, offset, inside = normals[best], offsets[best], near[best]
+    normal, offset, inside = normals[best], offsets[best], inliers[best]
     for _ in range(3):
         if inside.sum() < 10:
             return None
@@ -83,19 +77,18 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> Gr
         scale = 1 / np.sqrt(1 + a * a + b * b)
         normal, offset = np.array([-a, 1.0, -b]) * scale, float(c * scale)
         inside = np.abs(points @ normal - offset) < tolerance
-    share = float(inside.mean())
-    if normal[1] < np.cos(STEEPEST) or offset <= 0 or share < 0.1:
+    if normal[1] < np.cos(MAX_SLOPE) or offset <= 0 or inside.mean() < 0.1:
         return None
-    return GroundPlane(normal, offset, share, fitted=True)
+    return GroundPlane(normal, offset, fitted=True)
 
 
 def _known_pixels(depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of up to ``_SAMPLES`` pixels of the lower half whose depth is known."""
     top, width = depth.shape[0] // 2, depth.shape[1]
     lower = depth[top:].reshape(-1)
-    tried = rng.integers(0, len(lower), 2 * _SAMPLES) if len(lower) else np.zeros(0, int)
+    tried = rng.integers(0, len(lower), 2 * _SAMPLES)
     chosen = tried[np.isfinite(lower[tried]) & (lower[tried] > 0)][:_SAMPLES]
-    if len(chosen) < _SAMPLES:  # sparse depth, or a small picture
+    if len(chosen) < _SAMPLES:  # sparse depth, or a small image
         known = np.nonzero(np.isfinite(lower) & (lower > 0))[0]
         chosen = rng.permutation(known)[:_SAMPLES]
     return chosen // width + top, chosen % width
@@ -103,14 +96,14 @@ def _known_pixels(depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarr
 
 @dataclass(frozen=True)
 class GroundHomography:
-    """Picture <-> ground: ``[x, z, 1] ~ M [j, i, 1]``, the plane implying the depth.
+    """Image <-> ground: ``[x, z, 1] ~ M [j, i, 1]``; the plane implies the depth.
 
-    For a pixel p of the plane n . X = d, depth is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``, which
-    put into equation 1 gives this 3x3 matrix. It holds for ground points alone: at 20 m one degree of pitch
-    moves a point by a fifth of its distance.
+    The depth of a pixel p on the plane n . X = d is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``;
+    inserted in equation 1, this gives a 3x3 matrix. It holds for points on the ground only. At 20 m, one
+    degree of pitch moves a point by a fifth of its distance.
 
     Attributes:
-        camera: of the picture.
+        camera: of the image.
         plane: the ground.
     """
 
@@ -127,27 +120,30 @@ class GroundHomography:
         """From a depth map.
 
         Raises:
-            ValueError: no ground was found in it.
+            ValueError: the depth map shows no ground.
         """
         plane = fit_ground(depth, camera)
         if plane is None:
-            raise ValueError("no ground in this depth map: no nearly level plane below the camera")
+            raise ValueError(
+                "the depth map shows no ground (no nearly level plane below the camera): "
+                "give the camera's height with GroundHomography.from_camera"
+            )
         return cls(camera, plane)
 
     @property
     def matrix(self) -> np.ndarray:
         """``(3, 3)`` from pixels (column, row, 1) to ground (x, z, 1), up to scale."""
         h, t, n = self.camera.homography, self.camera.translation, self.plane.normal
-        away = self.plane.offset - n @ t
-        return np.stack([away * h[0] + t[0] * (n @ h), away * h[2] + t[2] * (n @ h), n @ h])
+        height = self.plane.offset - n @ t
+        return np.stack([height * h[0] + t[0] * (n @ h), height * h[2] + t[2] * (n @ h), n @ h])
 
     def depth(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Depth [m] of ground pixels; inf at and above the horizon."""
         pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64)
         slope = pixels @ (self.plane.normal @ self.camera.homography)
-        away = self.plane.offset - self.plane.normal @ self.camera.translation
+        height = self.plane.offset - self.plane.normal @ self.camera.translation
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(slope > 1e-9, away / slope, np.inf)
+            return np.where(slope > 1e-9, height / slope, np.inf)
 
     def to_ground(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Ground ``(..., 2)`` x, z [m] of pixels below the horizon; NaN above it."""
@@ -158,7 +154,7 @@ class GroundHomography:
     def warp(
         self, image: np.ndarray, *, across: tuple[float, float], ahead: tuple[float, float], cell: float
     ) -> np.ndarray:
-        """The ground from above: ``image`` warped onto a grid of ``cell`` [m], far rows on top.
+        """Warp ``image`` to a bird's-eye view of the ground on a grid of ``cell`` [m], far rows on top.
 
         Args:
             image: ``(H, W, 3)`` uint8.
@@ -176,13 +172,15 @@ class GroundHomography:
 
         width, height = round((across[1] - across[0]) / cell), round((ahead[1] - ahead[0]) / cell)
         if width < 1 or height < 1:
-            raise ValueError(f"across={across}, ahead={ahead}, cell={cell}: an empty grid")
+            raise ValueError(
+                f"across={across}, ahead={ahead}, cell={cell} make an empty grid: give low < high"
+            )
         grid = np.array(
             [[1 / cell, 0, -across[0] / cell - 0.5], [0, -1 / cell, ahead[1] / cell - 0.5], [0, 0, 1]]
         )
         warp = grid @ self.matrix
         above = np.asarray(cv2.warpPerspective(image, warp, (width, height)))
-        # the ground behind the camera has pixels too, by the same formula: they are mirrored, and not seen
+        # the formula also gives the ground behind the camera pixels, mirrored: the camera does not see them
         rows, columns = np.indices((height, width), dtype=np.float64)
         back = np.linalg.inv(warp)[2]
         above[back[0] * columns + back[1] * rows + back[2] <= 0] = 0

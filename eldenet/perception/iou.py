@@ -1,4 +1,4 @@
-"""Overlap of boxes: in the picture, from above, and in space."""
+"""Overlap of boxes: in the image (2D), from above (BEV), and in space (3D)."""
 
 import numpy as np
 
@@ -8,10 +8,7 @@ from eldenet.boxes import Boxes3D, axes_of
 def iou_2d(first: np.ndarray, second: np.ndarray, *, of_first: bool = False) -> np.ndarray:
     """Intersection over union ``(N, M)`` of xyxy boxes ``(N, 4)`` and ``(M, 4)``.
 
-    Args:
-        first: xyxy.
-        second: xyxy.
-        of_first: divide by the first's area alone: how much of it the second covers.
+    With ``of_first``, intersection over the first box's area: the share of it that the second covers.
     """
     low = np.maximum(first[:, None, :2], second[None, :, :2])
     high = np.minimum(first[:, None, 2:], second[None, :, 2:])
@@ -30,7 +27,7 @@ def footprints(bev: np.ndarray) -> np.ndarray:
 
 
 def intersection_area(first: np.ndarray, second: np.ndarray) -> float:
-    """Area that two convex polygons ``(K, 2)``, ``(L, 2)``, counter-clockwise, share: Sutherland-Hodgman."""
+    """Shared area of two convex counter-clockwise polygons ``(K, 2)``, ``(L, 2)``: Sutherland-Hodgman."""
     polygon = first
     for start, end in zip(second, np.roll(second, -1, axis=0), strict=True):
         if not len(polygon):
@@ -62,7 +59,7 @@ def rotated_intersections(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def box_ious(first: Boxes3D, second: Boxes3D) -> tuple[np.ndarray, np.ndarray]:
-    """Intersection over union ``(N, M)`` from above, and in space."""
+    """BEV and 3D intersection over union, ``(N, M)`` each."""
     area = rotated_intersections(first.bev, second.bev)
     plans = [np.prod(boxes.size[:, :2], axis=1) for boxes in (first, second)]
     bev = area / np.maximum(plans[0][:, None] + plans[1][None] - area, 1e-12)

@@ -1,30 +1,31 @@
-"""Average precision as KITTI's object benchmark defines it: 2D, from above (BEV), in space (3D).
+"""Average precision as KITTI's object benchmark defines it: 2D, bird's-eye view (BEV) and 3D.
 
 Geiger et al., CVPR 2012; Simonelli et al., ICCV 2019 (40 recall points). Convention: R40 is the mean over the
 points 1/40 ... 1 (official since October 2019), R11 over 0, 0.1 ... 1. The point at recall 0 is the precision
 at the highest threshold.
 
-Rules: an object counts at a difficulty if its 2D box is higher than the least height, and it is neither more
-occluded nor more truncated than allowed; others are ignored, as are objects of a neighboring class (Van for
-Car, Person_sitting for Pedestrian): neither found nor missed. Detections lower than the least height are
-ignored, whatever their class, as in the benchmark's code. In 2D, detections that lie in DontCare areas are no
-false positives.
+Rules: an object counts at a difficulty if its 2D box is higher than the minimum height and the object is
+neither more occluded nor more truncated than allowed. Other objects are ignored (neither found nor missed),
+and so are those of a neighboring class (Van for Car, Person_sitting for Pedestrian). Detections lower than
+the minimum height are ignored, whatever their class, as in the benchmark's code. In 2D, detections in
+DontCare areas are no false positives.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from eldenet.perception.iou import box_ious, iou_2d
 from eldenet.perception.kitti_object import KittiLabels
+from eldenet.system.checks import one_of
 
 POINTS = 41
 NEIGHBOR = {"car": "van", "pedestrian": "person_sitting"}
 
 
 class Difficulty(NamedTuple):
-    """Least 2D height [px], most occlusion and truncation that still count."""
+    """Minimum 2D height [px], maximum occlusion and truncation of the objects that count."""
 
     height: float
     occluded: int
@@ -36,7 +37,7 @@ DIFFICULTIES = {
     "moderate": Difficulty(25, 1, 0.30),
     "hard": Difficulty(25, 2, 0.50),
 }
-#: Overlap needed, by class: the official one, and the looser one of BEV and 3D in much of the literature.
+#: Required IoU by class: the official one, and the looser one for BEV and 3D in much of the literature.
 STRICT = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
 LOOSE = {"Car": 0.5, "Pedestrian": 0.25, "Cyclist": 0.25}
 METRICS = ("2d", "bev", "3d")
@@ -44,10 +45,10 @@ METRICS = ("2d", "bev", "3d")
 
 class _Frame(NamedTuple):
     overlap: np.ndarray  # (truths, detections)
-    truth: np.ndarray  # 0 counts, 1 ignored
-    detected: np.ndarray  # 0 counts, 1 ignored
-    score: np.ndarray
-    dont_care: np.ndarray  # (detections,) share of each that a DontCare area covers
+    truth_counts: np.ndarray  # (truths,) bool; the others are ignored
+    found_counts: np.ndarray  # (detections,) bool
+    score: np.ndarray  # (detections,)
+    dont_care: np.ndarray  # (detections,) share in a DontCare area; 0 but in 2D
 
 
 def average_precision(
@@ -59,7 +60,7 @@ def average_precision(
     metric: str = "3d",
     min_overlap: float | None = None,
 ) -> dict[str, float]:
-    """AP in percent over frames: ``{"R40": ..., "R11": ...}``; NaN where no object counts.
+    """AP over frames [%]: ``{"R40": ..., "R11": ...}``; NaN if no object counts.
 
     Args:
         truths: labels of every frame.
@@ -67,30 +68,29 @@ def average_precision(
         kind: "Car", "Pedestrian" or "Cyclist".
         difficulty: "easy", "moderate" or "hard".
         metric: "2d", "bev" or "3d".
-        min_overlap: IoU above which a detection fits; None: the official one.
+        min_overlap: IoU above which a detection matches; None: the official one.
 
     Raises:
-        ValueError: unknown words, or lists of different lengths.
+        ValueError: unknown difficulty, metric or class, or lists of different lengths.
     """
-    if difficulty not in DIFFICULTIES or metric not in METRICS:
-        raise ValueError(
-            f"difficulty={difficulty!r}, metric={metric!r}: give {list(DIFFICULTIES)}, {METRICS}"
-        )
+    one_of("difficulty", difficulty, tuple(DIFFICULTIES))
+    one_of("metric", metric, METRICS)
     if len(truths) != len(detections):
-        raise ValueError(f"{len(truths)} frames of labels, {len(detections)} of detections")
-    if min_overlap is None:
-        if kind not in STRICT:
-            raise ValueError(f"kind={kind!r} has no official overlap: give min_overlap")
-        min_overlap = STRICT[kind]
+        raise ValueError(
+            f"{len(truths)} frames of labels, but {len(detections)} of detections: give the same"
+        )
+    if min_overlap is None and kind not in STRICT:
+        raise ValueError(f"kind={kind!r} has no official overlap: give min_overlap")
+    overlap = STRICT[kind] if min_overlap is None else min_overlap
     rules = DIFFICULTIES[difficulty]
     frames = [_prepare(t, d, kind, rules, metric) for t, d in zip(truths, detections, strict=True)]
-    count = sum(int((frame.truth == 0).sum()) for frame in frames)
+    count = sum(int(frame.truth_counts.sum()) for frame in frames)
     if not count:
         return {"R40": float("nan"), "R11": float("nan")}
-    matched = np.concatenate([_matched_scores(frame, min_overlap) for frame in frames])
+    matched = np.concatenate([_matched_scores(frame, overlap) for frame in frames])
     precision = np.zeros(POINTS)
     for index, threshold in enumerate(_thresholds(matched, count)):
-        right, wrong = np.sum([_counts(frame, min_overlap, threshold, metric) for frame in frames], axis=0)
+        right, wrong = np.sum([_true_and_false(frame, overlap, threshold) for frame in frames], axis=0)
         precision[index] = right / max(right + wrong, 1)
     precision = np.maximum.accumulate(precision[::-1])[::-1]
     return {"R40": 100 * float(precision[1:].mean()), "R11": 100 * float(precision[::4].mean())}
@@ -104,23 +104,23 @@ def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficult
     small = np.abs(found.xyxy[:, 3] - found.xyxy[:, 1]) < rules.height
     wanted = np.array([name.lower() == kind.lower() for name in found.types], bool).reshape(-1)
     found, small = found.select(wanted | small), small[wanted | small]
-    too_hard = (
-        (truth.xyxy[:, 3] - truth.xyxy[:, 1] <= rules.height)
-        | (truth.occluded > rules.occluded)
-        | (truth.truncated > rules.truncated)
+    counts = (
+        (kinds == kind.lower())
+        & (truth.xyxy[:, 3] - truth.xyxy[:, 1] > rules.height)
+        & (truth.occluded <= rules.occluded)
+        & (truth.truncated <= rules.truncated)
     )
-    ignored = too_hard | (kinds != kind.lower())
-    covered = iou_2d(found.xyxy, areas.xyxy, of_first=True) if metric == "2d" else np.zeros((len(found), 0))
+    dont_care = np.zeros(len(found))
     if metric == "2d":
         overlap = iou_2d(truth.xyxy, found.xyxy)
+        dont_care = iou_2d(found.xyxy, areas.xyxy, of_first=True).max(1, initial=0.0)
     else:
         overlap = box_ious(truth.boxes, found.boxes)[METRICS.index(metric) - 1]
-    dont_care = covered.max(1, initial=0.0)
-    return _Frame(overlap, ignored.astype(int), small.astype(int), found.score, dont_care)
+    return _Frame(overlap, counts, ~small, found.score, dont_care)
 
 
 def _matched_scores(frame: _Frame, min_overlap: float) -> np.ndarray:
-    """Scores of the detections that find a counted object, each object taking the highest score that fits."""
+    """Scores of the detections that find a counted object; each object takes the best score that matches."""
     free = np.ones(len(frame.score), bool)
     scores = []
     for row, overlap in enumerate(frame.overlap):
@@ -129,13 +129,13 @@ def _matched_scores(frame: _Frame, min_overlap: float) -> np.ndarray:
             continue
         best = int(np.argmax(np.where(fits, frame.score, -np.inf)))
         free[best] = False
-        if frame.truth[row] == 0 and frame.detected[best] == 0:
+        if frame.truth_counts[row] and frame.found_counts[best]:
             scores.append(frame.score[best])
     return np.array(scores)
 
 
 def _thresholds(scores: np.ndarray, count: int) -> list[float]:
-    """Scores at which recall comes nearest to 0, 1/40, 2/40 ..."""
+    """Scores at which recall is nearest to 0, 1/40, 2/40 ..."""
     scores = np.sort(scores)[::-1]
     chosen, recall = [], 0.0
     for index, score in enumerate(scores):
@@ -148,10 +148,10 @@ def _thresholds(scores: np.ndarray, count: int) -> list[float]:
     return chosen
 
 
-def _counts(frame: _Frame, min_overlap: float, threshold: float, metric: str) -> tuple[int, int]:
-    """Right and wrong detections at a threshold: each object takes the free one that overlaps most.
+def _true_and_false(frame: _Frame, min_overlap: float, threshold: float) -> tuple[int, int]:
+    """Numbers of true and false positives at a score threshold.
 
-    One that counts goes before one that is ignored.
+    Each object takes the free detection with the largest overlap; ignored detections come last.
     """
     free = frame.score >= threshold
     right = 0
@@ -159,35 +159,10 @@ def _counts(frame: _Frame, min_overlap: float, threshold: float, metric: str) ->
         fits = free & (overlap > min_overlap)
         if not fits.any():
             continue
-        counted = fits & (frame.detected == 0)
-        # of those too small to count the first one is taken, of the others the one that overlaps most
+        counted = fits & frame.found_counts
+        # of the ignored ones the first is taken, of the others the one with the largest overlap
         best = int(np.argmax(np.where(counted, overlap, -1.0))) if counted.any() else int(np.argmax(fits))
         free[best] = False
-        right += int(frame.truth[row] == 0 and frame.detected[best] == 0)
-    left = free & (frame.detected == 0)
-    if metric == "2d":
-        left &= frame.dont_care <= min_overlap
-    return right, int(left.sum())
-
-
-def kitti_table(
-    truths: Sequence[KittiLabels],
-    detections: Sequence[KittiLabels],
-    *,
-    overlaps: Mapping[str, float] = STRICT,
-    kinds: Sequence[str] = ("Car", "Pedestrian", "Cyclist"),
-) -> list[dict[str, float | str]]:
-    """One row per class, metric and difficulty: ``{"class", "metric", "difficulty", "R40", "R11"}``.
-
-    Convention: 2D always needs the official overlap, as the benchmark's code has it.
-    """
-    rows: list[dict[str, float | str]] = []
-    for kind in kinds:
-        for metric in METRICS:
-            for difficulty in DIFFICULTIES:
-                overlap = STRICT[kind] if metric == "2d" else overlaps[kind]
-                value = average_precision(
-                    truths, detections, kind=kind, difficulty=difficulty, metric=metric, min_overlap=overlap
-                )
-                rows.append({"class": kind, "metric": metric, "difficulty": difficulty, **value})
-    return rows
+        right += int(frame.truth_counts[row] and frame.found_counts[best])
+    wrong = free & frame.found_counts & (frame.dont_care <= min_overlap)
+    return right, int(wrong.sum())

@@ -1,4 +1,4 @@
-"""KITTI's object benchmark on disk: pictures, calibration, labels, LiDAR; and its label format as output.
+"""KITTI's object benchmark on disk: images, calibration, labels, LiDAR; and its label format as output.
 
 Geiger et al., "Are we ready for autonomous driving?", CVPR 2012. Label lines: type, truncated, occluded,
 alpha, 2D box, height width length [m], location (middle of the lower face in rectified camera 0) [m],
@@ -6,16 +6,17 @@ rotation_y, score.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
-from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.boxes import ArrayRows, Boxes3D, Detections2D
 from eldenet.data.io import read_image
 from eldenet.data.kitti_lidar import entry
 from eldenet.data.paths import find_root
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, nearest_points
 
 TREE = """
 training/
@@ -25,20 +26,18 @@ _KITTI_OF = {
     "car": "Car", "van": "Van", "truck": "Truck", "bus": "Truck", "person": "Pedestrian",
     "pedestrian": "Pedestrian", "cyclist": "Cyclist", "train": "Tram", "tram": "Tram",
 }  # fmt: skip
-
-
 KITTI_NAMES = (
     "Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "DontCare",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class KittiLabels:
-    """Lines of a label file, as arrays.
+class KittiLabels(ArrayRows):
+    """The lines of a label file, as arrays.
 
     Attributes:
         types: of the N objects ("Car", ..., "DontCare").
-        truncated: ``(N,)`` share outside the picture.
+        truncated: ``(N,)`` share outside the image.
         occluded: ``(N,)`` 0 visible, 1 partly, 2 largely hidden, 3 unknown.
         alpha: ``(N,)`` observation angle [rad].
         xyxy: ``(N, 4)`` [px].
@@ -61,11 +60,10 @@ class KittiLabels:
     def __len__(self) -> int:
         return len(self.types)
 
-    def select(self, chosen: np.ndarray) -> "KittiLabels":
-        """Those that ``chosen`` (bool or numbers) picks."""
-        numbers = np.arange(len(self))[chosen]
-        arrays = {name: value[numbers] for name, value in vars(self).items() if name != "types"}
-        return KittiLabels(tuple(self.types[number] for number in numbers), **arrays)
+    def select(self, chosen: np.ndarray | slice) -> Self:
+        """The objects that ``chosen`` (bool or indices) picks."""
+        types = tuple(self.types[index] for index in np.arange(len(self))[chosen])
+        return replace(super().select(chosen), types=types)
 
     @property
     def _numbered(self) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -75,24 +73,24 @@ class KittiLabels:
 
     @property
     def boxes(self) -> Boxes3D:
-        """In the frame of rectified camera 0."""
+        """The 3D boxes in the frame of rectified camera 0."""
         label, names = self._numbered
         center = self.location - self.size[:, [2]] * np.array([0.0, 0.5, 0.0])
         return Boxes3D(center, self.size, self.yaw, self.score, label, names)
 
     @property
     def detections(self) -> Detections2D:
-        """The labelled 2D boxes. They are projections of the 3D boxes: using them leaks the answer."""
+        """The labelled 2D boxes. They are projections of the 3D boxes: lifting them leaks the answer."""
         label, names = self._numbered
         return Detections2D(self.xyxy, self.score, label, names, "projected")
 
 
 def read_labels(path: Path) -> KittiLabels:
-    """Read a label file (15 columns) or a result file (16); an empty file holds no object.
+    """Read a label file (15 columns) or a result file (16); an empty file has no objects.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: naming the line that does not fit.
+        FileNotFoundError: the file does not exist.
+        ValueError: a line is not a label; the message names it.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: it comes with KITTI's object labels")
@@ -106,7 +104,7 @@ def read_labels(path: Path) -> KittiLabels:
         except ValueError:
             values = []
         if len(values) not in (14, 15):
-            raise ValueError(f"{path}, line {number}: holds {line[:60]!r}, wants a type and 14 or 15 numbers")
+            raise ValueError(f"{path}, line {number}: {line[:60]!r} is not a type and 14 or 15 numbers")
         types.append(words[0])
         rows.append(values if len(values) == 15 else [*values, 1.0])
     table = np.array(rows, np.float64).reshape(-1, 15)
@@ -117,14 +115,14 @@ def read_labels(path: Path) -> KittiLabels:
 
 
 def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = None) -> KittiLabels:
-    """Boxes with their 2D boxes ``(N, 4)`` as KITTI's results, under KITTI's class names.
+    """Convert boxes to KITTI's results, with KITTI's class names.
 
-    KITTI's frame has the camera's axes. Its origin is camera 0, not the color camera, which P2's fourth
-    column places in it: so boxes are turned, but keep the origin of the level frame.
+    KITTI's frame has the camera's axes, but its origin is camera 0, not the color camera (P2's fourth column
+    is the offset). So boxes are rotated and keep the origin of the level frame.
 
     Args:
         boxes: in a level frame.
-        xyxy: of each box [px].
+        xyxy: ``(N, 4)`` 2D box of each [px].
         rotation: ``(3, 3)`` level from camera; None: the level frame has the camera's axes.
     """
     count = len(boxes)
@@ -156,14 +154,14 @@ def write_labels(path: Path, labels: KittiLabels, *, with_score: bool = True) ->
 
 
 class KittiObjects:
-    """The frames of a folder of the object benchmark that have a picture, a calibration and labels.
+    """Frames of the object benchmark that have an image, a calibration and labels.
 
     Args:
-        root: holds ``image_2`` ...; None: ``$ELDENET_DATA/kitti/object/training``.
+        root: folder with ``image_2`` ...; None: ``$ELDENET_DATA/kitti/object/training``.
         names: frames to use; None: all that are complete.
 
     Raises:
-        FileNotFoundError: the folder or a named frame is not there.
+        FileNotFoundError: the folder or a file of a named frame does not exist.
     """
 
     def __init__(self, root: str | Path | None = None, names: Sequence[str] | None = None) -> None:
@@ -181,11 +179,11 @@ class KittiObjects:
         return self.root / "image_2" / f"{name}.png", self.root / "calib" / f"{name}.txt"
 
     def image(self, name: str) -> np.ndarray:
-        """``(H, W, 3)`` uint8 RGB."""
+        """The left color image ``(H, W, 3)`` uint8 RGB."""
         return read_image(self._files(name)[0])
 
     def camera(self, name: str) -> PinholeCamera:
-        """Of the left color picture, in the frame of rectified camera 0, where the labels are.
+        """The left color camera in the frame of rectified camera 0, which is the labels' frame.
 
         Raises:
             ValueError: the calibration lacks P2.
@@ -193,7 +191,7 @@ class KittiObjects:
         return PinholeCamera.from_projection(entry(self._files(name)[1], "P2", (3, 4)))
 
     def labels(self, name: str) -> KittiLabels:
-        """Of one frame, DontCare areas included."""
+        """Labels of a frame, including DontCare areas."""
         return read_labels(self.root / "label_2" / f"{name}.txt")
 
     def lidar_depth(self, name: str, size: tuple[int, int]) -> np.ndarray | None:
@@ -210,10 +208,7 @@ class KittiObjects:
         points = points[points[:, 0] > 0.5]
         seen = np.column_stack([points, np.ones(len(points))]) @ (rectify @ rigid).T
         seen = seen @ entry(calibration, "P2", (3, 4)).T
-        far = seen[:, 2]
-        columns, rows = (np.rint(seen[:, k] / far).astype(int) for k in (0, 1))
-        inside = (far > 0) & (columns >= 0) & (columns < size[1]) & (rows >= 0) & (rows < size[0])
-        order = np.argsort(-far[inside])  # the nearest point of a pixel is written last
-        depth = np.zeros(size, np.float32)
-        depth[rows[inside][order], columns[inside][order]] = far[inside][order]
-        return depth
+        depth = seen[:, 2]
+        columns, rows = (np.rint(seen[:, k] / depth).astype(int) for k in (0, 1))
+        inside = (depth > 0) & (columns >= 0) & (columns < size[1]) & (rows >= 0) & (rows < size[0])
+        return nearest_points(rows[inside], columns[inside], depth[inside].astype(np.float32), size)

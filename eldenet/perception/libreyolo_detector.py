@@ -1,43 +1,69 @@
 """YOLOv9 (Wang, Yeh, Liao, ECCV 2024) to train and export, through the MIT package ``libreyolo``.
 
-Its YOLOv9 stems from MultimediaTechLab/YOLO, the authors' own MIT release. Importing the package also imports
-its other families; none of their code is under the GPL or AGPL (its NOTICE names what is not MIT).
+Its YOLOv9 comes from MultimediaTechLab/YOLO, the authors' own MIT release. Importing the package also imports
+its other model families; none is under the GPL or AGPL (its NOTICE names what is not MIT).
 """
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.data.paths import one_of
 from eldenet.perception.detectors import check_frame
-from eldenet.perception.postprocess import fit_picture, in_frame
+from eldenet.perception.postprocess import fit_image, select_boxes
+from eldenet.system.checks import one_of
 
 SIZES = ("t", "s", "m", "c")
 _STRIDE = 32
 _OPSET = 17
 
 
+@dataclass(frozen=True)
+class YoloTraining:
+    """How to train a YOLOv9.
+
+    Attributes:
+        epochs: passes over the training images; the last sixth is without mosaics.
+        batch: images per update.
+        learning_rate: of AdamW, decaying linearly.
+        mosaic: share of training images that are composed of four.
+        auxiliary: weight of YOLOv9's auxiliary branch in training (0.25 in the package; a third slower).
+        workers: processes that load images.
+        device: "cpu", "cuda" or another torch device.
+        seed: of weights and augmentation.
+    """
+
+    epochs: int
+    batch: int = 8
+    learning_rate: float = 0.002
+    mosaic: float = 0.0
+    auxiliary: float = 0.0
+    workers: int = 0
+    device: str = "cpu"
+    seed: int = 0
+
+
 class LibreYoloDetector:
-    """YOLOv9 as a detector in torch; :meth:`export` makes the file for :class:`OnnxDetector`.
+    """YOLOv9 as a detector in torch; :meth:`export` writes the file for :class:`OnnxDetector`.
 
     Args:
-        weights: a ``.pt`` file that :meth:`train` wrote (read as data, not executed); None: drawn at random.
+        weights: a ``.pt`` file that :meth:`train` wrote (read as data, not executed); None: random weights.
         names: of the classes; None: those of ``weights``.
-        size: "t", "s", "m" or "c"; a file's own where ``weights`` are given.
-        input_size: ``(height, width)`` that the network sees [px], multiples of 32.
+        size: "t", "s", "m" or "c"; ignored if ``weights`` are given.
+        input_size: ``(height, width)`` of the network's input [px], multiples of 32.
         threshold: detections below this score are dropped.
-        nms: of two boxes of one class that overlap by this IoU, the better is kept.
-        between_classes: the same of two boxes of different classes; 1: both are kept.
-        box_style: how its boxes lie around objects.
+        nms: IoU from which the worse of two boxes of a class is dropped.
+        between_classes: the same for two boxes of different classes; 1: keep both.
+        box_style: how its boxes enclose objects.
         seed: of random weights.
 
     Raises:
         FileNotFoundError: ``weights`` do not exist (nothing is downloaded).
-        ValueError: ``libreyolo`` is not installed, or sizes or names that fit nothing.
+        ValueError: ``libreyolo`` is not installed, or a size or the names are wrong.
     """
 
     def __init__(
@@ -57,13 +83,15 @@ class LibreYoloDetector:
         if any(side < _STRIDE or side % _STRIDE for side in input_size):
             raise ValueError(f"input_size={tuple(input_size)}: give (height, width), multiples of {_STRIDE}")
         if weights is not None and not Path(weights).is_file():
-            raise FileNotFoundError(f"{weights} does not exist: give a .pt file of libreyolo, or no weights")
+            raise FileNotFoundError(
+                f"weights={weights} does not exist: give a .pt file of libreyolo, or null"
+            )
         if weights is None and not names:
-            raise ValueError("names=None without weights: give the names of the classes")
+            raise ValueError("neither weights nor names are given: give names=[...] of the classes")
         self.model = _build(weights, names, size, seed)
         self.names = tuple(str(self.model.names[number]) for number in range(self.model.nb_classes))
         if names is not None and tuple(names) != self.names:
-            raise ValueError(f"names={list(names)}, but {weights} holds {list(self.names)}")
+            raise ValueError(f"names={list(names)}, but {weights} has {list(self.names)}: leave names out")
         self.input_size = (int(input_size[0]), int(input_size[1]))
         self.threshold, self.nms, self.box_style = threshold, nms, box_style
         self.between_classes = between_classes
@@ -73,51 +101,32 @@ class LibreYoloDetector:
         import torch
 
         check_frame(frame)
-        picture, scale, shift = fit_picture(frame, self.input_size, self.model.letterbox_pad)
+        fitted, placement = fit_image(frame, self.input_size, self.model.letterbox_pad)
         network = self.model.model.eval()
         device = next(network.parameters()).device
-        image = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)[None])).to(device) / 255.0
+        image = torch.from_numpy(np.ascontiguousarray(fitted.transpose(2, 0, 1)[None])).to(device) / 255.0
         with torch.inference_mode():
             raw = network(image)["predictions"][0].T.double().cpu().numpy()
-        xyxy, best, label = in_frame(
-            raw[:, :4], raw[:, 4:], scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms,
+        xyxy, best, label = select_boxes(
+            raw[:, :4], raw[:, 4:], placement, threshold=self.threshold, nms=self.nms,
             between_classes=self.between_classes,
         )  # fmt: skip
         return Detections2D(xyxy, best, label, self.names, self.box_style)
 
     def train(
-        self,
-        data: str | Path,
-        folder: str | Path,
-        *,
-        epochs: int,
-        batch: int = 8,
-        learning_rate: float = 0.002,
-        mosaic: float = 0.0,
-        auxiliary: float = 0.0,
-        workers: int = 0,
-        device: str = "cpu",
-        seed: int = 0,
-        resume: bool = False,
+        self, data: str | Path, folder: str | Path, training: YoloTraining, *, resume: bool = False
     ) -> Path:
-        """Train on a data set in YOLO's layout; returns the checkpoint, whose weights this detector then has.
+        """Train on a data set in YOLO's layout; return the checkpoint, whose weights this detector then uses.
 
         Args:
-            data: its ``data.yaml``, with pictures that are there (nothing is downloaded).
+            data: the ``data.yaml``; its images must be there (nothing is downloaded).
             folder: for the package's own log and checkpoints.
-            epochs: passes over the training pictures; the last sixth is without mosaics.
-            batch: pictures an update.
-            learning_rate: of AdamW, falling linearly.
-            mosaic: share of training pictures that are put together of four.
-            auxiliary: weight of YOLOv9's auxiliary branch in training (0.25 in the package; a third slower).
-            workers: processes that load pictures.
-            device: "cpu", "cuda" or as torch names it.
-            seed: of the draws.
-            resume: go on with the last checkpoint in ``folder``.
+            training: epochs, batch size ...
+            resume: continue from the last checkpoint in ``folder``.
 
         Raises:
-            FileNotFoundError: no data set, or no checkpoint to go on with.
-            ValueError: the data set has other classes, or wants to be downloaded.
+            FileNotFoundError: the data set or the checkpoint to resume does not exist.
+            ValueError: the data set has other classes, or names a download.
         """
         data, folder = Path(data).resolve(), Path(folder).resolve()
         last = folder / "weights" / "last.pt"
@@ -128,14 +137,15 @@ class LibreYoloDetector:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.model.train(
-                str(data), epochs=epochs, batch=batch, imgsz=self.input_size, lr0=learning_rate,
-                optimizer="adamw", device=device, workers=workers, seed=seed, project=str(folder.parent),
-                name=folder.name, exist_ok=True, resume=str(last) if resume else False, amp=device != "cpu",
-                eval_interval=0, warmup_epochs=1, no_aug_epochs=max(1, epochs // 6), mosaic_prob=mosaic,
-                aux_weight=auxiliary, save_period=epochs + 1,
+                str(data), epochs=training.epochs, batch=training.batch, imgsz=self.input_size,
+                lr0=training.learning_rate, optimizer="adamw", device=training.device,
+                workers=training.workers, seed=training.seed, project=str(folder.parent), name=folder.name,
+                exist_ok=True, resume=str(last) if resume else False, amp=training.device != "cpu",
+                eval_interval=0, warmup_epochs=1, no_aug_epochs=max(1, training.epochs // 6),
+                mosaic_prob=training.mosaic, aux_weight=training.auxiliary, save_period=training.epochs + 1,
             )  # fmt: skip
-        # the package does not say whether the network it leaves behind is the averaged one of the file
-        self.model = _build(last, None, self.model.size, seed)
+        # the package does not document whether its network in memory is the averaged one of the file
+        self.model = _build(last, None, self.model.size, training.seed)
         return last
 
     def _check_classes(self, data: Path) -> None:
@@ -143,11 +153,11 @@ class LibreYoloDetector:
 
         content = yaml.safe_load(data.read_text()) or {}
         if content.get("download"):
-            raise ValueError(f"{data} names a download: fetch it yourself and remove that line")
-        held = content.get("names")
-        held = [held[number] for number in sorted(held)] if isinstance(held, dict) else list(held or [])
-        if tuple(map(str, held)) != self.names:
-            raise ValueError(f"{data} has the classes {held}, this detector {list(self.names)}")
+            raise ValueError(f"{data} names a download: fetch the data yourself and remove that line")
+        names = content.get("names")
+        names = [names[number] for number in sorted(names)] if isinstance(names, dict) else list(names or [])
+        if tuple(map(str, names)) != self.names:
+            raise ValueError(f"{data} has the classes {names}, but the detector has {list(self.names)}")
 
     def export(self, path: str | Path) -> Path:
         """Write an ONNX file that :class:`OnnxDetector` reads (fixed size, batch 1, fp32)."""

@@ -1,9 +1,9 @@
-"""From 2D boxes and depth to boxes in meters: four methods side by side."""
+"""Lift 2D boxes to 3D boxes [m] with a depth map: four methods side by side."""
 
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,43 +12,44 @@ from eldenet.geometry import PinholeCamera
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
 from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
-from eldenet.perception.solvers import Known, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
+from eldenet.perception.solvers import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 
 Method = Literal["refine", "lshape", "paper", "no_depth"]
-METHODS = ("refine", "lshape", "paper", "no_depth")
-SMALL, LARGE = 10.0, 100.0  # [px] shorter sides of 2D boxes
-_FARTHEST = 500.0  # [m]: no camera's median depth is beyond
+METHODS = get_args(Method)
+SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
+_MAX_MEDIAN_DEPTH = 500.0  # [m]: beyond, the depth is probably in millimeters
 
 
 class BoxLifter:
     """``(depth, detections, camera) -> Boxes3D``.
 
     Methods:
-        paper: equations 1 to 3 as read: pixels around the box's median depth, back-projected; the box that
-            holds them along the camera's axes; its center the mean of the eight vertices.
-        lshape: ground removed, foreground around the core's median depth, heading from the two sides that are
-            seen, size of the class, anchored at those sides.
-        refine: from there, one least-squares fit of position, heading, size and a factor on the depth to the
-            points, the 2D box, the ground and the class.
+        paper: equations 1 to 3 literally: back-project the pixels around the box's median depth; the box
+            encloses them along the camera's axes; its center is the mean of the eight vertices.
+        lshape: remove the ground, keep the foreground around the likely depth, take the heading from the two
+            visible sides and the size from the class, and anchor the box at those sides.
+        refine: starting there, one least-squares fit of position, heading, size and a factor on the depth to
+            the points, the 2D box, the ground and the class.
         no_depth: the same fit without depth, from the 2D box, the class and ``camera_height``: the baseline
-            that says what depth is worth.
+            that shows what depth adds.
 
-    Fall-backs, noted in ``quality["fallback"]``: an object with fewer than ``FEWEST_POINTS`` pixels is fitted
-    without its sides (or, without any, without depth); one of an unknown class keeps the extents of its
-    points along the L-shape's heading; edges of the 2D box that the picture's border or a nearer box cuts are
-    bounds only.
+    Fall-backs, marked in ``quality["fallback"]``: an object with fewer than ``MIN_POINTS`` pixels is fitted
+    without the L-shape's heading (or, without any pixel, without depth); one of an unknown class keeps the
+    extents of its points along the L-shape's heading. Edges of the 2D box that the image border or a nearer
+    box cuts are bounds only.
 
     Args:
         method: see above.
         priors: sizes by class name.
-        ground: "fit" it to the depth, a plane that is known, or None for none.
-        camera_height: above the ground [m], if it is known: "no_depth" rests on it, and "refine" weighs it
-            against the plane that it fits.
-        depth_sigma: relative error of the depth of whole objects, as measured on validation data; of those
-            whose shorter side is ``LARGE`` pixels or more, where ``small_sigma`` is given.
-        small_sigma: of objects whose shorter side is ``SMALL`` pixels: networks blur depth at edges, so thin
-            and distant objects fare worse. Between and below it follows a power law. None: the same for all.
-        occlusion_mask: leave out pixels in boxes that stand nearer.
+        ground: "fit" it to the depth, a known plane, or None for no ground.
+        camera_height: above the ground [m], if known: "no_depth" needs it, and "refine" weighs it against
+            the fitted plane.
+        depth_sigma: relative depth error of whole objects, measured on validation data; with ``small_sigma``,
+            of objects whose shorter side is ``LARGE_SIDE`` pixels or more.
+        small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
+            Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
+            all.
+        occlusion_mask: leave out pixels in nearer boxes.
 
     Raises:
         ValueError: unknown method, or a number out of range.
@@ -79,17 +80,17 @@ class BoxLifter:
         self.occlusion_mask = occlusion_mask
 
     def __call__(self, depth: np.ndarray, detections: Detections2D, camera: PinholeCamera) -> Boxes3D:
-        """Lift all objects of one picture.
+        """Lift all objects of one image.
 
         Args:
-            depth: ``(H, W)`` [m] of the picture; 0, negative and not finite are unknown.
-            detections: in pixels of the picture.
-            camera: of the picture.
+            depth: ``(H, W)`` [m]; 0, negative and not finite are unknown.
+            detections: in pixels of the depth map.
+            camera: of the image.
 
         Raises:
-            ValueError: the depth is no map, or the detections or their masks are of another picture.
+            ValueError: the depth is not a map, or the detections or their masks do not fit it.
         """
-        if depth.ndim != 2 or 0 in depth.shape:
+        if depth.ndim != 2:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")
         height, width = depth.shape
         count = len(detections)
@@ -98,18 +99,21 @@ class BoxLifter:
         reach = detections.xyxy[:, 2:].max(0)
         if reach[0] > width + 4 or reach[1] > height + 4:
             raise ValueError(
-                f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, but depth is {height} x {width}: "
-                "both must be of one picture"
+                f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, depth is {height} x {width}: "
+                "give both of one image"
             )
         if detections.mask is not None and detections.mask.shape[1:] != depth.shape:
             raise ValueError(
-                f"masks are {detections.mask.shape[1:]}, depth is {depth.shape}: both must be of one picture"
+                f"masks of {detections.mask.shape[1:]}, but depth of {depth.shape}: give both of one image"
             )
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]
-        plane = self._plane(depth, camera)
+        nominal = None if self.camera_height is None else flat_ground(self.camera_height)
+        plane = self.ground if isinstance(self.ground, GroundPlane) else nominal
+        if self.ground == "fit" and self.method in ("refine", "lshape"):
+            plane = fit_ground(depth, camera) or nominal
         sigma = sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma)
-        found = gather(
+        foreground = gather(
             depth,
             detections,
             camera,
@@ -120,14 +124,16 @@ class BoxLifter:
             depth_sigma=sigma,
         )
         if self.method == "no_depth":
-            found = found.without_points()
+            foreground = foreground.without_points()
         trusted, hidden = trusted_edges(detections, (height, width))
-        nominal = self._nominal if plane is not None and plane.fitted else None
-        known = Known(found, detections, camera, priors, plane, nominal, trusted, sigma, self.depth_sigma)
-        raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(known)
-        raw = _use_fallbacks(raw, known, self.method)
+        other = nominal if plane is not None and plane.fitted else None
+        evidence = ObjectEvidence(
+            foreground, detections, camera, priors, plane, other, trusted, sigma, self.depth_sigma
+        )
+        raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(evidence)
+        raw = _use_fallbacks(raw, evidence, self.method)
         quality = {
-            "points": found.count,
+            "points": foreground.count,
             "depth_scale": raw.depth_scale,
             "cost": raw.cost,
             "fallback": raw.fallback.astype(float) * (self.method != "no_depth"),
@@ -135,54 +141,37 @@ class BoxLifter:
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
         return Boxes3D(
-            raw.center,
-            raw.size,
-            wrap_half(raw.yaw),
-            detections.score,
-            detections.label,
-            detections.names,
-            quality,
-            detections.track_id,
-        )
-
-    @property
-    def _nominal(self) -> GroundPlane | None:
-        return None if self.camera_height is None else flat_ground(self.camera_height)
-
-    def _plane(self, depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
-        if isinstance(self.ground, GroundPlane):
-            return self.ground
-        if self.ground is None or self.method in ("no_depth", "paper"):
-            return self._nominal
-        return fit_ground(depth, camera) or self._nominal
+            raw.center, raw.size, wrap_half(raw.yaw), detections.score, detections.label, detections.names,
+            quality, detections.track_id,
+        )  # fmt: skip
 
 
 def _warn_of_odd_depth(depth: np.ndarray) -> None:
+    if not (np.isfinite(depth) & (depth > 0)).any():
+        warnings.warn("no pixel of the depth is known: the boxes use class sizes instead", stacklevel=3)
     known = depth[::8, ::8]
     known = known[np.isfinite(known) & (known > 0)]
-    if depth.size and not (np.isfinite(depth) & (depth > 0)).any():
-        warnings.warn("no pixel of the depth is known: boxes follow from their classes' sizes", stacklevel=3)
-    if len(known) and np.median(known) > _FARTHEST:
+    if len(known) and np.median(known) > _MAX_MEDIAN_DEPTH:
         warnings.warn(
-            f"half of the depth is beyond {_FARTHEST:.0f} m: is it in millimeters? meters are needed",
+            f"half of the depth is beyond {_MAX_MEDIAN_DEPTH:.0f} m: give meters, not millimeters",
             stacklevel=3,
         )
 
 
 def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.ndarray:
-    """Relative depth error ``(N,)`` of objects by the shorter side of their 2D boxes; see BoxLifter."""
+    """Relative depth error ``(N,)`` by the shorter side of 2D boxes ``(N, 4)``; see :class:`BoxLifter`."""
     side = np.minimum(xyxy[:, 2] - xyxy[:, 0], xyxy[:, 3] - xyxy[:, 1])
-    share = np.log(LARGE / np.clip(side, SMALL / 2, LARGE)) / np.log(LARGE / SMALL)
+    share = np.log(LARGE_SIDE / np.clip(side, SMALL_SIDE / 2, LARGE_SIDE)) / np.log(LARGE_SIDE / SMALL_SIDE)
     return np.asarray(np.minimum(large * ((small or large) / large) ** share, 0.5 if small else 1.0))
 
 
-def _use_fallbacks(raw: RawBoxes, known: Known, method: str) -> RawBoxes:
-    """Replace what a method cannot know: nothing seen -> no depth; unknown class -> the points' extents."""
-    seen = known.found.count >= 1
-    unknown = np.array([prior is None for prior in known.priors])
+def _use_fallbacks(raw: RawBoxes, evidence: ObjectEvidence, method: str) -> RawBoxes:
+    """Use no_depth's boxes for objects without pixels, and lshape's for objects of unknown classes."""
+    seen = evidence.foreground.count >= 1
+    unknown = np.array([prior is None for prior in evidence.priors])
     if method != "no_depth" and not seen.all():
-        blind = fitted_boxes(replace(known, found=known.found.without_points()))
+        blind = fitted_boxes(replace(evidence, foreground=evidence.foreground.without_points()))
         raw = raw.where(~seen, blind)
     if method == "refine" and (unknown & seen).any():
-        raw = raw.where(unknown & seen, lshape_boxes(known))
+        raw = raw.where(unknown & seen, lshape_boxes(evidence))
     return raw

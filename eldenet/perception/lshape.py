@@ -1,10 +1,8 @@
-"""Heading of an object from the two sides that are seen: search-based L-shape fitting, and boxes on it.
+"""Heading of an object from its two visible sides: search-based L-shape fitting.
 
 Zhang, Xu, Dong, Dolan, "Efficient L-Shape Fitting for Vehicle Detection Using Laser Scanners", IV 2017: of
-all rectangles around the points, the one whose edges the points are closest to.
+all rectangles around the points, choose the one whose edges are closest to the points.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,38 +10,32 @@ _ANGLES = np.arange(45) * np.pi / 90  # a rectangle is the same after a quarter 
 _CHUNK = 32  # objects at once: a few MB
 
 
-class Extents(NamedTuple):
-    """Points in the axes of a box: ``(N,)`` each, along the length (u) and the width (v) [m]."""
-
-    low_u: np.ndarray
-    high_u: np.ndarray
-    low_v: np.ndarray
-    high_v: np.ndarray
-
-
-def to_axes(x: np.ndarray, z: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates along a box's length and width of ground points."""
+def to_axes(ground: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Coordinates ``(..., 2)`` along the length (u) and width (v) of a box of ground points (x, z)."""
     c, s = np.cos(yaw), np.sin(yaw)
-    return x * c - z * s, x * s + z * c
+    x, z = ground[..., 0], ground[..., 1]
+    return np.stack([x * c - z * s, x * s + z * c], axis=-1)
 
 
-def from_axes(u: np.ndarray, v: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The other way round."""
+def from_axes(axes: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Ground points (x, z) ``(..., 2)`` of coordinates along the length (u) and width (v) of a box."""
     c, s = np.cos(yaw), np.sin(yaw)
-    return u * c + v * s, -u * s + v * c
+    u, v = axes[..., 0], axes[..., 1]
+    return np.stack([u * c + v * s, -u * s + v * c], axis=-1)
 
 
-def extents(points: np.ndarray, weight: np.ndarray, yaw: np.ndarray) -> Extents:
-    """Extents of ``points (N, P, 3)`` with ``weight (N, P)`` along boxes of ``yaw (N,)``."""
-    u, v = to_axes(points[..., 0], points[..., 2], yaw[:, None])
-    gone = weight <= 0
-    low = [np.where(gone, np.inf, value).min(1) for value in (u, v)]
-    high = [np.where(gone, -np.inf, value).max(1) for value in (u, v)]
-    return Extents(low[0], high[0], low[1], high[1])
+def extents(points: np.ndarray, weight: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (u, v) ``(N, 2)`` [m] of ``points (N, P, 3)`` in the axes of boxes of ``yaw (N,)``.
+
+    Points with ``weight (N, P)`` 0 are padding.
+    """
+    axes = to_axes(points[..., [0, 2]], yaw[:, None])
+    padding = (weight <= 0)[..., None]
+    return np.where(padding, np.inf, axes).min(1), np.where(padding, -np.inf, axes).max(1)
 
 
 def closeness_yaw(points: np.ndarray, weight: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    """Yaw ``(N,)`` in [0, pi/2) of the rectangle that the points hug.
+    """Yaw ``(N,)`` in [0, pi/2) of the rectangle whose edges are closest to the points.
 
     Args:
         points: ``(N, P, 3)`` level points [m].
@@ -53,31 +45,26 @@ def closeness_yaw(points: np.ndarray, weight: np.ndarray, tolerance: np.ndarray)
     yaw = np.zeros(len(points))
     for first in range(0, len(points), _CHUNK):
         part = slice(first, first + _CHUNK)
-        u, v = to_axes(points[part, None, :, 0], points[part, None, :, 2], _ANGLES[None, :, None])
-        use = weight[part, None, :] > 0
-        gap = [_to_nearest_edge(value, use) for value in (u, v)]
-        gap_to = np.maximum(np.minimum(gap[0], gap[1]), tolerance[part, None, None])
-        score = (use / gap_to).sum(-1)
+        axes = to_axes(points[part, None][..., [0, 2]], _ANGLES[None, :, None])  # (n, angles, P, 2)
+        use = (weight[part] > 0)[:, None, :]
+        low = np.where(use[..., None], axes, np.inf).min(-2, keepdims=True)
+        high = np.where(use[..., None], axes, -np.inf).max(-2, keepdims=True)
+        gap = np.minimum(axes - low, high - axes).min(-1)
+        score = (use / np.maximum(gap, tolerance[part, None, None])).sum(-1)
         yaw[part] = _ANGLES[score.argmax(1)]
     return yaw
 
 
-def _to_nearest_edge(value: np.ndarray, use: np.ndarray) -> np.ndarray:
-    low = np.where(use, value, np.inf).min(-1, keepdims=True)
-    high = np.where(use, value, -np.inf).max(-1, keepdims=True)
-    return np.asarray(np.minimum(value - low, high - value))
+def length_axis(found: tuple[np.ndarray, np.ndarray], yaw: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Yaw ``(N,)``, or a quarter turn more where the class's length and width then fit the extents better.
 
-
-def length_axis(found: Extents, yaw: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Yaw ``(N,)`` or a quarter turn more, whichever lets the prior's length and width fit what is seen.
-
-    A side that is seen face-on shows its whole length; one that is longer than the prior's does not fit.
+    A side that faces the camera shows its whole length; a side longer than the class's does not fit.
     """
-    seen = np.stack([found.high_u - found.low_u, found.high_v - found.low_v], axis=1)
-    middle = from_axes((found.low_u + found.high_u) / 2, (found.low_v + found.high_v) / 2, yaw)
-    ray = np.stack(middle, axis=1) / np.maximum(np.hypot(*middle), 1e-9)[:, None]
-    along, across = to_axes(ray[:, 0], ray[:, 1], yaw)
-    facing = np.abs(np.stack([across, along], axis=1))  # of the side that shows the extent along u, along v
+    low, high = found
+    seen = high - low
+    middle = from_axes((low + high) / 2, yaw)
+    ray = middle / np.maximum(np.hypot(middle[:, 0], middle[:, 1]), 1e-9)[:, None]
+    facing = np.abs(to_axes(ray, yaw)[:, ::-1])  # the sides that show the extents along u and v
 
     def misfit(wanted: np.ndarray) -> np.ndarray:
         excess, lack = np.maximum(seen - wanted, 0), np.maximum(wanted - seen, 0)
@@ -87,15 +74,10 @@ def length_axis(found: Extents, yaw: np.ndarray, size: np.ndarray) -> np.ndarray
     return np.where(turned, yaw + np.pi / 2, yaw)
 
 
-def anchored(found: Extents, yaw: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Center ``(N,)`` x and z of boxes of ``size (N, 3)`` that touch the points with their seen sides."""
-    centers = []
-    for low, high, extent in (
-        (found.low_u, found.high_u, size[:, 0]),
-        (found.low_v, found.high_v, size[:, 1]),
-    ):
-        # A side is an anchor where the origin lies beyond it; seen end on, the points' own middle is better.
-        centers.append(
-            np.where(low > 0, low + extent / 2, np.where(high < 0, high - extent / 2, (low + high) / 2))
-        )
-    return from_axes(centers[0], centers[1], yaw)
+def anchored(found: tuple[np.ndarray, np.ndarray], yaw: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Center (x, z) ``(N, 2)`` of boxes of ``size (N, 3)`` whose visible sides touch the points."""
+    low, high = found
+    half = size[:, :2] / 2
+    # a side is an anchor where the origin lies beyond it; else the points' own middle is better
+    middle = np.where(low > 0, low + half, np.where(high < 0, high - half, (low + high) / 2))
+    return from_axes(middle, yaw)

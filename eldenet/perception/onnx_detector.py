@@ -1,11 +1,10 @@
 """Detectors as ONNX files, run by ONNX Runtime: YOLOv8-style and YOLOv9 exports, YOLOX, FastestDet.
 
-The file is data: nothing in it is executed but its graph. What each layout means was read from the exporters'
-documentation; the decoding is our own.
+Only the graph in the file is executed. The layouts follow the exporters' documentation; the decoding is our
+own.
 """
 
 import ast
-import json
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,20 +13,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.data.paths import one_of
 from eldenet.perception.detectors import COCO_NAMES, check_frame
-from eldenet.perception.postprocess import fit_picture, in_frame
+from eldenet.perception.postprocess import fit_image, select_boxes
+from eldenet.system.checks import one_of
 
 _STRIDES = (8, 16, 32)
 _INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters
 
 
 class Layout(NamedTuple):
-    """How a family of exports wants its picture and gives its boxes.
+    """Input and output format of a family of exports.
 
     Attributes:
-        letterbox: "topleft" or "center" (aspect kept, padded), or "stretch".
-        bgr: color order of the input.
+        letterbox: "topleft" or "center" (aspect ratio kept, padded), or "stretch".
+        bgr: the color order of the input is BGR.
         scale: factor on 0-255.
         decode: output ``(...)`` and input ``(height, width)`` -> xyxy ``(N, 4)`` [input px], scores
             ``(N, classes)``.
@@ -39,9 +38,10 @@ class Layout(NamedTuple):
     decode: Callable[[np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]
 
 
-def _corners(boxes: np.ndarray) -> np.ndarray:
-    """cx, cy, w, h -> xyxy."""
-    return np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+def _center_to_corners(boxes: np.ndarray) -> np.ndarray:
+    """Convert cx, cy, w, h to xyxy."""
+    center, half = boxes[:, :2], boxes[:, 2:] / 2
+    return np.concatenate([center - half, center + half], axis=1)
 
 
 def _yolox(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -54,16 +54,16 @@ def _yolox(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.nd
     grid, step = np.concatenate(cells), np.concatenate(strides)
     raw = output[0].astype(np.float64)
     boxes = np.concatenate([(raw[:, :2] + grid) * step, np.exp(np.minimum(raw[:, 2:4], 20)) * step], axis=1)
-    return _corners(boxes), raw[:, 4:5] * raw[:, 5:]
+    return _center_to_corners(boxes), raw[:, 4:5] * raw[:, 5:]
 
 
 def _yolov8(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """``(1, 4 + classes, N)``: cx, cy, w, h in pixels."""
     raw = output[0].T.astype(np.float64)
-    return _corners(raw[:, :4]), raw[:, 4:]
+    return _center_to_corners(raw[:, :4]), raw[:, 4:]
 
 
-def _corners_first(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _yolov9(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """``(1, 4 + classes, N)``: xyxy in pixels."""
     raw = output[0].T.astype(np.float64)
     return raw[:, :4], raw[:, 4:]
@@ -78,11 +78,11 @@ def _fastestdet(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, 
     wide, tall = (1 / (1 + np.exp(-raw[k])) * side for k, side in ((3, size[1]), (4, size[0])))
     boxes = np.stack([x, y, wide, tall], axis=-1).reshape(-1, 4)
     score = np.maximum(raw[0], 0) ** 0.6 * np.maximum(raw[5:], 0) ** 0.4
-    return _corners(boxes), score.reshape(len(score), -1).T
+    return _center_to_corners(boxes), score.reshape(len(score), -1).T
 
 
-def _finished(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """``(1, K, 6)``: xyxy, score, class: NMS is in the graph."""
+def _with_nms(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """``(1, K, 6)``: xyxy, score, class; the graph includes NMS."""
     raw = output[0].astype(np.float64)
     score = np.zeros((len(raw), int(raw[:, 5].max(initial=0)) + 1))
     score[np.arange(len(raw)), raw[:, 5].astype(int)] = raw[:, 4]
@@ -91,10 +91,10 @@ def _finished(output: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np
 
 LAYOUTS = {
     "yolov8": Layout("center", False, 1 / 255, _yolov8),
-    "yolov9": Layout("topleft", False, 1 / 255, _corners_first),
+    "yolov9": Layout("topleft", False, 1 / 255, _yolov9),
     "yolox": Layout("topleft", True, 1.0, _yolox),
     "fastestdet": Layout("stretch", True, 1 / 255, _fastestdet),
-    "nms": Layout("center", False, 1 / 255, _finished),
+    "nms": Layout("center", False, 1 / 255, _with_nms),
 }
 
 
@@ -103,28 +103,28 @@ class OnnxDetector:
 
     Layouts: "yolov8" (also the original YOLOv9's export: center boxes, padded on all sides), "yolov9"
     (libreyolo's: corner boxes, padded right and below), "yolox", "fastestdet", "nms" (NMS in the graph).
-    "auto" tells them by the output's shape and the file's metadata.
+    "auto" chooses by the output's shape and the file's metadata.
 
     Args:
         path: of the file.
         layout: see above.
-        letterbox: "topleft", "center" or "stretch"; None: the layout's (or the file's ``letterbox_pad``).
-        names: of the classes; None: the file's, or COCO's where there are 80.
-        input_size: ``(height, width)``; None: the file's. Needed where the file leaves it open.
+        letterbox: "topleft", "center" or "stretch"; None: the file's ``letterbox_pad``, or the layout's.
+        names: of the classes; None: the file's, or COCO's if there are 80.
+        input_size: ``(height, width)``; needed if the file leaves it open; None: the file's.
         threshold: detections below this score are dropped.
-        nms: of two boxes of one class that overlap by this IoU, the better is kept.
-        between_classes: the same of two boxes of different classes; 1: both are kept.
+        nms: IoU from which the worse of two boxes of a class is dropped.
+        between_classes: the same for two boxes of different classes; 1: keep both.
         keep: names of the classes to keep; None: all.
-        box_style: how its boxes lie around objects.
+        box_style: how its boxes enclose objects.
         threads: of ONNX Runtime; 0: its own choice.
-        providers: of ONNX Runtime, the wanted one first; where it cannot start, the next one there is.
+        providers: of ONNX Runtime, in order of preference.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: no ONNX file, a layout that is not known, a number out of range, or no provider to be had.
+        FileNotFoundError: the file does not exist.
+        ValueError: not an ONNX file, an unknown layout, a number out of range, or no provider is available.
 
     Warns:
-        UserWarning: the first provider does not run, another one does; or the file is under the AGPL.
+        UserWarning: the first provider does not run, but another one does; or the file is under the AGPL.
     """
 
     def __init__(
@@ -148,47 +148,45 @@ class OnnxDetector:
             if not 0 <= share <= 1:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         if threads < 0:
-            raise ValueError(f"threads={threads}: give their number, or 0 for ONNX Runtime's own choice")
-        path = Path(path).expanduser()
+            raise ValueError(f"threads={threads}: give a number above 0, or 0 for ONNX Runtime's own choice")
+        self.path = path = Path(path).expanduser()
         self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
         _warn_of_license(path, metadata)
-        given = self.session.get_inputs()[0]
-        if given.type not in _INPUTS:
-            raise ValueError(f"{path}: input of {given.type}, a detector takes {' or '.join(_INPUTS)}")
-        self.input_name, self.input_type = given.name, _INPUTS[given.type]
-        self.input_size = _input_size(given.shape, input_size, path)
-        self.layout_name = self._sniff(path, metadata) if layout == "auto" else layout
+        node = self.session.get_inputs()[0]
+        if node.type not in _INPUTS:
+            raise ValueError(f"{path} takes {node.type}: give a detector that takes {' or '.join(_INPUTS)}")
+        self.input_name, self.input_type = node.name, _INPUTS[node.type]
+        self.input_size = _input_size(node.shape, input_size, path)
+        self.layout_name = self._detect_layout(path, metadata) if layout == "auto" else layout
         self.layout = LAYOUTS[self.layout_name]
         self.letterbox = letterbox or metadata.get("letterbox_pad") or self.layout.letterbox
         one_of("letterbox", self.letterbox, ("topleft", "center", "stretch"))
         self.names = self._names(names, metadata, path)
         self.threshold, self.nms, self.between_classes = threshold, nms, between_classes
         self.keep, self.box_style = keep, box_style
-        if keep is not None and not set(keep) <= set(self.names):
-            raise ValueError(
-                f"keep={list(keep)}: {sorted(set(keep) - set(self.names))} are none of {path}'s classes"
-            )
+        unknown = sorted(set(keep or ()) - set(self.names))
+        if unknown:
+            raise ValueError(f"keep={list(keep or ())}: {path} has no {unknown}, only {list(self.names)}")
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
         """Find objects in ``(H, W, 3)`` uint8 RGB."""
         check_frame(frame)
-        picture, scale, shift = fit_picture(frame, self.input_size, self.letterbox)
+        fitted, placement = fit_image(frame, self.input_size, self.letterbox)
         if self.layout.bgr:
-            picture = picture[..., ::-1]
-        tensor = np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32) * np.float32(
-            self.layout.scale
-        )
+            fitted = fitted[..., ::-1]
+        tensor = np.ascontiguousarray(fitted.transpose(2, 0, 1)[None], np.float32)
+        tensor *= np.float32(self.layout.scale)
         output = self.session.run(None, {self.input_name: tensor.astype(self.input_type, copy=False)})[0]
         xyxy, score = self.layout.decode(output, self.input_size)
         wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
-        xyxy, best, label = in_frame(
-            xyxy, score, scale, shift, frame.shape[:2], threshold=self.threshold, nms=self.nms,
+        xyxy, best, label = select_boxes(
+            xyxy, score, placement, threshold=self.threshold, nms=self.nms,
             between_classes=self.between_classes, keep=wanted,
         )  # fmt: skip
         return Detections2D(xyxy, best, label, self.names, self.box_style)
 
-    def _sniff(self, path: Path, metadata: dict[str, str]) -> str:
+    def _detect_layout(self, path: Path, metadata: dict[str, str]) -> str:
         """Layout by the shape of the first output."""
         output = self.session.get_outputs()[0].shape
         shape = [side if isinstance(side, int) else None for side in output]
@@ -201,12 +199,11 @@ class OnnxDetector:
                 return "nms"
             if shape[1] == anchors and (shape[2] or 0) > 5:
                 return "yolox"
-            channels_first = shape[2] == anchors or (shape[2] is None and (shape[1] or 0) > 4)
-            if channels_first:
+            if shape[2] == anchors or (shape[2] is None and (shape[1] or 0) > 4):
                 return "yolov9" if metadata.get("letterbox_pad") == "topleft" else "yolov8"
         raise ValueError(
-            f"{path}: output of shape {output} for an input of {height} x {width} fits no layout known: give "
-            f"layout= one of {', '.join(LAYOUTS)}"
+            f"{path}: no layout has an output of {output} for an input of {height} x {width}: give layout=, "
+            f"one of {', '.join(LAYOUTS)}"
         )
 
     def _names(self, names: Sequence[str] | None, metadata: dict[str, str], path: Path) -> tuple[str, ...]:
@@ -218,9 +215,9 @@ class OnnxDetector:
         if found is None and count in (None, len(COCO_NAMES)):
             found = COCO_NAMES
         if found is None:
-            raise ValueError(f"{path} has {count} classes and does not name them: give names=[...]")
+            raise ValueError(f"{path} does not name its {count} classes: give names=[...]")
         if count is not None and len(found) != count:
-            raise ValueError(f"{path} has {count} classes, but {len(found)} names")
+            raise ValueError(f"{path} has {count} classes, but {len(found)} names: give names=[...] for all")
         return found
 
 
@@ -234,21 +231,21 @@ def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
-    there = onnxruntime.get_available_providers()
-    usable = [name for name in providers if name in there]
+    available = onnxruntime.get_available_providers()
+    usable = [name for name in providers if name in available]
     if not usable:
         raise ValueError(
-            f"providers={providers}: this ONNX Runtime has {', '.join(there)}; give a list of some, the "
-            "wanted one first (CUDA's needs onnxruntime-gpu)"
+            f"providers={providers}: this ONNX Runtime has {', '.join(available)}; give a list of some "
+            "(CUDAExecutionProvider needs onnxruntime-gpu)"
         )
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=usable)
     except Exception as error:  # its exceptions share no base class
-        raise ValueError(f"{path} is no ONNX file that this ONNX Runtime can run: {error}") from error
-    runs = session.get_providers()[0]
-    if runs != providers[0]:  # it falls back without a word
+        raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
+    active = session.get_providers()[0]
+    if active != providers[0]:  # it falls back silently
         warnings.warn(
-            f"{path} runs by {runs}: {providers[0]} is not installed, or cannot start on this machine",
+            f"{path} runs on {active}: {providers[0]} is not installed, or cannot start on this machine",
             stacklevel=3,
         )
     return session
@@ -256,29 +253,22 @@ def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
 
 def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:
     if len(shape) != 4 or (shape[1] not in (3, None) and not isinstance(shape[1], str)):
-        raise ValueError(f"{path}: input of shape {shape}, a detector takes (1, 3, height, width)")
-    fixed = shape[2:]
-    if all(isinstance(side, int) for side in fixed):
-        if wanted is not None and tuple(wanted) != tuple(fixed):
-            raise ValueError(f"input_size={list(wanted)}, but {path} is made for {fixed}")
-        return int(fixed[0]), int(fixed[1])
-    if wanted is None:
+        raise ValueError(f"{path} takes {shape}: give a detector that takes (1, 3, height, width)")
+    fixed = all(isinstance(side, int) for side in shape[2:])
+    if wanted is None and not fixed:
         raise ValueError(f"{path} leaves its input size open: give input_size=[height, width]")
-    return int(wanted[0]), int(wanted[1])
+    height, width = wanted or shape[2:]
+    if fixed and [height, width] != shape[2:]:
+        raise ValueError(f"input_size={[height, width]}, but {path} has a fixed input of {shape[2:]}")
+    return int(height), int(width)
 
 
 def _names_in(metadata: dict[str, str]) -> tuple[str, ...] | None:
     """Class names as exporters store them: JSON or a Python literal, a list or a dict by number."""
-    text = metadata.get("names")
-    if not text:
-        return None
     try:
-        stored = json.loads(text)
-    except ValueError:
-        try:
-            stored = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            return None
+        stored = ast.literal_eval(metadata.get("names", ""))  # reads such JSON too
+    except (ValueError, SyntaxError):
+        return None
     if isinstance(stored, dict):
         stored = [stored[key] for key in sorted(stored, key=int)]
     return tuple(str(name) for name in stored)
@@ -288,7 +278,7 @@ def _warn_of_license(path: Path, metadata: dict[str, str]) -> None:
     text = " ".join(metadata.values())
     if "AGPL" in text or "GPL" in metadata.get("license", ""):
         warnings.warn(
-            f"{path} says it is under {metadata.get('license', 'the AGPL')}: its terms may reach to "
-            "whatever uses it, networks included",
+            f"{path} is under {metadata.get('license', 'the AGPL')}, whose terms may extend to software and "
+            "networks that use it",
             stacklevel=3,
         )

@@ -1,4 +1,4 @@
-"""The whole chain: a picture in; depth, detections, boxes and how long each took, out."""
+"""The whole pipeline: from an image to depth, detections and 3D boxes, with the time that each stage took."""
 
 import time
 from collections.abc import Callable
@@ -21,15 +21,15 @@ STAGES = ("depth", "detect", "lift", "track")
 
 @dataclass(frozen=True)
 class Scene:
-    """What was seen in one picture.
+    """The results for one image.
 
     Attributes:
         image: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m].
         detections: of the detector.
-        boxes: in the camera's level frame; with a tracker, its own.
-        camera: of the picture.
-        seconds: that each stage took.
+        boxes: in the camera's level frame; with a tracker, its tracks.
+        camera: of the image.
+        seconds: time that each stage took.
     """
 
     image: np.ndarray
@@ -43,22 +43,22 @@ class Scene:
     def xyxy(self) -> np.ndarray:
         """``(N, 4)`` 2D box of every 3D box [px]: its detection, or with a tracker its projection.
 
-        NaN for a track of which nothing is in the picture.
+        NaN for a track outside the image.
         """
-        if self.boxes.velocity is None:  # no tracker's boxes (a detector may number its objects itself)
+        if self.boxes.velocity is None:  # not from a tracker
             return self.detections.xyxy
         return self.boxes.project(self.camera, self.depth.shape)
 
     @property
     def bev_size(self) -> tuple[int, int]:
-        """(height, width) of the view from above that :meth:`picture` draws [px]."""
+        """(height, width) of the bird's-eye view that :meth:`picture` draws [px]."""
         tall = max(self.depth.shape[0], 240)
         return tall, max(200, round(tall * 0.9))
 
     def picture(self, reach: float | None = None) -> np.ndarray:
-        """Boxes in the photo, beside the view from above: ``(h, w, 3)`` uint8 RGB.
+        """Draw the boxes in the image, beside a bird's-eye view: ``(h, w, 3)`` uint8 RGB.
 
-        ``reach`` is the depth at that view's upper edge [m]; None: so that every box is in it.
+        ``reach`` is the depth at the upper edge of that view [m]; None: it shows every box.
         """
         width = self.depth.shape[1]
         heading_known = self.boxes.quality.get("heading", np.zeros(len(self.boxes))) == 1
@@ -67,19 +67,19 @@ class Scene:
         return picture_beside_bev(drawn, panel)
 
     def write_kitti(self, path: str | Path) -> None:
-        """Boxes as a KITTI result file, along the camera's axes; those out of the picture are left out."""
+        """Write the boxes inside the image as a KITTI result file, along the camera's axes."""
         xyxy = self.xyxy
         seen = np.isfinite(xyxy).all(1)
         write_labels(Path(path), to_labels(self.boxes.select(seen), xyxy[seen], self.camera.rotation))
 
     def log_to_rerun(self, path: str = "world") -> None:
-        """Send the scene to a rerun viewer (``pip install rerun-sdk``; ``rerun.init`` is the caller's)."""
+        """Send the scene to a rerun viewer (``pip install rerun-sdk``); call ``rerun.init`` before."""
         import rerun as rr
 
         height, width = self.depth.shape
         rr.log(path, rr.ViewCoordinates.RDF, static=True)
-        pose = {"translation": self.camera.translation, "mat3x3": self.camera.rotation}
-        rr.log(f"{path}/camera", rr.Transform3D(**pose))
+        pose = rr.Transform3D(translation=self.camera.translation, mat3x3=self.camera.rotation)
+        rr.log(f"{path}/camera", pose)
         pinhole = rr.Pinhole(image_from_camera=self.camera.intrinsics, width=width, height=height)
         rr.log(f"{path}/camera", pinhole)
         rr.log(f"{path}/camera/image", rr.Image(self.image))
@@ -98,17 +98,17 @@ class Perception:
     """``perception(image) -> Scene``.
 
     Args:
-        depth_model: frame ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.deploy.predictor.DepthPredictor`.
+        depth_model: image ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
+            :class:`eldenet.deploy.predictor.DepthPredictor`; None: every call gives the depth.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
-        camera: of the pictures.
-        tracker: gives identity and velocity over a video; None: every picture for itself.
+        camera: of the images.
+        tracker: gives the boxes of a video identities and velocities; None: each image on its own.
     """
 
     def __init__(
         self,
-        depth_model: Callable[[np.ndarray], np.ndarray],
+        depth_model: Callable[[np.ndarray], np.ndarray] | None,
         detector: Detector,
         lifter: BoxLifter,
         camera: PinholeCamera,
@@ -121,24 +121,27 @@ class Perception:
     def __call__(
         self, image: np.ndarray, *, depth: np.ndarray | None = None, seconds: float = 1 / 30
     ) -> Scene:
-        """Look at one picture.
+        """Perceive one image.
 
         Args:
             image: ``(H, W, 3)`` uint8 RGB.
-            depth: where it is known already [m]; the depth model is not asked then.
-            seconds: since the picture before, for the tracker.
+            depth: ``(H, W)`` [m], if already known; else the depth model predicts it.
+            seconds: since the previous image, for the tracker.
 
         Raises:
-            ValueError: the picture is none, or its depth has another size.
+            ValueError: the image is not uint8 RGB, or depth or intrinsics do not fit it.
         """
         check_frame(image)
         check_intrinsics(self.camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
-        depth = self.depth_model(image) if depth is None else depth
+        if depth is None:
+            if self.depth_model is None:
+                raise ValueError("Perception has no depth model: give depth=")
+            depth = self.depth_model(image)
         clock.append(time.perf_counter())
         if depth.shape != image.shape[:2]:
             raise ValueError(
-                f"depth is {depth.shape}, the picture {image.shape[:2]}: both must have one size"
+                f"depth of {depth.shape}, but an image of {image.shape[:2]}: give both in one size"
             )
         detections = self.detector(image)
         clock.append(time.perf_counter())

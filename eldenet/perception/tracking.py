@@ -1,7 +1,7 @@
-"""Boxes over time: which is which, how fast it moves, and, where the camera stands still, its front.
+"""Boxes over time: identities, velocities and, for a camera that stands still, headings.
 
-A constant-velocity Kalman filter per object and an optimal assignment per frame, in the spirit of Weng et
-al., "3D Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
+A constant-velocity Kalman filter per object and an optimal assignment per frame, following Weng et al., "3D
+Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ from eldenet.boxes import Boxes3D
 
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
 _MEASURED = 7
-_FAR = 1e6  # cost of a pair that may not be
-_MOVING = 1.0  # [m/s]: slower things may be noise
+_FORBIDDEN = 1e6  # cost of a pair that must not be assigned
+_MOVING = 1.0  # [m/s]: a lower speed may be noise
 
 
 @dataclass
@@ -22,14 +22,14 @@ class Track:
 
     Attributes:
         number: its identity.
-        name: of its class; frames may number their classes differently.
+        name: of its class; labels may differ between frames.
         mean: ``(10,)`` x, y, z [m], yaw [rad], length, width, height [m], velocity [m/s].
         covariance: ``(10, 10)``.
         score: of the last detection.
-        hits: frames in which it was seen.
-        missed: frames since it was seen.
+        hits: frames in which it was detected.
+        missed: frames since then.
         quality: of the last detection.
-        heading_known: its motion has told its front from its back.
+        heading_known: its motion has shown where its front is.
     """
 
     number: int
@@ -46,19 +46,19 @@ class Track:
 class BoxTracker:
     """``tracker(boxes, seconds) -> Boxes3D`` with identities and velocities.
 
-    Velocities are relative to the frame of the boxes: from a moving camera, a parked car comes closer. Only
-    where that frame stands still (``still_camera``) do things drive where their velocity points; their yaw
-    then points along it, which settles front and back, and ``quality["heading"]`` is 1.
+    Velocities are relative to the frame of the boxes: from a moving camera, a parked car approaches. Only
+    if that frame stands still (``still_camera``) do objects drive where their velocity points; their yaw then
+    points along it, which tells front from back, and ``quality["heading"]`` is 1.
 
     Args:
-        gate: farthest that a box may be from where its track expects it [m].
-        births: frames in which a new object must be seen before it is reported (all may be in the first
+        max_distance: from a detection to the predicted center of its track [m].
+        min_hits: frames in which a new object must be detected before it is reported (except in the first
             frames).
-        deaths: frames in a row after which an unseen object is given up.
+        max_age: frames in a row without a detection after which a track is deleted.
         position_sigma: of a measured center at 10 m [m]; it grows with distance.
         acceleration: of the objects, standard deviation [m/s2].
-        report_unseen: also report objects that this frame's detector missed.
-        still_camera: the boxes' frame stands still. False: yaw stays known modulo pi.
+        report_unseen: also report tracks that have no detection in this frame.
+        still_camera: the frame of the boxes stands still. False: yaw stays known modulo pi.
 
     Raises:
         ValueError: a number out of range.
@@ -67,46 +67,47 @@ class BoxTracker:
     def __init__(
         self,
         *,
-        gate: float = 3.0,
-        births: int = 2,
-        deaths: int = 5,
+        max_distance: float = 3.0,
+        min_hits: int = 2,
+        max_age: int = 5,
         position_sigma: float = 0.3,
         acceleration: float = 2.0,
         report_unseen: bool = False,
         still_camera: bool = False,
     ) -> None:
-        if gate <= 0 or births < 1 or deaths < 1 or position_sigma <= 0 or acceleration <= 0:
-            raise ValueError("gate, births, deaths, position_sigma and acceleration must be above 0")
-        self.gate, self.births, self.deaths = gate, births, deaths
-        self.position_sigma, self.acceleration, self.report_unseen = (
-            position_sigma,
-            acceleration,
-            report_unseen,
-        )
-        self.still_camera = still_camera
+        settings = {
+            "max_distance": max_distance, "min_hits": min_hits, "max_age": max_age,
+            "position_sigma": position_sigma, "acceleration": acceleration,
+        }  # fmt: skip
+        for name, value in settings.items():
+            if value <= 0:
+                raise ValueError(f"{name}={value}: give a number above 0")
+        self.max_distance, self.min_hits, self.max_age = max_distance, min_hits, max_age
+        self.position_sigma, self.acceleration = position_sigma, acceleration
+        self.report_unseen, self.still_camera = report_unseen, still_camera
         self.tracks: list[Track] = []
-        self._next = 0
+        self._last_number = 0
         self._frames = 0
 
     def __call__(self, boxes: Boxes3D, seconds: float) -> Boxes3D:
-        """Add a frame that was taken ``seconds`` after the one before.
+        """Add the boxes of a frame, taken ``seconds`` after the previous one.
 
         Raises:
-            ValueError: time does not go forward.
+            ValueError: ``seconds`` is not above 0.
         """
         if seconds <= 0:
-            raise ValueError(f"seconds={seconds}: give the time since the frame before, above 0")
+            raise ValueError(f"seconds={seconds}: give the time since the previous frame, above 0")
         self._frames += 1
         for track in self.tracks:
             self._predict(track, seconds)
-        rows, columns = self._assign(boxes)
-        for row, column in zip(rows, columns, strict=True):
+            track.missed += 1
+        unassigned = set(range(len(boxes)))
+        for row, column in self._assign(boxes):
             self._update(self.tracks[row], boxes, column)
-        for row in set(range(len(self.tracks))) - set(rows):
-            self.tracks[row].missed += 1
-        for column in sorted(set(range(len(boxes))) - set(columns)):
+            unassigned.remove(column)
+        for column in sorted(unassigned):
             self.tracks.append(self._begin(boxes, column))
-        self.tracks = [track for track in self.tracks if track.missed < self.deaths]
+        self.tracks = [track for track in self.tracks if track.missed < self.max_age]
         return self._report(boxes)
 
     def _predict(self, track: Track, seconds: float) -> None:
@@ -120,22 +121,21 @@ class BoxTracker:
         track.mean = move @ track.mean
         track.covariance = move @ track.covariance @ move.T + noise
 
-    def _assign(self, boxes: Boxes3D) -> tuple[list[int], list[int]]:
-        """Pairs of tracks and boxes of one class whose centers are nearest, in total."""
+    def _assign(self, boxes: Boxes3D) -> list[tuple[int, int]]:
+        """Index pairs of tracks and boxes of one class with the least total distance."""
         from scipy.optimize import linear_sum_assignment
 
         if not self.tracks or not len(boxes):
-            return [], []
+            return []
         expected = np.stack([track.mean[:3] for track in self.tracks])
         cost = np.linalg.norm(expected[:, None, [0, 2]] - boxes.center[None][:, :, [0, 2]], axis=-1)
         same = np.array([track.name for track in self.tracks])[:, None] == np.array(boxes.classes)[None]
-        # an object is as uncertain as its track says: a young one has no velocity yet
-        reach = self.gate + np.sqrt(
-            [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
-        )
-        cost = np.where(same & (cost < reach[:, None]), cost, _FAR)
-        pairs = [(r, c) for r, c in zip(*linear_sum_assignment(cost), strict=True) if cost[r, c] < _FAR]
-        return [int(row) for row, _ in pairs], [int(column) for _, column in pairs]
+        # the reach grows with the track's uncertainty: a new track has no velocity yet
+        variance = [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
+        reach = self.max_distance + np.sqrt(variance)
+        cost = np.where(same & (cost < reach[:, None]), cost, _FORBIDDEN)
+        pairs = np.stack(linear_sum_assignment(cost), axis=1).tolist()
+        return [(row, column) for row, column in pairs if cost[row, column] < _FORBIDDEN]
 
     def _noise(self, distance: float) -> np.ndarray:
         position = self.position_sigma * max(distance, 3.0) / 10
@@ -144,7 +144,7 @@ class BoxTracker:
     def _update(self, track: Track, boxes: Boxes3D, index: int) -> None:
         measured = np.array([*boxes.center[index], boxes.yaw[index], *boxes.size[index]])
         turn = measured[3] - track.mean[3]
-        measured[3] = track.mean[3] + (turn + np.pi / 2) % np.pi - np.pi / 2  # front and back look alike
+        measured[3] = track.mean[3] + (turn + np.pi / 2) % np.pi - np.pi / 2  # yaw is known modulo pi
         noise = self._noise(float(np.linalg.norm(boxes.center[index])))
         gain = track.covariance[:, :_MEASURED] @ np.linalg.inv(
             track.covariance[:_MEASURED, :_MEASURED] + noise
@@ -153,7 +153,7 @@ class BoxTracker:
         track.covariance = track.covariance - gain @ track.covariance[:_MEASURED]
         if self.still_camera and np.hypot(*track.mean[[7, 9]]) > _MOVING:
             along = np.array([np.cos(track.mean[3]), -np.sin(track.mean[3])]) @ track.mean[[7, 9]]
-            track.mean[3] += np.pi * (along < 0)  # things drive forwards
+            track.mean[3] += np.pi * (along < 0)  # objects drive forward
             track.heading_known = True
         track.mean[3] = (track.mean[3] + np.pi) % (2 * np.pi) - np.pi
         track.hits, track.missed = track.hits + 1, 0
@@ -166,22 +166,25 @@ class BoxTracker:
         covariance[7:, 7:] = np.diag([10.0, 0.5, 10.0]) ** 2
         mean = np.array([*boxes.center[index], boxes.yaw[index], *boxes.size[index], 0.0, 0.0, 0.0])
         quality = {name: float(values[index]) for name, values in boxes.quality.items()}
-        self._next += 1
-        return Track(
-            self._next, boxes.classes[index], mean, covariance, float(boxes.score[index]), quality=quality
-        )
+        self._last_number += 1
+        score = float(boxes.score[index])
+        return Track(self._last_number, boxes.classes[index], mean, covariance, score, quality=quality)
 
     def _report(self, boxes: Boxes3D) -> Boxes3D:
         shown = [
             track
             for track in self.tracks
-            if (track.hits >= self.births or self._frames <= self.births)
+            if (track.hits >= self.min_hits or self._frames <= self.min_hits)
             and (self.report_unseen or not track.missed)
         ]
         if not shown:
             return replace(Boxes3D.empty(boxes.names), track_id=np.zeros(0, int), velocity=np.zeros((0, 3)))
         mean = np.stack([track.mean for track in shown])
-        names = tuple(dict.fromkeys([*boxes.names, *(track.name for track in shown)]))  # also of the unseen
+        names = tuple(dict.fromkeys([*boxes.names, *(track.name for track in shown)]))  # of unseen tracks too
+        quality = {
+            name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in boxes.quality
+        }
+        quality["heading"] = np.array([float(track.heading_known) for track in shown])
         return Boxes3D(
             center=mean[:, :3],
             size=np.maximum(mean[:, 4:7], 0.01),
@@ -189,10 +192,7 @@ class BoxTracker:
             score=np.array([track.score for track in shown]),
             label=np.array([names.index(track.name) for track in shown], np.int64),
             names=names,
-            quality={
-                name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in boxes.quality
-            }
-            | {"heading": np.array([float(track.heading_known) for track in shown])},
+            quality=quality,
             track_id=np.array([track.number for track in shown]),
             velocity=mean[:, 7:],
         )

@@ -11,7 +11,7 @@ from eldenet.evaluation.metrics import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.fingerprints import KEYS, differences, sources_of
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, read_record, read_run, write_rows
+from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.tables import (
     COLUMNS,
     COSTS,
@@ -22,6 +22,7 @@ from eldenet.results.tables import (
     to_latex,
     to_markdown,
 )
+from eldenet.system.files import write_rows
 
 # equal in all runs of a table: of its metrics, and of its costs
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")

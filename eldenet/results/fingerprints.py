@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eldenet.zoo import WEIGHT_FILES, located
+from eldenet.weights import WEIGHT_FILES, located
 
 KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder or Hub id
 # where a run lies, its name and the resources that it used: none of them changes a result

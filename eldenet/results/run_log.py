@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from eldenet.results.run_record import write_rows
+from eldenet.system.files import write_rows
 
 LINE_EVERY_S = 15.0
 

@@ -1,15 +1,12 @@
-"""``run.json``, the record of a run: how it is written and read, and the environment that it states."""
+"""``run.json``, the record of a run: how it is read, and the environment that it states."""
 
-import csv
 import json
-import math
 import os
 import platform
 import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,33 +18,6 @@ from eldenet.system.resources import available_cores
 RUN_FILE = "run.json"
 _PACKAGES = ["eldenet", "torch", "torchvision", "numpy", "kornia", "albumentations", "opencv-python-headless"]
 _PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON atomically; NaN and infinity become null, which any reader can parse."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.part")
-    unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
-    unfinished.replace(path)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.part")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
-    unfinished.replace(path)
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -1,16 +1,18 @@
 """From a trained network to ``run.json``: what ``train`` and ``evaluate`` both end with."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet import config as cfg
+from torch import nn
+
 from eldenet.data.rendered import RenderedScenes
-from eldenet.evaluation.constant_baseline import ConstantPredictor, fit_constant_predictor
+from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import (
     PER_IMAGE_HEADER,
+    Evaluation,
     evaluate,
     sample_rows,
 )
@@ -18,143 +20,137 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.results.fingerprints import fingerprints
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, environment, write_json, write_rows
+from eldenet.results.run_record import RUN_FILE, environment
+from eldenet.system.files import write_json, write_rows
 from eldenet.system.resources import Resources
-from eldenet.training.checkpoint import Progress
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from eldenet.data.base import DepthDataset
-    from eldenet.deploy.runtimes.module import RuntimeNetwork
 
 RENDERED_FOR_A_CONSTANT = 512  # frames: as many as a test split has
-# of the runs of one process: a sweep, or the trials of a study, score the same constant on the same frames
-_CONSTANT_SCORES: dict[tuple[str, ...], dict[str, float]] = {}
+
+
+@dataclass(frozen=True)
+class ScoreSetup:
+    """What is scored, by which rules, and where the result goes.
+
+    Attributes:
+        folder: of the run.
+        name: of the row in tables.
+        data: name of the data set.
+        seed: of the training; None where it is not known.
+        protocol: the rules.
+        make_split: as :func:`eldenet.config.build_split` without its config.
+        resources: device, threads, workers.
+        settings: resolved, which ``run.json`` stores.
+        split: "train", "val" or "test".
+        batch_size: of the evaluation.
+        measure: network and ``(height, width)`` [px] -> its cost.
+        training_frames: of a rendered training split that may not be rendered yet; None: it is all there.
+    """
+
+    folder: Path
+    name: str
+    data: str
+    seed: int | None
+    protocol: EvalProtocol
+    make_split: Callable[..., "DepthDataset"]
+    resources: Resources
+    settings: Mapping[str, Any]
+    split: str = "test"
+    batch_size: int = 16
+    measure: Callable[[Any, tuple[int, int]], CostReport] = measure_cost
+    training_frames: int | None = None
 
 
 def score_and_record(
-    config: "DictConfig",
-    model: "DepthNet | RuntimeNetwork",
-    protocol: EvalProtocol,
-    resources: Resources,
-    folder: Path,
-    log: RunLog,
-    *,
-    name: str,
-    split: str = "test",
-    batch_size: int = 16,
-    progress: Progress | None = None,
-    skipped: Mapping[str, Mapping[str, str]] | None = None,
-    teacher: Mapping[str, Any] | None = None,
+    setup: ScoreSetup, model: nn.Module, log: RunLog, facts: Mapping[str, Any] | None = None, *, step: int = 0
 ) -> dict[str, Any]:
-    """Evaluate on ``split`` and measure the cost; write ``run.json``, ``per_image.csv``, ``predictions.png``.
+    """Evaluate, measure the cost; write ``run.json``, ``per_image.csv`` and ``predictions.png``.
 
     Args:
-        config: the whole config; its data set is scored, and it is stored.
-        model: to score, moved to the device of ``resources``; or an exported file as a module.
-        protocol: the rules.
-        resources: device, threads, workers.
-        folder: of the run.
+        setup: what is scored and how.
+        model: a :class:`~eldenet.model.DepthNet`, or an exported file as a module.
         log: what the person sees.
-        name: of the row in tables.
-        split: of the data set.
-        batch_size: of the evaluation.
-        progress: of the training, if there was one.
-        skipped: split -> name -> reason of the frames that the training left out.
-        teacher: loss term -> source and hash of the network that it distilled from.
+        facts: of the training, if there was one: ``training`` (its progress), ``skipped`` (split -> name ->
+            reason) and ``teacher`` (loss term -> source and hash).
+        step: of the training, where TensorBoard shows the pictures.
 
     Returns:
         What was written to ``run.json``.
     """
-    dataset = cfg.build_split(config, split, protocol, score=True)
-    if progress is None:  # a training has rendered its frames
-        _render_few(config, dataset, log)
-    train_set = _training_frames(config, protocol, log)
-
-    def score(predictor: Any, title: str) -> Any:
-        predictor.to(resources.device)
-        with log.bar(title, len(dataset)) as bar:
-            return evaluate(
-                predictor,
-                dataset,
-                protocol,
-                device=resources.device,
-                batch_size=batch_size,
-                workers=resources.workers,
-                advance=bar.advance,
-            )
-
-    result = score(model, f"evaluating on {split}")
-    write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
-    log.picture(
-        "predictions", 0 if progress is None else progress.step, sample_rows(model, dataset, protocol)
-    )
+    facts = dict(facts or {})
+    dataset = setup.make_split(setup.split, setup.protocol, score=True)
+    train_set = _training_set(setup, dataset, log)
+    result = _score(setup, model, dataset, f"evaluating on {setup.split}", log)
+    write_rows(setup.folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
+    log.picture("predictions", step, sample_rows(model, dataset, setup.protocol))
     log.close()
-    baseline = None
-    if train_set is not None:
-        rules = (str(protocol.as_dict()), str(cfg.plain(config.data)))
-        baseline = _constant_score(
-            train_set,
-            (train_set.split_hash, dataset.split_hash, *rules),
-            lambda constant: score(constant, "evaluating the constant predictor").metrics,
-            log,
-        )
-    sample = dataset[0]["image"]
+    size = dataset[0]["image"].shape[-2:]
+    skipped = {"train": {} if train_set is None else train_set.skipped, **facts.get("skipped", {})}
     record = {
-        "model": name,
-        "data": config.data.name,
-        "split": split,
+        "model": setup.name,
+        "data": setup.data,
+        "split": setup.split,
         "split_hash": dataset.split_hash,
         "train_split_hash": None if train_set is None else train_set.split_hash,
-        "teacher": dict(teacher or {}),
-        "sources": fingerprints(cfg.plain(config)),
-        "skipped": {
-            "train": {} if train_set is None else train_set.skipped,
-            **(skipped or {}),
-            split: dataset.skipped,
-        },
-        "protocol": protocol.as_dict(),
+        "teacher": facts.get("teacher", {}),
+        "sources": fingerprints(setup.settings),
+        "skipped": skipped | {setup.split: dataset.skipped},
+        "protocol": setup.protocol.as_dict(),
         "metrics": result.metrics,
         "errors_by_class": result.classes or None,
-        "constant_predictor": baseline,
+        "constant_predictor": _constant_score(setup, train_set, dataset, log),
         "normalization": _normalization(model),
-        "cost": _cost(model, (sample.shape[-2], sample.shape[-1])).as_dict(),
-        "seed": config.get("seed", model.info.get("seed")),
-        "resources": asdict(resources),
-        "training": None if progress is None else asdict(progress),
-        "config": cfg.plain(config),
+        "cost": setup.measure(model, (size[0], size[1])).as_dict(),
+        "seed": setup.seed,
+        "resources": asdict(setup.resources),
+        "training": facts.get("training"),
+        "config": dict(setup.settings),
         **environment(),
     }
-    write_json(folder / RUN_FILE, record)
+    write_json(setup.folder / RUN_FILE, record)
     return record
 
 
-def _render_few(config: "DictConfig", scored: "DepthDataset", log: RunLog) -> None:
-    """Cut ``data.train`` to what is quickly rendered where it would be rendered for its mean depth alone.
+def _score(
+    setup: ScoreSetup, predictor: nn.Module, dataset: "DepthDataset", title: str, log: RunLog
+) -> Evaluation:
+    predictor.to(setup.resources.device)
+    with log.bar(title, len(dataset)) as bar:
+        return evaluate(
+            predictor,
+            dataset,
+            setup.protocol,
+            device=setup.resources.device,
+            batch_size=setup.batch_size,
+            workers=setup.resources.workers,
+            advance=bar.advance,
+        )
 
-    Whatever is there of it: the same command has the same result, until all is there.
+
+def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "DepthDataset | None":
+    """Frames whose mean depth map is the constant predictor; None where only the scored split is on disk.
+
+    An evaluation does not render thousands of frames for their mean depth: it takes the first 512 of them.
     """
-    frames = config.data.train.get("frames")
-    if not isinstance(scored, RenderedScenes) or frames is None or frames <= RENDERED_FOR_A_CONSTANT:
-        return
-    if not scored.missing_shards("train", frames):
-        return
-    log.say(
-        f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames alone: not "
-        f"all of data.train.frames={frames} are rendered yet"
-    )
-    config.data.train.frames = RENDERED_FOR_A_CONSTANT
-    if config.data.get("subset"):
-        config.data.subset.train = None
-
-
-def _training_frames(config: "DictConfig", protocol: EvalProtocol, log: RunLog) -> "DepthDataset | None":
-    """Whose mean depth map is the constant predictor; None where only the scored split is on disk."""
     try:
-        train_set = cfg.build_split(config, "train", protocol)
+        few: dict[str, Any] = {}
+        wanted = setup.training_frames
+        if (
+            isinstance(scored, RenderedScenes)
+            and wanted is not None
+            and wanted > RENDERED_FOR_A_CONSTANT
+            and scored.missing_scenes("train", wanted)
+        ):
+            log.say(
+                f"the constant predictor is that of the first {RENDERED_FOR_A_CONSTANT} training frames: not "
+                f"all of data.train.frames={wanted} are rendered yet"
+            )
+            few = {"frames": RENDERED_FOR_A_CONSTANT}
+        train_set = setup.make_split("train", setup.protocol, **few)
     except (FileNotFoundError, ValueError) as error:
-        log.say(f"no constant predictor beside the result, the training frames are not to be had: {error}")
+        log.say(f"no constant predictor beside the result, the training frames are missing: {error}")
         return None
     if train_set.cache == "ram":
         train_set.cache = "none"  # each frame is read once: nothing to keep
@@ -162,23 +158,20 @@ def _training_frames(config: "DictConfig", protocol: EvalProtocol, log: RunLog) 
 
 
 def _constant_score(
-    train_set: "DepthDataset",
-    key: tuple[str, ...],
-    score: Callable[[ConstantPredictor], dict[str, float]],
-    log: RunLog,
+    setup: ScoreSetup, train_set: "DepthDataset | None", dataset: "DepthDataset", log: RunLog
 ) -> dict[str, float] | None:
-    """Metrics of the constant predictor, once per ``key``; None where the frames have no mean depth map."""
-    if key not in _CONSTANT_SCORES:
-        try:
-            constant = fit_constant_predictor(train_set)
-        except ValueError as error:
-            log.say(f"no constant predictor beside the result: {error}")
-            return None
-        _CONSTANT_SCORES[key] = score(constant)
-    return _CONSTANT_SCORES[key]
+    """Metrics of the constant predictor; None where there are no frames with a mean depth map."""
+    if train_set is None:
+        return None
+    try:
+        constant = fit_constant_predictor(train_set)
+    except ValueError as error:
+        log.say(f"no constant predictor beside the result: {error}")
+        return None
+    return _score(setup, constant, dataset, "evaluating the constant predictor", log).metrics
 
 
-def _normalization(model: "DepthNet | RuntimeNetwork") -> dict[str, list[float]] | None:
+def _normalization(model: nn.Module) -> dict[str, list[float]] | None:
     """Mean and standard deviation of the images; None for a file, which has them inside."""
     if not isinstance(model, DepthNet):
         return None
@@ -186,11 +179,3 @@ def _normalization(model: "DepthNet | RuntimeNetwork") -> dict[str, list[float]]
         name: [round(value, 6) for value in getattr(model, name).flatten().tolist()]
         for name in ("mean", "std")
     }
-
-
-def _cost(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> CostReport:
-    if isinstance(model, DepthNet):
-        return measure_cost(model, size)
-    from eldenet.deploy.runtimes.module import measure_runtime_cost
-
-    return measure_runtime_cost(model.network, size)

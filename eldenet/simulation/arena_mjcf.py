@@ -1,7 +1,7 @@
-"""An arena as MJCF: the same walls and obstacles for physics, for ranges and for the camera.
+"""Arenas as MJCF: the same walls and obstacles for physics, ranges and camera.
 
-Contacts: obstacles and walls have ``contype`` 1, the floor has 2; the robot's chassis meets obstacles only,
-its wheels meet both.
+Contacts: obstacles and walls have ``contype`` 1, the floor has 2; the robot's chassis touches obstacles only,
+its wheels touch both.
 """
 
 from typing import TYPE_CHECKING
@@ -18,21 +18,21 @@ ROBOTS = ("none", "planar", "wheels")
 WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
 TIMESTEP = 0.005  # of the wheels' physics [s]
 
-# The chassis reaches down to 6 cm, so that nothing slips under it; it turns about the middle of the axle.
+# The chassis reaches down to 6 cm, so that nothing slips under it; it turns around the center of the axle.
 _CHASSIS = (
     '<geom name="chassis" type="box" pos="0 0 {z}" size="{half}" '
     'contype="0" conaffinity="1" group="5" mass="6"/>'
 )
 
 
-def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> str:
-    """MJCF text of an arena.
+def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False) -> str:
+    """Return the MJCF text of an arena.
 
     Args:
         arena: the world.
         robot: "planar" (two slides and a hinge, moved by writing its pose), "wheels" (free body, two driven
             wheels and a caster on the floor) or "none" (for the camera's model).
-        look: add materials, a ceiling and a floor pattern for :mod:`eldenet.simulation.arena_view`.
+        visual: add materials, a ceiling and the hall for :mod:`eldenet.simulation.arena_view`.
 
     Raises:
         ValueError: unknown robot.
@@ -40,15 +40,15 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> st
     if robot not in ROBOTS:
         raise ValueError(f"robot={robot!r}: choose one of {', '.join(ROBOTS)}")
     materials = None
-    if look:
+    if visual:
         from eldenet.simulation.rendering.materials import Materials
 
         materials = Materials(Draw((SPLITS.get(arena.split, 0), arena.density, arena.index, 1)))
     walls = _walls(arena, materials)
-    bodies = [_geoms(o, materials, n, collide=True) for n, o in enumerate(arena.obstacles) if not o.path]
+    bodies = [_geoms(o, materials, n) for n, o in enumerate(arena.obstacles) if not o.path]
     bodies += [
         f'<body mocap="true" pos="{number(o.x)} {number(o.y)} 0">'
-        f"{_geoms(o, materials, n, collide=True, here=True)}</body>"
+        f"{_geoms(o, materials, n, centered=True)}</body>"
         for n, o in enumerate(arena.obstacles)
         if o.path
     ]
@@ -62,7 +62,7 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, look: bool = False) -> st
 
 
 def _walls(arena: Arena, materials: "Materials | None") -> list[str]:
-    """Floor, four walls, and a ceiling where it can be seen."""
+    """Return floor and walls, and with materials the ceiling and the hall around them."""
     floor = "" if materials is None else f' material="m{materials.floor}"'
     wall = "" if materials is None else f' material="m{materials.walls[0]}"'
     lines = [f'<geom name="floor" type="plane" size="0 0 1" contype="2" conaffinity="0" condim="1"{floor}/>']
@@ -72,20 +72,17 @@ def _walls(arena: Arena, materials: "Materials | None") -> list[str]:
         size = (thick if x else half + 2 * thick, thick if y else half + 2 * thick, WALL_HEIGHT / 2)
         lines.append(_geom("box", center, size, 0.0, wall, collide=True))
     if materials is not None:
-        sky = Body()
-        sky.plane((0, 0, CEILING), (0, 0, -1), materials.ceiling)
-        beyond = [(1, 0), (-1, 0), (0, 1), (0, -1)]
-        for x, y in beyond:  # the hall goes on behind the walls
-            sky.plane((x * (half + 1), y * (half + 1), 0), (-x, -y, 0), materials.walls[1])
-        lines += [line.replace("/>", ' contype="0" conaffinity="0"/>') for line in sky.geoms]
+        hall = Body()
+        hall.plane((0, 0, CEILING), (0, 0, -1), materials.ceiling)
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):  # the hall is larger than the arena
+            hall.plane((x * (half + 1), y * (half + 1), 0), (-x, -y, 0), materials.walls[1])
+        lines += [line.replace("/>", ' contype="0" conaffinity="0"/>') for line in hall.geoms]
     return lines
 
 
-def _geoms(
-    obstacle: Obstacle, materials: "Materials | None", order: int, *, collide: bool, here: bool = False
-) -> str:
-    """Geoms of an obstacle: its footprint as one solid, and what only the eye sees, within it."""
-    x, y = (0.0, 0.0) if here else (obstacle.x, obstacle.y)
+def _geoms(obstacle: Obstacle, materials: "Materials | None", order: int, *, centered: bool = False) -> str:
+    """Return the geoms of an obstacle: one solid of its footprint, and what only the camera sees."""
+    x, y = (0.0, 0.0) if centered else (obstacle.x, obstacle.y)
     hx, hy = obstacle.half
     main = cap = ""
     if materials is not None:
@@ -96,11 +93,11 @@ def _geoms(
         cap = f' material="m{materials.skin if obstacle.kind == "person" else materials.dark}"'
     tall = obstacle.height
     if obstacle.kind == "person":
-        body = _geom("cylinder", (x, y, (tall - 0.3) / 2), (hx, (tall - 0.3) / 2), 0.0, main, collide=collide)
+        body = _geom("cylinder", (x, y, (tall - 0.3) / 2), (hx, (tall - 0.3) / 2), 0.0, main, collide=True)
         return body + _geom("ellipsoid", (x, y, tall - 0.17), (0.1, 0.1, 0.14), 0.0, cap)
     if obstacle.kind == "cylinder":
-        return _geom("cylinder", (x, y, tall / 2), (hx, tall / 2), 0.0, main, collide=collide)
-    solid = _geom("box", (x, y, tall / 2), (hx, hy, tall / 2), obstacle.yaw, main, collide=collide)
+        return _geom("cylinder", (x, y, tall / 2), (hx, tall / 2), 0.0, main, collide=True)
+    solid = _geom("box", (x, y, tall / 2), (hx, hy, tall / 2), obstacle.yaw, main, collide=True)
     if obstacle.kind == "vehicle":
         solid += _geom("box", (x, y, tall + 0.15), (0.55 * hx, 0.85 * hy, 0.15), obstacle.yaw, cap)
     return solid
@@ -126,7 +123,7 @@ def _chassis(low: float) -> str:
 
 
 def _planar() -> str:
-    """Two slides and a hinge: ``qpos`` is the pose."""
+    """Return two slides and a hinge: ``qpos`` is the pose."""
     return (
         '<body name="robot"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
         f'<joint type="hinge" axis="0 0 1"/>{_chassis(0.06)}</body>'
@@ -134,7 +131,7 @@ def _planar() -> str:
 
 
 def _wheels() -> str:
-    """A free body on two driven wheels and a frictionless caster behind them."""
+    """Return a free body on two driven wheels and a frictionless caster behind them."""
     shared = 'contype="0" conaffinity="3" group="5"'
     wheels = "".join(
         f'<body name="{name}" pos="0 {number(y)} {WHEEL_RADIUS}">'
@@ -146,7 +143,7 @@ def _wheels() -> str:
     caster = (
         f'<geom name="caster" type="sphere" pos="-0.22 0 0.05" size="0.05" condim="1" {shared} mass="0.5"/>'
     )
-    # the weight lies low and between axle and caster: it neither noses over when it brakes nor rears up
+    # low weight between axle and caster keeps the robot from tipping when it brakes or accelerates
     battery = (
         '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" '
         'contype="0" conaffinity="0" group="5" mass="14"/>'

@@ -1,28 +1,42 @@
-"""What the robot's camera sees of an arena: rays, the rooms' light and surfaces, a cheap camera's picture."""
+"""The robot camera's view of an arena, and the rendered frames that a depth network for it learns from.
+
+All rendered frames, whatever their split, show arenas of navigation's "train" stream: no network ever sees
+an arena in which drivers are selected or reported.
+"""
 
 import math
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from eldenet.geometry import pinhole
 from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
-from eldenet.simulation.arenas import SPLITS, Arena
-from eldenet.simulation.furnished_rooms.rooms import Room
+from eldenet.simulation.arenas import SPLITS, Arena, cell_center, clearance_map, generate_arena
+from eldenet.simulation.furnished_rooms.render import Views
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
 from eldenet.simulation.rendering.camera_noise import develop
 from eldenet.simulation.rendering.mjcf import Draw
-from eldenet.simulation.rendering.shading import Surfaces, shade
+from eldenet.simulation.rendering.shading import CompiledRoom, Room
 from eldenet.simulation.robot import ROBOT
+
+#: First arena of every split of frames within navigation's training stream; far apart, so none is shared.
+FIRST_ARENA = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+FRAME_STREAM = 104  # beside arenas.SPLITS and tasks.TASK_STREAM
+_LIGHT = (0.05, 3.0)  # dim to glaring, as a share of a normal day's
+_MAX_OBSTACLES, _MAX_PEDESTRIANS = 80, 10
+_MIN_CLEARANCE = 0.30  # around the robot's center [m]
+_CLOSE = 0.8  # clearance of a robot among obstacles [m]
+_NOSE_TO_WALL = 0.4  # median depth [m]
 
 
 class Photo(NamedTuple):
-    """What the camera sees, and what is there.
+    """An RGB-D frame of an arena.
 
     Attributes:
         image: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32, true [m].
-        obstacle: ``(H, W)`` number of what each pixel shows in :attr:`Arena.obstacles`; -1: floor, walls.
+        obstacle: ``(H, W)`` index into :attr:`Arena.obstacles` of what each pixel shows; -1: floor, walls.
     """
 
     image: np.ndarray
@@ -31,11 +45,11 @@ class Photo(NamedTuple):
 
 
 class ArenaView:
-    """A level RGB-D camera on the robot, in a model of the arena that has looks but no robot.
+    """A level RGB-D camera on the robot; the robot itself is not drawn.
 
     Args:
         arena: the world.
-        size: of the picture, ``(height, width)`` [px].
+        size: of the image, ``(height, width)`` [px].
         light: brightness of the lamps, as a share of a normal day's: 0.05 is dusk, 3 is glaring.
 
     Attributes:
@@ -43,67 +57,103 @@ class ArenaView:
     """
 
     def __init__(self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0) -> None:
-        import mujoco
-
-        if light <= 0:
-            raise ValueError(f"light={light}: give a share above 0")
         self.intrinsics = robot_intrinsics(size)
         self.camera = RayCamera(size, self.intrinsics)
         self.arena, self.size = arena, size
-        self.model: Any = mujoco.MjModel.from_xml_string(arena_mjcf(arena, "none", look=True))
-        self.data: Any = mujoco.MjData(self.model)
-        self._kinematics = mujoco.mj_kinematics
-        self._kinematics(self.model, self.data)
-        self._surfaces: Surfaces | None = None
-        self._obstacle_of = _obstacle_numbers(self.model, arena)
         self._seed = (SPLITS.get(arena.split, 0), arena.density, arena.index, 2)
         draw = Draw((*self._seed, 0))
         tone = draw.pick(((1.0, 0.96, 0.9), (1.0, 0.88, 0.72), (0.92, 0.97, 1.0)))
         lamps = [(x, y) for x in (-6.0, 0.0, 6.0) for y in (-6.0, 0.0, 6.0)]
         power = light * draw.uniform(0.8, 1.2)
         outer = arena.side + 2.0
-        self.room = Room(
-            "arena",
-            (outer, outer, CEILING),
-            lights=[(x, y, CEILING - 0.4, *(power * t for t in tone), 4.0) for x, y in lamps],
-            ambient=light * draw.uniform(0.15, 0.4),
+        self.room = CompiledRoom(
+            Room(
+                "arena",
+                (outer, outer, CEILING),
+                arena_mjcf(arena, "none", visual=True),
+                lights=[(x, y, CEILING - 0.4, *(power * t for t in tone), 4.0) for x, y in lamps],
+                ambient=light * draw.uniform(0.15, 0.4),
+            )
         )
+        self._obstacle_of = _obstacle_numbers(self.room.model, arena)
 
     def photo(
         self, pose: tuple[float, float, float], time: float = 0.0, noise: int = 0, settings: int = 0
     ) -> Photo:
-        """Look from a pose.
+        """Take a photo from a pose of the robot.
 
         Args:
-            pose: of the robot: x, y [m], heading [rad].
-            time: at which walking people are shown [s].
+            pose: x, y [m], heading [rad].
+            time: at which pedestrians are shown [s].
             noise: seed of the pixel noise.
-            settings: which draw of the camera's exposure, tone and blur; a film keeps one, so as not to
+            settings: seed of the camera's exposure, tone and blur; keep it over a video, so that it does not
                 flicker.
         """
-        for number, obstacle in enumerate(self.arena.movers):
-            self.data.mocap_pos[number, :2] = obstacle.position(time)
-        if self.arena.movers or self._surfaces is None:
-            self._kinematics(self.model, self.data)
-            self._surfaces = Surfaces(self.model, self.data)
-        eye, rotation = camera_pose(pose)
-        hits = self.camera.cast(self.model, self.data, eye, rotation)
-        focal = float(self.intrinsics[0, 0])
-        linear = shade(self.room, self.model, self.data, self._surfaces, hits, self.size, eye, focal)
+        pedestrians = self.arena.pedestrians
+        if pedestrians:
+            self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
+            self.room.update()
+        linear, hits = self.room.photograph(self.camera, *camera_pose(pose))
         image = develop(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
         depth = hits.depth.astype(np.float32).reshape(self.size)
         return Photo(image, depth, self._obstacle_of[hits.geom].reshape(self.size))
 
 
+def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
+    """Render frames of arena ``index`` of a split at ``(height, width)`` [px].
+
+    Density, light and number of pedestrians vary by arena; pose, time and camera settings by frame. Half of
+    the poses are close to something, as a robot's are among obstacles.
+
+    Raises:
+        ValueError: unknown split or index out of range.
+    """
+    if split not in FIRST_ARENA:
+        raise ValueError(f"split={split!r}: use one of {list(FIRST_ARENA)}")
+    if not 0 <= index < FIRST_ARENA["val"]:
+        raise ValueError(f"index={index}: arenas are numbered from 0 to {FIRST_ARENA['val'] - 1}")
+    cv2.setNumThreads(0)
+    number = FIRST_ARENA[split] + index
+    draw = Draw((FRAME_STREAM, number))
+    pedestrians = draw.integer(1, _MAX_PEDESTRIANS) if draw.chance(0.5) else 0
+    arena = generate_arena("train", draw.integer(0, _MAX_OBSTACLES), number, pedestrians=pedestrians)
+    light = _LIGHT[0] * (_LIGHT[1] / _LIGHT[0]) ** draw.unit()
+    view = ArenaView(arena, size, light=light)
+    clearance = clearance_map(arena.obstacles)
+    probe = ArenaView(arena, (9, 16))
+    frames = []
+    for frame in range(views):
+        time = draw.uniform(0.0, 60.0)
+        pose = _draw_pose(draw, arena, clearance, time)
+        for _ in range(5):  # few frames show nothing but the nearest wall
+            if np.median(probe.photo(pose, time).depth) > _NOSE_TO_WALL:
+                break
+            pose = _draw_pose(draw, arena, clearance, time)
+        photo = view.photo(pose, time, noise=frame, settings=frame)
+        frames.append((photo.image, photo.depth, view.intrinsics, *camera_pose(pose)))
+    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+
+
+def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> tuple[float, float, float]:
+    """Draw a place where the robot fits, and any heading."""
+    people = [pedestrian.position(time) for pedestrian in arena.pedestrians]
+    far = _CLOSE if draw.chance(0.5) else np.inf
+    places = np.argwhere((clearance >= _MIN_CLEARANCE) & (clearance < far))
+    while True:
+        x, y = cell_center(*places[int(draw.unit() * len(places))])
+        if all(math.hypot(x - a, y - b) > ROBOT.radius + 0.3 for a, b in people):
+            return x, y, draw.uniform(-math.pi, math.pi)
+
+
 def robot_intrinsics(size: tuple[int, int]) -> np.ndarray:
-    """``(3, 3)`` [px] of the robot's camera at ``(height, width)`` [px]."""
+    """Return the intrinsics ``(3, 3)`` [px] of the robot's camera at ``(height, width)`` [px]."""
     height, width = size
     focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
     return pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` of a robot's level camera."""
+    """Return the optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` at a robot's pose."""
     x, y, yaw = pose
     ahead = ROBOT.camera_ahead
     center = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
@@ -111,13 +161,14 @@ def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarra
 
 
 def _obstacle_numbers(model: Any, arena: Arena) -> np.ndarray:
-    """Obstacle number of every geom, -1 for what is none; a last entry stands for "no geom" (-1).
+    """Return every geom's index in :attr:`Arena.obstacles`, -1 for other geoms and, last, for no geom.
 
-    Geoms carry no names, but their order is that of :func:`~eldenet.simulation.arena_mjcf.arena_mjcf`:
-    those of the world (floor, walls, hall, standing obstacles), then the walking ones' bodies.
+    Geoms have no names, but their order is that of :func:`~eldenet.simulation.arena_mjcf.arena_mjcf`:
+    the world's (floor, walls, hall, standing obstacles), then those of the pedestrians' bodies.
     """
-    count = {"person": 2, "vehicle": 2}
-    standing = [n for n, o in enumerate(arena.obstacles) for _ in range(count.get(o.kind, 1)) if not o.path]
-    walking = [n for n, o in enumerate(arena.obstacles) for _ in range(count.get(o.kind, 1)) if o.path]
-    numbers = [*standing, *walking]
+    order = sorted(range(len(arena.obstacles)), key=lambda n: bool(arena.obstacles[n].path))
+    numbers = [n for n in order for _ in range(2 if arena.obstacles[n].kind in ("person", "vehicle") else 1)]
     return np.array([-1] * (model.ngeom - len(numbers)) + numbers + [-1])
+
+
+assert FRAME_STREAM not in SPLITS.values()

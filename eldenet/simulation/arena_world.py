@@ -1,6 +1,6 @@
-"""A robot in an arena, in MuJoCo: moved by its pose (to train in) or by its wheels (to report in).
+"""A robot in an arena, simulated by MuJoCo: kinematic (to train in) or on wheels (to report).
 
-Both ways share one world: collisions are MuJoCo's contacts, ranges are MuJoCo's rays.
+Both share one world: collisions are MuJoCo's contacts, ranges are MuJoCo's rays.
 """
 
 import math
@@ -10,11 +10,11 @@ import numpy as np
 
 from eldenet.simulation.arena_mjcf import TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
-from eldenet.simulation.rendering.culling import SEEN_GROUPS
+from eldenet.simulation.rendering.camera import SEEN_GROUPS
 from eldenet.simulation.robot import ROBOT
 
 PHYSICS = ("kinematic", "wheels")
-#: Of the kinematic robot, as the wheels' motors give it [m/s2], [rad/s2].
+#: Of the kinematic robot, the same as with the wheels' motors [m/s2], [rad/s2].
 ACCELERATION, TURN_ACCELERATION = 3.5, 12.0
 
 
@@ -23,8 +23,8 @@ class ArenaWorld:
 
     Args:
         arena: the world.
-        physics: "kinematic" writes the pose along arcs, at bounded acceleration, and looks for contacts
-            (about 4 us a look); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
+        physics: "kinematic" moves the pose along arcs, at bounded acceleration, and checks for contacts
+            (about 4 us each); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
 
     Raises:
         ValueError: unknown physics.
@@ -41,7 +41,7 @@ class ArenaWorld:
         self.data: Any = mujoco.MjData(self.model)
         self._kinematics, self._collide = mujoco.mj_kinematics, mujoco.mj_collision
         self._step, self._rays = mujoco.mj_step, mujoco.mj_multiRay
-        self._movers = arena.movers
+        self._pedestrians = arena.pedestrians
         self._solid = self.model.geom_contype == 1  # obstacles and walls
         self._geom = np.empty(ROBOT.columns, np.int32)
         self._angles = np.array(ROBOT.column_angles)
@@ -50,12 +50,12 @@ class ArenaWorld:
         self.place(arena.start)
 
     def place(self, pose: tuple[float, float, float]) -> None:
-        """Put the robot somewhere, at rest; time starts anew."""
+        """Put the robot at a pose, at rest, and restart time."""
         import mujoco
 
         mujoco.mj_resetData(self.model, self.data)
         self.time = self.speed = self.turn = 0.0
-        self._move_people()
+        self._move_pedestrians()
         x, y, yaw = pose
         if self.physics == "kinematic":
             self.data.qpos[:] = pose
@@ -66,7 +66,7 @@ class ArenaWorld:
 
     @property
     def pose(self) -> tuple[float, float, float]:
-        """x, y [m] and heading [rad] of the middle of the axle."""
+        """x, y [m] and heading [rad] of the center of the axle."""
         if self.physics == "kinematic":
             x, y, yaw = self.data.qpos.tolist()
             return x, y, yaw
@@ -74,12 +74,12 @@ class ArenaWorld:
         return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
     def advance(self, speed: float, turn: float, seconds: float) -> bool:
-        """Drive for a while; returns whether the robot touched an obstacle or a wall.
+        """Drive for a while and return whether the robot touched an obstacle or a wall.
 
         Args:
             speed: ahead [m/s].
             turn: counter-clockwise [rad/s].
-            seconds: whole time steps of 5 ms when on wheels.
+            seconds: a multiple of 5 ms on wheels.
         """
         if self.physics == "wheels":
             return self._drive(speed, turn, round(seconds / TIMESTEP))
@@ -90,7 +90,7 @@ class ArenaWorld:
         mean = (before[0] + self.speed) / 2, (before[1] + self.turn) / 2
         self.data.qpos[:] = arc(x, y, yaw, *mean, seconds)
         self.time += seconds
-        self._move_people()
+        self._move_pedestrians()
         self._kinematics(self.model, self.data)
         self._collide(self.model, self.data)
         return bool(self.data.ncon > 0)
@@ -100,29 +100,24 @@ class ArenaWorld:
         self.data.ctrl[:] = (speed - difference) / WHEEL_RADIUS, (speed + difference) / WHEEL_RADIUS
         for _ in range(steps):
             self.time += TIMESTEP
-            self._move_people()
+            self._move_pedestrians()
             self._step(self.model, self.data)
             if self._solid[self.data.contact.geom].any():
                 return True
         return False
 
-    def _move_people(self) -> None:
-        if self._movers:  # 200 times a simulated second on wheels
-            self.data.mocap_pos[:, :2] = [obstacle.position(self.time) for obstacle in self._movers]
+    def _move_pedestrians(self) -> None:
+        if self._pedestrians:
+            self.data.mocap_pos[:, :2] = [pedestrian.position(self.time) for pedestrian in self._pedestrians]
 
     def ranges(self) -> np.ndarray:
-        """Distance from the camera to what each column's middle ray meets ``(columns,)`` [m].
+        """Return the distance from the camera along each column's central ray ``(columns,)`` [m].
 
-        Convention: horizontal rays; nearer than ``near`` reads ``near``, no return reads ``far``.
+        Convention: horizontal rays; distances are at least ``near``, and ``far`` where nothing is hit.
         """
         x, y, yaw = self.pose
-        origin = np.array(
-            [
-                x + ROBOT.camera_ahead * math.cos(yaw),
-                y + ROBOT.camera_ahead * math.sin(yaw),
-                ROBOT.camera_height,
-            ]
-        )
+        ahead = ROBOT.camera_ahead
+        origin = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
         rays = np.zeros((ROBOT.columns, 3))
         np.cos(self._angles + yaw, out=rays[:, 0])
         np.sin(self._angles + yaw, out=rays[:, 1])
@@ -138,7 +133,7 @@ class ArenaWorld:
 def arc(
     x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
 ) -> tuple[float, float, float]:
-    """Pose after driving at constant speed and turn rate: exact, for straight lines too."""
+    """Return the exact pose after driving at constant speed and turn rate."""
     half = turn * seconds / 2
     chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
     return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn * seconds

@@ -1,8 +1,8 @@
-"""One walled arena from one seed: cylinders, boxes, vehicles, people, a start and a goal that can be reached.
+"""Walled arenas with cylinders, boxes, vehicles and people, a start and a goal that can be reached.
 
-An arena depends on ``(split, density, index)`` alone and is the same on every machine
-(:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). Seed streams: the layout comes from
-``(SPLITS[split], density, movers, index)``; the splits share no stream, so no arena is in two of them.
+An arena depends on ``(split, density, pedestrians, index)`` alone and is the same on every machine
+(:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). The splits share no seed, so no arena is in
+two of them.
 """
 
 import hashlib
@@ -19,30 +19,30 @@ import numpy as np
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.robot import ROBOT
 
-#: First number of the seed of every split: no other stream of this package starts with these.
+#: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
 SIDE = 20.0  # of the arena [m]
-RESOLUTION = 0.1  # of the grid that decides whether an arena can be crossed [m]
+RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
-WALKER_CLEARANCE = 3.0  # from the start to where people set out [m]
-REACH = 1.6  # clearances are not told apart beyond this [m]
+PEDESTRIAN_CLEARANCE = 3.0  # from the start to where a pedestrian's path begins [m]
+MAX_CLEARANCE = 1.6  # of a clearance map [m]
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """An upright thing on the floor.
+    """An upright object on the floor.
 
     Attributes:
         kind: "cylinder", "person" (both round), "box" or "vehicle".
-        x: of its middle [m].
-        y: of its middle [m].
+        x: of its center [m].
+        y: of its center [m].
         yaw: counter-clockwise [rad].
-        half: half extents along its own axes [m]; of a round one its radius, twice.
+        half: half extents along its own axes [m]; the radius twice if it is round.
         height: [m].
-        path: corners of the closed line along which it walks; empty: it stands.
+        path: corners of the closed path on which a pedestrian walks; empty for a standing obstacle.
         speed: along the path [m/s].
     """
 
@@ -62,11 +62,11 @@ class Obstacle:
 
     @property
     def radius(self) -> float:
-        """Of the circle around the footprint [m]."""
+        """Radius of the circle around the footprint [m]."""
         return self.half[0] if self.round else math.hypot(*self.half)
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Distance from points on the floor to the footprint [m]; 0 inside."""
+        """Return the distance from points on the floor to the footprint [m], 0 inside."""
         dx, dy = x - self.x, y - self.y
         if self.round:
             return np.maximum(np.hypot(dx, dy) - self.half[0], 0.0)
@@ -75,7 +75,7 @@ class Obstacle:
         return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
 
     def position(self, time: float) -> Point:
-        """Where its middle is after ``time`` [s]."""
+        """Return the center ``time`` [s] after the start."""
         if not self.path:
             return self.x, self.y
         lengths, starts = self._legs
@@ -87,23 +87,23 @@ class Obstacle:
 
     @cached_property
     def _legs(self) -> tuple[list[float], list[float]]:
-        """Length of every leg of the path, and what was walked before it; at the end the whole [m]."""
+        """Length of every leg of the path, and the distance walked before each and after the last [m]."""
         lengths = [math.dist(a, b) for a, b in zip(self.path, (*self.path[1:], self.path[0]), strict=True)]
         return lengths, [0.0, *accumulate(lengths)]
 
 
 @dataclass(frozen=True)
 class Arena:
-    """A world and the way to cross it.
+    """A world, a start and a goal.
 
     Attributes:
-        split: whose seed stream it comes from; "" for one that was written by hand.
+        split: whose seed it has; "" for one that was written by hand.
         density: number of standing obstacles.
         index: within the split and density.
-        obstacles: standing ones, then walking ones.
+        obstacles: standing ones, then pedestrians.
         start: x, y [m] and heading [rad] of the robot.
-        waypoints: to be reached one after the other, the goal last [m].
-        side: of the square; the origin is its middle [m].
+        waypoints: to be reached in this order, the goal last [m].
+        side: of the square around the origin [m].
     """
 
     split: str
@@ -115,29 +115,29 @@ class Arena:
     side: float = SIDE
 
     @property
-    def movers(self) -> tuple[Obstacle, ...]:
+    def pedestrians(self) -> tuple[Obstacle, ...]:
         """The obstacles that walk."""
         return tuple(obstacle for obstacle in self.obstacles if obstacle.path)
 
     @property
     def name(self) -> str:
         """Unique over splits and densities."""
-        moving = f"+{len(self.movers)}" if self.movers else ""
+        moving = f"+{len(self.pedestrians)}" if self.pedestrians else ""
         return f"{self.split or 'course'}-{self.density}{moving}-{self.index}"
 
 
 def generate_arena(
-    split: str, density: int, index: int, *, movers: int = 0, min_distance: float = 10.0
+    split: str, density: int, index: int, *, pedestrians: int = 0, min_distance: float = 10.0
 ) -> Arena:
     """Generate arena ``index`` of a split.
 
-    Layouts that cannot be crossed are drawn anew from the same stream.
+    Layouts whose goal cannot be reached are drawn again.
 
     Args:
         split: "train", "val" or "test".
         density: number of standing obstacles, 0 to 120.
         index: from 0.
-        movers: number of people who walk about.
+        pedestrians: number of walking people.
         min_distance: from start to goal, as the crow flies [m].
 
     Raises:
@@ -145,26 +145,27 @@ def generate_arena(
     """
     if split not in SPLITS:
         raise ValueError(f"split={split!r}: use one of {list(SPLITS)}")
-    if index < 0 or not 0 <= density <= 120 or not 0 <= movers <= 40:
+    if index < 0 or not 0 <= density <= 120 or not 0 <= pedestrians <= 40:
         raise ValueError(
-            f"density={density}, movers={movers}, index={index}: give 0 to 120 obstacles, 0 to 40 movers, "
-            "and an index from 0"
+            f"density={density}, pedestrians={pedestrians}, index={index}: give 0 to 120 obstacles, "
+            "0 to 40 pedestrians, and an index from 0"
         )
-    draw = Draw((SPLITS[split], density, movers, index))
+    draw = Draw((SPLITS[split], density, pedestrians, index))
     while True:
         obstacles = draw_obstacles(draw, density)
         if obstacles is None:
             continue
         clearance = clearance_map(obstacles)
-        crossing = draw_crossing(draw, clearance, min_distance)
-        if crossing is None:
+        endpoints = draw_start_and_goal(draw, clearance, min_distance)
+        if endpoints is None:
             continue
-        walkers = [draw_walker(draw, crossing[0]) for _ in range(movers)]
-        return Arena(split, density, index, (*obstacles, *walkers), crossing[0], (crossing[1],))
+        start, goal = endpoints
+        walking = [_draw_pedestrian(draw, start) for _ in range(pedestrians)]
+        return Arena(split, density, index, (*obstacles, *walking), start, (goal,))
 
 
 def draw_obstacles(draw: Draw, count: int) -> tuple[Obstacle, ...] | None:
-    """Obstacles whose bounding circles do not overlap; None where no room was found for one."""
+    """Draw obstacles whose bounding circles do not overlap; None if one found no free place."""
     obstacles: list[Obstacle] = []
     for _ in range(count):
         share = draw.unit()
@@ -190,40 +191,40 @@ def draw_obstacles(draw: Draw, count: int) -> tuple[Obstacle, ...] | None:
     return tuple(obstacles)
 
 
-def draw_walker(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
-    """A person who walks to and fro (a crossing) or round three to five corners, away from the start."""
+def _draw_pedestrian(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
+    """Draw a person who walks back and forth or around three to five corners, away from the start."""
     limit = SIDE / 2 - 1.0
-    crossing = draw.chance(0.5)
+    back_and_forth = draw.chance(0.5)
     while True:
-        count = 2 if crossing else draw.integer(3, 5)
+        count = 2 if back_and_forth else draw.integer(3, 5)
         path = tuple(
             (round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4))
             for _ in range(count)
         )
         x, y = path[0]
         lengths = [math.dist(a, b) for a, b in zip(path, (*path[1:], path[0]), strict=True)]
-        if math.hypot(x - start[0], y - start[1]) > WALKER_CLEARANCE and min(lengths) > 2.0:
+        if math.hypot(x - start[0], y - start[1]) > PEDESTRIAN_CLEARANCE and min(lengths) > 2.0:
             break
     speed, height = round(draw.uniform(0.3, 0.9), 4), round(draw.uniform(1.5, 1.9), 4)
     return Obstacle("person", x, y, 0.0, (0.25, 0.25), height, path, speed)
 
 
-def draw_crossing(
-    draw: Draw, clearance: np.ndarray, min_distance: float, walkers: Sequence[Obstacle] = ()
+def draw_start_and_goal(
+    draw: Draw, clearance: np.ndarray, min_distance: float, pedestrians: Sequence[Obstacle] = ()
 ) -> tuple[tuple[float, float, float], Point] | None:
-    """Start with its heading, and a goal that a robot can reach from there; None where three starts had none.
+    """Draw a start with its heading and a goal that a robot can reach from there; None after three failures.
 
-    No start is near to where one of ``walkers`` sets out. Connectivity is that of the grid inflated by
-    :data:`INFLATION`, in four directions.
+    The start keeps its distance from where ``pedestrians`` set out. A goal is reachable if the grid, inflated
+    by :data:`INFLATION`, connects it to the start in four directions.
     """
     from skimage.measure import label
 
     regions = label(clearance >= INFLATION, connectivity=1)
     starts = np.argwhere((clearance >= START_CLEARANCE) & (regions > 0))
     goals = np.argwhere((clearance >= GOAL_CLEARANCE) & (regions > 0))
-    for walker in walkers:
+    for pedestrian in pedestrians:
         place = (starts[:, ::-1] + 0.5) * RESOLUTION - SIDE / 2
-        starts = starts[np.hypot(*(place - walker.position(0.0)).T) > WALKER_CLEARANCE]
+        starts = starts[np.hypot(*(place - pedestrian.position(0.0)).T) > PEDESTRIAN_CLEARANCE]
     for _ in range(3 if len(starts) else 0):
         row, column = starts[int(draw.unit() * len(starts))]
         away = np.hypot(*(goals - (row, column)).T) * RESOLUTION
@@ -237,7 +238,7 @@ def draw_crossing(
 
 
 def cell_center(row: int, column: int, side: float = SIDE, resolution: float = RESOLUTION) -> Point:
-    """Middle of a grid cell in the world [m]: rows run along y, columns along x."""
+    """Return the center of a grid cell in the world [m]: rows run along y, columns along x."""
     x = (int(column) + 0.5) * resolution - side / 2
     y = (int(row) + 0.5) * resolution - side / 2
     return round(x, 4), round(y, 4)
@@ -246,21 +247,21 @@ def cell_center(row: int, column: int, side: float = SIDE, resolution: float = R
 def clearance_map(
     obstacles: Sequence[Obstacle], side: float = SIDE, resolution: float = RESOLUTION
 ) -> np.ndarray:
-    """Distance from every cell's middle to the nearest obstacle or wall ``(n, n)`` [m], at most ``REACH``.
+    """Return each cell's distance to the nearest obstacle or wall ``(n, n)`` [m], at most ``MAX_CLEARANCE``.
 
-    Exact distances to the same shapes that the physics engine gets, not to rasterised ones. Walking
-    obstacles are left out.
+    Distances from the cells' centers are exact, to the shapes that the physics engine simulates.
+    Pedestrians are left out.
     """
     count = round(side / resolution)
     middle = (np.arange(count) + 0.5) * resolution - side / 2
-    to_wall = np.minimum(side / 2 - np.abs(middle), REACH)
+    to_wall = np.minimum(side / 2 - np.abs(middle), MAX_CLEARANCE)
     clearance = np.minimum(to_wall[:, None], to_wall[None, :])
     for obstacle in obstacles:
         if obstacle.path:
             continue
         window = []
         for center in (obstacle.y, obstacle.x):
-            reach = obstacle.radius + REACH
+            reach = obstacle.radius + MAX_CLEARANCE
             first = math.floor((center - reach + side / 2) / resolution)
             last = math.ceil((center + reach + side / 2) / resolution)
             window.append(slice(max(first, 0), min(last, count)))
@@ -270,24 +271,14 @@ def clearance_map(
     return clearance
 
 
-def crossable(clearance: np.ndarray, start: Point, goal: Point, side: float = SIDE) -> bool:
-    """Whether a robot of radius ``INFLATION`` finds a way on the grid of a clearance map."""
-    from skimage.measure import label
-
-    regions = label(clearance >= INFLATION, connectivity=1)
-    resolution = side / len(clearance)
-    ends = [regions[tuple(((np.array(p[::-1]) + side / 2) / resolution).astype(int))] for p in (start, goal)]
-    return bool(ends[0] and ends[0] == ends[1])
-
-
 def arenas_hash(arenas: Sequence[Arena]) -> str:
-    """SHA-256 over all numbers of some arenas: what freezes a test set."""
+    """Return the SHA-256 of all numbers of some arenas: the identity of a test set."""
     text = json.dumps([asdict(arena) for arena in arenas], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def triangle_course(obstacles: Sequence[Obstacle] = (), side_length: float = 6.0) -> Arena:
-    """The paper's course (Fig. 14): from a corner O of a triangle ABC around it and back."""
+    """Return the paper's course (Fig. 14): from a corner of a triangle around it and back."""
     height = side_length * math.sqrt(3) / 2
     corners = ((side_length / 2, -height / 2), (0.0, height / 2), (-side_length / 2, -height / 2))
     a, b, c = ((round(x, 4), round(y, 4)) for x, y in corners)

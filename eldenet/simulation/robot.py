@@ -1,4 +1,4 @@
-"""Measures of the mobile robot, shared by its simulation and its navigation: no project imports here."""
+"""Dimensions of the mobile robot, shared by simulation and navigation."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from typing import NamedTuple
 class Robot(NamedTuple):
     """A three-wheeled differential-drive robot with one forward RGB-D camera (the paper's Fig. 13).
 
-    The frame has x ahead, y to the left, its origin in the middle of the footprint, on the wheels' axle.
+    The frame has x ahead, y to the left, and its origin at the center of the footprint, on the wheels' axle.
 
     Attributes:
         length: of the footprint along x [m].
@@ -16,9 +16,9 @@ class Robot(NamedTuple):
         camera_ahead: optical center in front of the axle [m].
         camera_height: optical center above the floor [m].
         field_of_view: of the camera, horizontal [rad].
-        columns: into which the field of view is divided, equal in angle, right to left.
-        near: least range that the camera measures [m]; what is nearer reads as this.
-        far: greatest range [m]; no return reads as this.
+        columns: sectors of equal angle in the field of view, right to left.
+        near: least range that the camera measures [m], also reported for anything nearer.
+        far: greatest range [m], also reported where nothing is hit.
         max_speed: [m/s].
         max_turn: [rad/s].
         period: of control [s].
@@ -39,12 +39,12 @@ class Robot(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Of the circle around the footprint [m]."""
+        """Radius of the circle around the footprint [m]."""
         return math.hypot(self.length, self.width) / 2
 
     @property
     def column_angles(self) -> tuple[float, ...]:
-        """Bearing of each column's middle, counter-clockwise from straight ahead, right to left [rad]."""
+        """Bearing of each column's center, counter-clockwise from straight ahead [rad]."""
         step = self.field_of_view / self.columns
         return tuple((number + 0.5) * step - self.field_of_view / 2 for number in range(self.columns))
 

@@ -1,4 +1,4 @@
-"""Frames of streets and halls: picture, exact depth, instances, 2D and 3D boxes of every object."""
+"""Frames of streets, halls and rooms whose objects are known: exact depth, instances, 2D and 3D boxes."""
 
 from typing import Any, NamedTuple
 
@@ -6,16 +6,31 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.furnished_rooms.rooms import SPLITS
-from eldenet.simulation.rendering.camera import RayCamera, camera_rotation, cast_rays
+from eldenet.simulation.furnished_rooms.render import choose_pose, draw_intrinsics
+from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
+from eldenet.simulation.rendering.camera import (
+    SEEN_GROUPS,
+    RayCamera,
+    camera_rotation,
+    cast_rays,
+    only_visible,
+)
 from eldenet.simulation.rendering.camera_noise import develop
-from eldenet.simulation.rendering.culling import SEEN_GROUPS, only_visible
 from eldenet.simulation.rendering.mjcf import Draw
-from eldenet.simulation.rendering.shading import Surfaces, shade
-from eldenet.simulation.streets import FAR, NAMES, STREAM, generate_scene
+from eldenet.simulation.rendering.shading import CompiledRoom
+from eldenet.simulation.streets import FAR, STREAM, generate_scene
+from eldenet.simulation.streets import NAMES as STREET_NAMES
 
 #: Version of the frames of streets, halls and a detector's rooms. Golden frames in the tests watch over it.
 STREETS_VERSION = 1
+#: Kinds of scenes and names of objects for a 2D detector.
+KINDS = ("street", "hall", "room")
+NAMES = (*STREET_NAMES, "furniture")
+_ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
+_MIN_PIXELS = 30  # of an object in a street or hall
+_MIN_PIXELS_ROOM = 60
+_MIN_VISIBLE = 0.25  # share of an object that a 2D detector can learn from
+_MIN_SIDE = 6.0  # of its box [px]
 _LABEL_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # level from world
 
 
@@ -25,13 +40,13 @@ class StreetView(NamedTuple):
     Attributes:
         image: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m], 0 = nothing within reach.
-        camera: whose own frame the boxes are in (it is tilted by a degree or so against the ground).
-        boxes: objects that are seen, in the camera's frame.
-        detections: their boxes around what is seen of them, in the same order.
-        visible: ``(N,)`` share of each object's pixels that nothing hides; pixels outside the picture count
-            as not visible.
-        truncated: ``(N,)`` bool: the picture's border cuts the object.
-        instance: ``(H, W)`` number of the object, -1 for the rest.
+        camera: tilted by a degree or so against the ground.
+        boxes: visible objects, in the camera's own frame.
+        detections: boxes around their visible pixels, in the same order.
+        visible: ``(N,)`` share of each object's pixels that nothing hides; pixels outside the image count
+            as hidden.
+        truncated: ``(N,)`` bool: the image border cuts the object.
+        instance: ``(H, W)`` number of the object, -1 elsewhere.
         height: of the camera above the ground [m].
     """
 
@@ -46,90 +61,129 @@ class StreetView(NamedTuple):
     height: float
 
 
-def render_street(
-    split: str, index: int, size: tuple[int, int] = (256, 832), kind: str = "street", min_pixels: int = 30
-) -> StreetView:
-    """Render scene ``index`` at ``(height, width)`` [px]; objects of fewer visible pixels are left out."""
-    import mujoco
+class ObjectView(NamedTuple):
+    """One frame for a 2D detector.
 
+    Attributes:
+        image: ``(H, W, 3)`` uint8 RGB.
+        detections: boxes around the visible pixels of the objects.
+    """
+
+    image: np.ndarray
+    detections: Detections2D
+
+
+def render_street(
+    split: str, index: int, size: tuple[int, int] = (256, 832), kind: str = "street"
+) -> StreetView:
+    """Render scene ``index`` at ``(height, width)`` [px]; objects of few visible pixels are left out."""
     scene = generate_scene(split, index, kind)
-    model = mujoco.MjModel.from_xml_string(scene.room.text)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    compiled = CompiledRoom(scene.room)
     height, width = size
     # KITTI's field of view outdoors, a wide robot's camera in halls
     focal = width * (0.58 if kind == "street" else 0.62)
     matrix = pinhole(focal, focal, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
-    eye = RayCamera(size, matrix, far=FAR[kind])
+    camera = RayCamera(size, matrix, far=FAR[kind])
     position = np.array([0.0, 0.0, scene.camera_height])
     rotation = camera_rotation(0.0, *scene.tilt)
-    hits = eye.cast(model, data, position, rotation)
-    linear = shade(scene.room, model, data, Surfaces(model, data), hits, size, position, focal)
+    linear, hits = compiled.photograph(camera, position, rotation)
     linear[hits.geom.reshape(size) < 0] = scene.sky
     seed = (STREAM, SPLITS[split], index, 2)
     image = develop(linear, Draw(seed), (*seed, 1))
-    owner = np.append(model.geom_bodyid - 1, -1)[hits.geom]
-    instance = np.where((owner >= 0) & (owner < len(scene.names)), owner, -1).reshape(size)
-    seen = [
-        _look(model, data, eye, position, rotation, instance, number) for number in range(len(scene.names))
-    ]
-    kept = [number for number, look in enumerate(seen) if look.pixels >= min_pixels]
-    label = np.array([NAMES.index(scene.names[number]) for number in kept], np.int64)
-    renumber = np.append(np.full(len(scene.names), -1), -1)
+    owner = np.append(compiled.model.geom_bodyid - 1, -1)[hits.geom]
+    instance = np.where(owner < len(scene.names), owner, -1).reshape(size)
+    numbers, pixels = np.unique(instance[instance >= 0], return_counts=True)
+    kept = numbers[pixels >= _MIN_PIXELS].tolist()
+    seen = [_visibility(compiled, camera, position, rotation, instance == number, number) for number in kept]
+    label = np.array([STREET_NAMES.index(scene.names[number]) for number in kept], np.int64)
+    xyxy = np.array([extent_of(*np.nonzero(instance == number)) for number in kept]).reshape(-1, 4)
+    renumber = np.full(len(scene.names) + 1, -1)
     renumber[kept] = np.arange(len(kept))
-    xyxy = np.array([seen[number].xyxy for number in kept]).reshape(-1, 4)
     return StreetView(
         image,
         hits.depth.astype(np.float32).reshape(size),
         PinholeCamera(matrix),
-        _boxes(model, data, kept, label, position, rotation),
-        Detections2D(xyxy, np.ones(len(kept)), label, NAMES),
-        np.array([seen[number].visible for number in kept]),
-        np.array([seen[number].truncated for number in kept], bool),
+        _boxes(compiled, kept, label, position, rotation),
+        Detections2D(xyxy, np.ones(len(kept)), label, STREET_NAMES),
+        np.array([visible for visible, _ in seen]),
+        np.array([truncated for _, truncated in seen], bool),
         renumber[instance],
         scene.camera_height,
     )
 
 
-class _Look(NamedTuple):
-    pixels: int
-    xyxy: np.ndarray
-    visible: float
-    truncated: bool
+def render_objects(split: str, index: int, size: tuple[int, int], kind: str) -> ObjectView:
+    """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
+
+    Objects that are mostly hidden or smaller than a few pixels are left out. Classes keep the numbers they
+    have in streets; everything else in a room is "furniture".
+
+    Raises:
+        ValueError: unknown kind or split.
+    """
+    if kind == "room":
+        return _render_room(split, index, size)
+    view = render_street(split, index, size, kind)
+    found = view.detections.select(view.visible >= _MIN_VISIBLE)
+    return ObjectView(view.image, _large_enough(found.xyxy, found.label))
 
 
-def _look(
-    model: Any, data: Any, eye: RayCamera, position: np.ndarray, rotation: np.ndarray,
-    instance: np.ndarray, number: int,
-) -> _Look:  # fmt: skip
-    """What is seen of an object, against what would be seen of it alone in a picture with wide borders."""
-    rows, columns = np.nonzero(instance == number)
-    if not len(rows):
-        return _Look(0, np.zeros(4), 0.0, False)
-    height, width = eye.size
+def _render_room(split: str, index: int, size: tuple[int, int]) -> ObjectView:
+    room = CompiledRoom(generate_room(split, index))
+    draw = Draw((_ROOM_STREAM, SPLITS[split], index))
+    camera = RayCamera(size, draw_intrinsics(draw, size))
+    linear, hits = room.photograph(camera, *choose_pose(room, camera, draw))
+    image = develop(linear, draw, (_ROOM_STREAM, SPLITS[split], index, 1))
+    body = np.append(room.model.geom_bodyid, 0)[hits.geom].reshape(size)  # -1 is the last: nothing was met
+    boxes, labels = [], []
+    for number, maker in room.room.pieces.items():
+        rows, columns = np.nonzero(body == number)
+        if len(rows) >= _MIN_PIXELS_ROOM:
+            boxes.append(extent_of(rows, columns))
+            labels.append(NAMES.index("person" if maker == "person" else "furniture"))
+    return ObjectView(image, _large_enough(np.array(boxes, float).reshape(-1, 4), np.array(labels, np.int64)))
+
+
+def _large_enough(xyxy: np.ndarray, label: np.ndarray) -> Detections2D:
+    """Return the boxes ``(N, 4)`` without the smallest."""
+    kept = (xyxy[:, 2:] - xyxy[:, :2] >= _MIN_SIDE).all(1)
+    return Detections2D(xyxy[kept], np.ones(int(kept.sum())), label[kept], NAMES)
+
+
+def _visibility(
+    scene: CompiledRoom,
+    camera: RayCamera,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    mask: np.ndarray,
+    number: int,
+) -> tuple[float, bool]:
+    """Return the visible share of an object and whether the image border cuts it.
+
+    The object's pixels ``mask`` are compared with those of the object alone in an image twice as wide and
+    high, at a quarter of the resolution.
+    """
+    height, width = camera.size
     shift = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1.0]])
-    coarse = np.diag([0.25, 0.25, 1.0])  # every fourth pixel of a picture twice as wide and high
-    probe = RayCamera((height // 2, width // 2), coarse @ shift @ eye.intrinsics, eye.far)
+    coarse = np.diag([0.25, 0.25, 1.0])
+    probe = RayCamera((height // 2, width // 2), coarse @ shift @ camera.intrinsics, camera.far)
+    model, data, rays = scene.model, scene.data, probe.rays(rotation)
     with only_visible(model, model.geom_bodyid == number + 1):
-        _, geom, _ = cast_rays(
-            model, data, position, probe.rays(rotation), eye.far, normals=False, groups=SEEN_GROUPS
-        )
+        _, geom, _ = cast_rays(model, data, position, rays, camera.far, normals=False, groups=SEEN_GROUPS)
     alone = (geom >= 0).reshape(probe.size)
     inside = alone[height // 8 : height // 8 + height // 4, width // 8 : width // 8 + width // 4]
-    truncated = int(inside.sum()) < int(alone.sum())
-    visible = min(1.0, len(rows) / max(16.0 * alone.sum(), 1.0))
-    return _Look(len(rows), extent_of(rows, columns), visible, truncated)
+    return min(1.0, mask.sum() / max(16.0 * alone.sum(), 1.0)), bool(inside.sum() < alone.sum())
 
 
 def _boxes(
-    model: Any, data: Any, kept: list[int], label: np.ndarray, position: np.ndarray, rotation: np.ndarray
+    scene: CompiledRoom, kept: list[int], label: np.ndarray, position: np.ndarray, rotation: np.ndarray
 ) -> Boxes3D:
-    """Exact boxes of bodies, from the extents of their geoms."""
+    """Return the exact boxes of bodies, from the extents of their geoms."""
     center, size, yaw = np.zeros((len(kept), 3)), np.zeros((len(kept), 3)), np.zeros(len(kept))
     for row, number in enumerate(kept):
-        low, high = _extent(model, number + 1)
-        turn = data.xmat[number + 1].reshape(3, 3)
-        middle = data.xpos[number + 1] + turn @ ((low + high) / 2)
+        low, high = _extent(scene.model, number + 1)
+        turn = scene.data.xmat[number + 1].reshape(3, 3)
+        middle = scene.data.xpos[number + 1] + turn @ ((low + high) / 2)
         center[row] = rotation.T @ (middle - position)
         wide, long, tall = high - low
         size[row] = long, wide, tall
@@ -139,7 +193,7 @@ def _boxes(
 
 
 def _extent(model: Any, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest coordinates ``(3,)`` of a body's geoms in its own frame [m]."""
+    """Return the lowest and highest coordinates ``(3,)`` of a body's geoms in its own frame [m]."""
     import mujoco
 
     low, high = np.full(3, np.inf), np.full(3, -np.inf)

@@ -1,6 +1,6 @@
-"""Streets and halls of objects whose boxes are known; :mod:`.street_views` looks at them.
+"""Streets and halls with objects whose boxes are known; :mod:`.street_views` renders them.
 
-A scene depends on ``(split, index)`` alone, as the rooms do; their seed streams start with ``STREAM``.
+A scene depends on ``(split, index, kind)`` alone; its seeds start with ``STREAM``.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from eldenet.simulation.furnished_rooms import household
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
 from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw
-from eldenet.simulation.rendering.patterns import variants
+from eldenet.simulation.rendering.textures import variants
 
 KINDS = ("street", "hall")
 NAMES = ("car", "van", "truck", "person", "box", "pillar")
@@ -30,19 +30,16 @@ _SIZES: dict[str, tuple[Range, Range, Range]] = {
     "pillar": ((0.4, 0.08), (0.4, 0.08), (2.6, 0.3)),
 }
 _MAKERS: dict[str, Callable[..., None]] = {
-    name: getattr(vehicles, maker)
-    for name, maker in (
-        ("car", "car"),
-        ("van", "van"),
-        ("truck", "truck"),
-        ("box", "carton"),
-        ("pillar", "pillar"),
-    )
+    "car": vehicles.car,
+    "van": vehicles.van,
+    "truck": vehicles.truck,
+    "box": vehicles.carton,
+    "pillar": vehicles.pillar,
 }
 
 
 class Scene(NamedTuple):
-    """A scene before it is seen: what :func:`~.rendering.shading.shade` needs, and the objects."""
+    """A street or hall ready to compile, the names of its objects, and where the camera stands."""
 
     room: Room
     names: list[str]
@@ -52,7 +49,7 @@ class Scene(NamedTuple):
 
 
 def generate_scene(split: str, index: int, kind: str = "street") -> Scene:
-    """Generate scene ``index`` of a split; its objects are the first bodies of the model.
+    """Generate scene ``index`` of a split; the first bodies of the model are its objects.
 
     Raises:
         ValueError: unknown split or kind, or negative index.
@@ -66,7 +63,7 @@ def generate_scene(split: str, index: int, kind: str = "street") -> Scene:
 
 
 class _Builder:
-    """Places objects where nothing stands yet; world x is ahead of the camera, y to its left."""
+    """Places objects where there is room; world x is ahead of the camera, y to its left."""
 
     def __init__(self, draw: Draw, kind: str) -> None:
         self.d, self.kind = draw, kind
@@ -97,7 +94,7 @@ class _Builder:
         return Scene(room, self.names, (0.55 * tone, 0.7 * tone, 0.95 * tone), camera, tilt)
 
     def _street(self) -> None:
-        """A road ahead, cars parked and driving, people on the pavement, houses behind."""
+        """A road with parked and driving cars, people on the sidewalks, houses behind them."""
         d = self.d
         gray = jitter(d, (0.22, 0.22, 0.23), 0.06)
         asphalt = self.m.palette.add([gray, (0.3, 0.3, 0.3), (0.15, 0.15, 0.15)], variants("speckle")[0], 1.5)
@@ -105,7 +102,7 @@ class _Builder:
         self.shell.plane((0, 0, 0), (0, 0, 1), asphalt)
         half = d.uniform(4.0, 6.5)
         for start in range(4, 80, 8):
-            self.shell.box(start, -d.uniform(1.6, 1.8), 0, 3, 0.14, 0.004, mark)
+            self.shell.box((start, -d.uniform(1.6, 1.8), 0), (3, 0.14, 0.004), mark)
         for side in (-1, 1):
             pavement = d.uniform(2, 4)
             edge = side * (half + 2.2 + pavement)
@@ -113,35 +110,23 @@ class _Builder:
             while x < 110.0:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
                 if d.chance(0.8):
-                    self.shell.box(
-                        x + wide / 2,
-                        edge + side * (deep / 2 + d.uniform(0, 2)),
-                        0,
-                        wide,
-                        deep,
-                        tall,
-                        d.pick(self.m.walls),
-                    )
+                    y = edge + side * (deep / 2 + d.uniform(0, 2))
+                    self.shell.box((x + wide / 2, y, 0), (wide, deep, tall), d.pick(self.m.walls))
                 x += wide + d.uniform(0, 5)
             self._row(side, half, parked=True)
             for _ in range(d.integer(1, 4)):
-                self._put(
-                    "person",
-                    d.uniform(5, 40),
-                    side * (half + d.uniform(1.3, 2.5 + pavement)),
-                    d.uniform(0, 360),
-                )
+                x, y = d.uniform(5, 40), side * (half + d.uniform(1.3, 2.5 + pavement))
+                self._put("person", x, y, d.uniform(0, 360))
             if d.chance(0.5):
                 self._put("pillar", d.uniform(6, 40), side * (half + d.uniform(1.3, 2.2)), 0.0)
         self._row(1, 1.6, parked=False)
         self._row(-1, 3.2, parked=False)
         for _ in range(d.integer(0, 2)):  # crossing or turning
-            self._put(
-                d.pick(("car", "van", "person")), d.uniform(10, 45), d.uniform(-3, 3), d.uniform(0, 360)
-            )
+            name = d.pick(("car", "van", "person"))
+            self._put(name, d.uniform(10, 45), d.uniform(-3, 3), d.uniform(0, 360))
 
     def _row(self, side: int, away: float, *, parked: bool) -> None:
-        """Vehicles one behind the other along the road."""
+        """Vehicles in a row along the road."""
         d = self.d
         x = d.uniform(3, 12)
         while x < 70:
@@ -170,7 +155,7 @@ class _Builder:
         return room
 
     def _put(self, name: str, x: float, y: float, yaw: float) -> None:
-        """Add an object unless something stands there."""
+        """Add an object unless another one is in the way."""
         d = self.d
         if name == "person":
             length, width, tall = 0.6, 0.6, 1.75
@@ -181,9 +166,8 @@ class _Builder:
         reach = max(0.0, length / 2 - radius)
         circles = [(x + s * reach * front[0], y + s * reach * front[1], radius) for s in (-1.0, 0.0, 1.0)]
         for cx, cy, r in circles:
-            if (
-                any((cx - a) ** 2 + (cy - b) ** 2 < (r + c + 0.1) ** 2 for a, b, c in self.taken)
-                or cx < r + 1
+            if cx < r + 1 or any(
+                (cx - a) ** 2 + (cy - b) ** 2 < (r + c + 0.1) ** 2 for a, b, c in self.taken
             ):
                 return
         self.taken += circles

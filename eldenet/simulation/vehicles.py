@@ -1,16 +1,17 @@
-"""Things that stand in a street: cars, vans, trucks, pillars and cartons, of boxes and cylinders.
+"""Cars, vans, trucks, pillars and cartons of boxes and cylinders.
 
-As the furniture, a maker fills a :class:`~.rendering.mjcf.Body` whose front looks along +y. Lengths
-run along y, widths along x. A vehicle touches its box ``length`` x ``width`` x ``height`` on all sides.
+A maker fills a :class:`~.rendering.mjcf.Body` whose front faces +y: lengths run along y, widths along x.
+The geoms touch the box ``length`` x ``width`` x ``height`` on all sides.
 """
 
 from typing import NamedTuple
 
 from eldenet.simulation.rendering.materials import any_color
 from eldenet.simulation.rendering.mjcf import Body, Draw, Palette
-from eldenet.simulation.rendering.patterns import variants
+from eldenet.simulation.rendering.textures import variants
 
-_SLICES = 5  # of a slanted windscreen
+Range = tuple[float, float]
+_SLICES = 5  # of a slanted windshield
 
 
 class Paint(NamedTuple):
@@ -44,83 +45,83 @@ def paints(draw: Draw, palette: Palette) -> Paint:
 
 
 def car(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
-    """Saloon, hatchback or estate."""
+    """Sedan, hatchback or station wagon."""
     paint, waist = d.pick(p.bodies), height * d.uniform(0.56, 0.64)
     _chassis(d, p, b, length, width, waist, paint)
-    front = length * d.uniform(0.16, 0.24)  # where the windscreen meets the bonnet
+    front = length * d.uniform(0.16, 0.24)  # where the windshield meets the hood
     rear = -length * d.pick((0.32, 0.40, 0.46))
-    _cabin(
-        p,
-        b,
-        (rear, front),
-        (0.06 * length, 0.18 * length),
-        width * 0.92,
-        width * 0.72,
-        (waist, height),
-        paint,
-    )
+    slant, widths = (0.06 * length, 0.18 * length), (width * 0.92, width * 0.72)
+    _cabin(p, b, (rear, front), slant, widths, (waist, height), paint)
 
 
 def van(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
-    """Delivery van or people carrier: one volume behind a short bonnet."""
+    """Delivery van or minivan: one volume behind a short hood."""
     paint, waist = d.pick(p.bodies), height * d.uniform(0.45, 0.55)
     _chassis(d, p, b, length, width, waist, paint)
     span = (-length * 0.49, length * d.uniform(0.32, 0.42))
-    _cabin(p, b, span, (0.02 * length, 0.14 * length), width * 0.97, width * 0.86, (waist, height), paint)
+    slant, widths = (0.02 * length, 0.14 * length), (width * 0.97, width * 0.86)
+    _cabin(p, b, span, slant, widths, (waist, height), paint)
 
 
 def truck(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
-    """Lorry: a cab and a closed load."""
+    """Truck: a cab and a closed load."""
     paint, load = d.pick(p.bodies), d.pick((*p.bodies, *p.card))
     cab = min(2.0, 0.35 * length)
     _wheels(p, b, length, width, 0.45)
-    b.box(0, length / 2 - cab / 2, 0.4, width * 0.94, cab, height * 0.78 - 0.4, paint)
-    b.box(0, length / 2 - 0.02, height * 0.45, width * 0.8, 0.05, height * 0.24, p.glass)
-    b.box(0, -cab / 2 - 0.1, 0.75, width, length - cab - 0.2, height - 0.75, load)
-    b.box(0, -cab / 2, 0.5, width * 0.5, length - cab, 0.3, p.rubber)
+    b.box((0, length / 2 - cab / 2, 0.4), (width * 0.94, cab, height * 0.78 - 0.4), paint)
+    b.box((0, length / 2 - 0.02, height * 0.45), (width * 0.8, 0.05, height * 0.24), p.glass)
+    b.box((0, -cab / 2 - 0.1, 0.75), (width, length - cab - 0.2, height - 0.75), load)
+    b.box((0, -cab / 2, 0.5), (width * 0.5, length - cab, 0.3), p.rubber)
 
 
 def carton(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
     """A closed box on the floor."""
-    b.box(0, 0, 0, width, length, height, d.pick(p.card))
+    b.box((0, 0, 0), (width, length, height), d.pick(p.card))
 
 
 def pillar(d: Draw, p: Paint, b: Body, length: float, width: float, height: float) -> None:
     """A round or square post."""
     if d.chance(0.5):
-        b.cylinder(0, 0, 0, width / 2, height, d.pick(p.card))
+        b.cylinder((0, 0, 0), width / 2, height, d.pick(p.card))
     else:
-        b.box(0, 0, 0, width, length, height, d.pick(p.card))
+        b.box((0, 0, 0), (width, length, height), d.pick(p.card))
 
 
 def _chassis(d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int) -> None:
-    """Wheels, and a body below the windows whose four corners are cut."""
+    """Add wheels, and the body below the windows with cut corners."""
     _wheels(p, b, length, width, d.uniform(0.29, 0.35))
     low, cut = d.uniform(0.18, 0.28), d.uniform(0.84, 0.92)
-    b.box(0, 0, low, width, length * cut, waist - low, paint)
-    b.box(0, 0, low + 0.05, width * 0.84, length, waist - low - 0.12, paint)
+    b.box((0, 0, low), (width, length * cut, waist - low), paint)
+    b.box((0, 0, low + 0.05), (width * 0.84, length, waist - low - 0.12), paint)
     for s in (-1, 1):
-        b.box(s * width * 0.33, length / 2 - 0.08, waist - 0.3, 0.3, 0.14, 0.12, p.lamp)
-        b.box(s * width * 0.35, -length / 2 + 0.08, waist - 0.28, 0.22, 0.14, 0.14, p.tail)
+        b.box((s * width * 0.33, length / 2 - 0.08, waist - 0.3), (0.3, 0.14, 0.12), p.lamp)
+        b.box((s * width * 0.35, -length / 2 + 0.08, waist - 0.28), (0.22, 0.14, 0.14), p.tail)
 
 
 def _wheels(p: Paint, b: Body, length: float, width: float, radius: float) -> None:
     for sx in (-1, 1):
         for sy in (-1, 1):
-            place = (sx * (width / 2 - 0.12), sy * length * 0.31, 0.0)
-            b.cylinder(place[0], place[1], radius - 0.11, radius, 0.22, p.rubber, (0, 90, 0))
+            place = (sx * (width / 2 - 0.12), sy * length * 0.31, radius - 0.11)
+            b.cylinder(place, radius, 0.22, p.rubber, euler=(0, 90, 0))
 
 
-def _cabin(
-    p: Paint, b: Body, span: tuple[float, float], slant: tuple[float, float], low_width: float,
-    high_width: float, levels: tuple[float, float], paint: int,
-) -> None:  # fmt: skip
-    """Windows that lean inwards under a painted roof."""
+def _cabin(p: Paint, b: Body, span: Range, slant: Range, widths: Range, levels: Range, paint: int) -> None:
+    """Add windows that lean inwards under a painted roof.
+
+    Args:
+        p: materials of the street.
+        b: the vehicle.
+        span: rear and front end of the windows' lower edge along y [m].
+        slant: how far the upper edge lies inwards at the rear and in front [m].
+        widths: at the lower and upper edge [m].
+        levels: heights of the lower edge and of the roof [m].
+        paint: material of the roof.
+    """
     step = (levels[1] - 0.05 - levels[0]) / _SLICES
     for k in range(_SLICES):
         share = (k + 0.5) / _SLICES
         rear, front = span[0] + share * slant[0], span[1] - share * slant[1]
-        width = low_width + share * (high_width - low_width)
-        b.box(0, (rear + front) / 2, levels[0] + k * step, width, front - rear, step, p.glass)
+        width = widths[0] + share * (widths[1] - widths[0])
+        b.box((0, (rear + front) / 2, levels[0] + k * step), (width, front - rear, step), p.glass)
     rear, front = span[0] + slant[0], span[1] - slant[1]
-    b.box(0, (rear + front) / 2, levels[1] - 0.05, high_width, front - rear, 0.05, paint)
+    b.box((0, (rear + front) / 2, levels[1] - 0.05), (widths[1], front - rear, 0.05), paint)

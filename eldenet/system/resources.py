@@ -68,6 +68,7 @@ def choose_resources(
     precision: str = "auto",
     threads: int | str = "auto",
     workers: int | str = "auto",
+    for_torch: bool = True,
 ) -> Resources:
     """Resolve "auto" into what this machine does best, and apply the thread count and :func:`full_fp32`.
 
@@ -76,6 +77,8 @@ def choose_resources(
         precision: "auto", "fp32", "bf16" or "fp16"; auto takes bf16 where the hardware multiplies it.
         threads: of torch in this process, or "auto".
         workers: processes that load data, or "auto".
+        for_torch: False where another runtime computes: torch is not loaded, a device "auto" is the CPU, and
+            the runtime itself checks any other.
 
     Raises:
         ValueError: an unknown choice, or one that this machine can't serve.
@@ -83,14 +86,17 @@ def choose_resources(
     Warns:
         UserWarning: more threads and workers than cores on a CPU.
     """
-    import torch
-
     if device not in ("auto", "cpu", "cuda"):
         raise ValueError(f"device={device!r}: choose auto, cpu or cuda")
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
+    if for_torch:
+        import torch
+
+        if device == "auto":
+            device = "cuda" if torch.cuda.is_available() else "cpu"
+        if device == "cuda" and not torch.cuda.is_available():
+            raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
+    elif device == "auto":
+        device = "cpu"
     # processes of one machine (torchrun, accelerate launch) share its cores
     cores = max(1, available_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
     if threads == "auto":
@@ -105,6 +111,8 @@ def choose_resources(
             "other down; lower one, or leave both on auto",
             stacklevel=2,
         )
+    if not for_torch:
+        return Resources(device, "fp32", threads, workers, cores)
     torch.set_num_threads(threads)
     full_fp32()
     return Resources(device, resolve_precision(precision, device), threads, workers, cores)
@@ -144,6 +152,11 @@ def make_accelerator(resources: Resources) -> Any:
     AcceleratorState._reset_state(reset_partial_state=True)  # an earlier run of this process chose its own
     precision = {"fp32": "no"}.get(resources.precision, resources.precision)
     return Accelerator(mixed_precision=precision, cpu=resources.device == "cpu")
+
+
+def is_main_process() -> bool:
+    """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
+    return os.environ.get("RANK", "0") == "0"
 
 
 @contextmanager

@@ -21,31 +21,31 @@ LAST, BEST = "last.pt", "best.pt"
 
 @dataclass
 class Progress:
-    """How far a training is; part of every checkpoint, plain values only."""
+    """How far a training has come; part of every checkpoint, plain values only."""
 
-    epoch: int = 0  # the epoch that is running, or comes next
-    batch: int = 0  # batches of that epoch that are done
+    epoch: int = 0  # epochs that are done
+    batch: int = 0  # batches of the running epoch that are done
     step: int = 0  # optimizer updates so far
     best_epoch: int = -1
     best_value: float = math.nan
     sums: dict[str, float] = field(default_factory=dict)  # of the losses of this epoch's batches
     history: list[dict[str, float]] = field(default_factory=list)
-    seconds: float = 0.0  # spent in training steps, over all sittings
-    waited: float = 0.0  # [s] for batches between the steps, the workers' start included
+    seconds: float = 0.0  # spent in training steps, resumed runs included
+    waited: float = 0.0  # [s] for batches, start of the workers included
 
 
 @dataclass
 class TrainingState:
-    """Everything that a training needs in order to go on as if it had never stopped.
+    """Everything that a training needs to resume as if it had never stopped.
 
     Attributes:
         model: the network, not wrapped.
         ema: its averaged copy, or None.
         optimizer: as prepared for the device.
         scheduler: of the learning rate.
-        loss: its own parameters, if it has any (a distillation's projections; never a teacher).
+        loss: its own parameters, if any (projections of a distillation; never a teacher).
         scaler: of fp16 gradients, or None.
-        progress: how far it is.
+        progress: how far it has come.
         identity: what must agree for a checkpoint to fit (model config, data, seed, optimizer, monitor ...).
     """
 
@@ -85,18 +85,18 @@ class TrainingState:
         if not is_finite(self.model.state_dict()):
             raise FloatingPointError(
                 f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
-                "good checkpoint. Try a lower optimizer.lr or trainer.gradient_clip=1"
+                "good checkpoint. Try a lower optimizer.lr or trainer.max_grad_norm=1"
             )
 
     def restore(self, path: Path) -> None:
-        """Take everything over from a checkpoint file or run folder.
+        """Load everything from a checkpoint file or run folder.
 
         Raises:
             FileNotFoundError: there is none.
             ValueError: it is damaged, or belongs to another training.
         """
         state = load_checkpoint(path)
-        theirs = renamed(json.loads(state["identity"]))
+        theirs = _renamed_identity(json.loads(state["identity"]))
         ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
         different = differences(ours, theirs)
         if different:
@@ -109,18 +109,28 @@ class TrainingState:
             self.ema.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.scheduler.load_state_dict(state["scheduler"])
-        self.loss.load_state_dict(state.get("loss", {}))  # checkpoints of before have none, as plain losses
+        self.loss.load_state_dict(state.get("loss", {}))  # absent in early checkpoints
         if self.scaler is not None and state["scaler"] is not None:
             self.scaler.load_state_dict(state["scaler"])
         torch.set_rng_state(state["torch_rng"])
-        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # those of before have none
+        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # absent in early ones
             torch.cuda.set_rng_state(state["cuda_rng"])
         for name, value in state["progress"].items():
             setattr(self.progress, name, value)
 
 
+def _renamed_identity(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored identity with today's names of the trainer's and the schedule's options."""
+    found = renamed({"_target_": "eldenet.training.trainer.Trainer", **identity})
+    schedule = identity.get("scheduler", {})
+    found["scheduler"] = renamed({"_target_": f"eldenet.training.optim.{schedule.get('name')}", **schedule})
+    for part in (found, found["scheduler"]):
+        del part["_target_"]
+    return found
+
+
 def described(factory: Callable[..., Any]) -> dict[str, Any]:
-    """What a factory will make, in plain values, so that a checkpoint can tell one from another."""
+    """Name and options of what a factory makes, in plain values, so that checkpoints can be compared."""
     function = factory.func if isinstance(factory, functools.partial) else factory
     options = factory.keywords if isinstance(factory, functools.partial) else {}
     return {"name": getattr(function, "__name__", type(function).__name__)} | options
@@ -129,7 +139,7 @@ def described(factory: Callable[..., Any]) -> dict[str, Any]:
 def bring_best(source: Path, folder: Path, progress: Progress) -> None:
     """Copy the best epoch of the run that ``source`` belongs to into the run folder ``folder``.
 
-    A best epoch that lies before the point of resuming must be found in the new run folder too.
+    The best epoch may lie before the checkpoint; the new run folder needs it too.
 
     Raises:
         FileNotFoundError: ``progress`` has a best epoch, but its weights are not beside ``source``.
@@ -138,7 +148,7 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
     if progress.best_epoch > 0 and not (old / "model").is_dir():
         raise FileNotFoundError(
             f"the best epoch so far is {progress.best_epoch}, but its weights are not in {old / 'model'}: "
-            "keep the checkpoint in its run folder, and give that"
+            "keep the checkpoint in its run folder and give that folder"
         )
     if old == folder.resolve():
         return
@@ -150,7 +160,7 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
 
 
 def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
-    """Write ``state`` to ``path`` at once: a reader finds the old file or the new one, never half of one."""
+    """Write ``state`` to ``path`` atomically: a reader finds the old file or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     with unfinished.open("wb") as file:
@@ -161,7 +171,7 @@ def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
 
 
 def checkpoint_file(path: str | Path) -> Path:
-    """The checkpoint that is meant: ``path`` itself, or the last one of the run folder ``path``.
+    """``path`` itself, or the last checkpoint of the run folder ``path``.
 
     Raises:
         FileNotFoundError: there is none.
@@ -179,11 +189,11 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read a checkpoint that :func:`save_checkpoint` wrote; nothing in it is executed.
 
     Args:
-        path: the file, or a run folder, whose ``checkpoints/last.pt`` is taken.
+        path: the file, or a run folder, whose ``checkpoints/last.pt`` is read.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: the file is no checkpoint of ours, or is damaged.
+        ValueError: the file is damaged or no checkpoint of eldenet.
     """
     path = checkpoint_file(path)
     try:

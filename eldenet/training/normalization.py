@@ -1,4 +1,4 @@
-"""Which mean and standard deviation the images are normalized by: ``normalization`` of ``train.yaml``."""
+"""Mean and standard deviation that normalize the images: ``normalization`` in ``train.yaml``."""
 
 import json
 import math
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.results.run_record import write_json
+from eldenet.system.files import write_json
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
@@ -20,16 +20,16 @@ FRAMES = 512
 def normalization(
     choice: str | Mapping[str, Any], train_set: "DepthDataset", *, resumed: Path | None = None
 ) -> dict[str, list[float]]:
-    """The arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; none for its own, ImageNet's.
+    """Arguments ``mean`` and ``std`` of a :class:`~eldenet.model.DepthNet`; none for ImageNet's.
 
     Args:
-        choice: "imagenet"; "dataset" for those of ``FRAMES`` seeded frames of ``train_set``; or
+        choice: "imagenet"; "dataset": measured on ``FRAMES`` seeded frames of ``train_set``; or
             ``{mean, std}`` per channel, RGB in [0, 1].
-        train_set: read for "dataset" alone.
-        resumed: folder of the run that is gone on with: its numbers are taken, not drawn again.
+        train_set: read only for "dataset".
+        resumed: folder of a run that is resumed: its numbers are used again.
 
     Raises:
-        ValueError: for another choice, or numbers that cannot be.
+        ValueError: an unknown choice, or impossible numbers.
     """
     if isinstance(choice, Mapping):
         if set(choice) != {"mean", "std"}:
@@ -39,11 +39,12 @@ def normalization(
         raise ValueError(f"normalization={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
     if choice == "imagenet":
         return {}
-    for name in (FILE, _EARLIER_FILE) if resumed is not None else ():
-        if (resumed / name).is_file():
-            known = json.loads((resumed / name).read_text())
-            return {name: _three(name, known[name]) for name in ("mean", "std")}
-    from eldenet.data.statistics import channel_statistics
+    if resumed is not None:
+        for file in (resumed / FILE, resumed / _EARLIER_FILE):
+            if file.is_file():
+                known = json.loads(file.read_text())
+                return {name: _three(name, known[name]) for name in ("mean", "std")}
+    from eldenet.data.inspection import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)
     # five digits: no machine's last bit makes another network of it
@@ -53,15 +54,15 @@ def normalization(
 
 
 def keep_normalization(model: "DepthNet", start: "DepthNet", *, chosen: bool) -> str:
-    """Weights mean something only behind the normalization that they were trained with: give it to ``model``.
+    """Give ``model`` the normalization that its start weights were trained with.
 
     Args:
-        model: that starts from the weights of ``start``; changed in place, its ``config`` too.
-        start: whose mean and standard deviation are taken over.
-        chosen: the user asked for those of ``model``: they stay.
+        model: changed in place, its ``config`` too.
+        start: where the weights come from.
+        chosen: the user chose the normalization of ``model``, so it stays.
 
     Returns:
-        What to say of it; nothing where the two are alike.
+        A line for the user; empty where the two are equal.
     """
     if all(getattr(model, name).equal(getattr(start, name)) for name in ("mean", "std")):
         return ""
@@ -69,17 +70,18 @@ def keep_normalization(model: "DepthNet", start: "DepthNet", *, chosen: bool) ->
         f"mean {network.config['mean']}, std {network.config['std']}" for network in (start, model)
     )
     if chosen:
-        return f"weights: trained with images normalized by {theirs}; the chosen {ours} stays"
+        return f"weights: trained with images normalized by {theirs}; you chose {ours}"
     for name in ("mean", "std"):
         getattr(model, name).copy_(getattr(start, name))
         model.config[name] = list(start.config[name])
     return (
-        f"weights: their normalization is taken over, {theirs} (normalization={{mean, std}} chooses another)"
+        f"weights: images are normalized as in their training, {theirs}; normalization={{mean, std}} "
+        "overrides it"
     )
 
 
 def write_normalization(folder: Path, choice: str | Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
-    """Keep what "dataset" came to in the run's folder."""
+    """Store what "dataset" measured in the run folder."""
     if choice == "dataset":
         write_json(folder / FILE, {**chosen, "frames": f"at most {FRAMES} of the training split"})
 

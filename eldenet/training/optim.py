@@ -1,4 +1,4 @@
-"""Learning rates: of the backbone beside the rest, and schedules, as factors of the optimizer's own rate."""
+"""Optimizers with a learning rate of their own for the backbone, and learning rate schedules."""
 
 import math
 from collections.abc import Callable
@@ -13,18 +13,23 @@ def _warm(step: int, warmup_steps: int) -> float:
 
 
 def constant(
-    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.0
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup_fraction: float = 0.0
 ) -> LambdaLR:
-    """Constant rate after a linear warm-up over the share ``warmup`` of the training."""
-    warmup_steps = round(warmup * total_steps)
+    """Constant rate after a linear warm-up over ``warmup_fraction`` of the training."""
+    warmup_steps = round(warmup_fraction * total_steps)
     return LambdaLR(optimizer, lambda step: _warm(step, warmup_steps))
 
 
 def cosine(
-    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup: float = 0.05, final: float = 0.0
+    optimizer: Optimizer,
+    total_steps: int,
+    steps_per_epoch: int,
+    *,
+    warmup_fraction: float = 0.05,
+    final: float = 0.0,
 ) -> LambdaLR:
-    """Linear warm-up over the share ``warmup``, then half a cosine down to the share ``final``."""
-    warmup_steps = round(warmup * total_steps)
+    """Linear warm-up over ``warmup_fraction`` of the training, then a cosine down to ``final`` x the rate."""
+    warmup_steps = round(warmup_fraction * total_steps)
 
     def factor(step: int) -> float:
         if step < warmup_steps:
@@ -36,20 +41,25 @@ def cosine(
 
 
 def one_cycle(
-    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, peak: float = 10.0, warmup: float = 0.1
+    optimizer: Optimizer,
+    total_steps: int,
+    steps_per_epoch: int,
+    *,
+    max_lr_factor: float = 10.0,
+    warmup_fraction: float = 0.1,
 ) -> LambdaLR:
-    """Up from the optimizer's rate to ``peak`` times it over the share ``warmup``, then a cosine to zero.
+    """Rise from the optimizer's rate to ``max_lr_factor`` x that rate, then fall to zero along a cosine.
 
-    Smith & Topin 2018 ("super-convergence"): small networks with batch normalization bear large rates, and
-    learn the faster for it.
+    The rise takes ``warmup_fraction`` of the training. Smith & Topin 2018 ("super-convergence"): small
+    networks with batch normalization tolerate large rates and learn faster with them.
     """
-    warmup_steps = max(1, round(warmup * total_steps))
+    warmup_steps = max(1, round(warmup_fraction * total_steps))
 
     def factor(step: int) -> float:
         if step < warmup_steps:
-            return 1 + (peak - 1) * step / warmup_steps
+            return 1 + (max_lr_factor - 1) * step / warmup_steps
         progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
-        return peak * 0.5 * (1 + math.cos(math.pi * progress))
+        return max_lr_factor * 0.5 * (1 + math.cos(math.pi * progress))
 
     return LambdaLR(optimizer, factor)
 
@@ -57,33 +67,35 @@ def one_cycle(
 def epoch_decay(
     optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, decay: float = 0.9
 ) -> LambdaLR:
-    """The rate is multiplied by ``decay`` after every epoch: the paper's "weight decay 0.9", read so."""
+    """Multiply the rate by ``decay`` after every epoch: our reading of the paper's "weight decay 0.9"."""
     return LambdaLR(optimizer, lambda step: decay ** (step // steps_per_epoch))
 
 
 def build_optimizer(
-    make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr: float = 1.0
+    make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr_factor: float = 1.0
 ) -> Optimizer:
-    """An optimizer of all parameters; the backbone's learn at ``backbone_lr`` times its rate.
+    """An optimizer of all parameters; those of the backbone learn at ``backbone_lr_factor`` x its rate.
 
-    A trained backbone forgets at the rate that a new decoder needs (Howard & Ruder 2018, "discriminative
-    fine-tuning").
+    A trained backbone forgets what it knows at the rate that a new decoder needs (Howard & Ruder 2018,
+    "discriminative fine-tuning").
 
     Raises:
         ValueError: the network has no backbone to slow down, or the factor is negative.
     """
-    if not backbone_lr >= 0:
-        raise ValueError(f"backbone_lr={backbone_lr}: 0 (frozen but for its statistics) or more is needed")
+    if not backbone_lr_factor >= 0:
+        raise ValueError(
+            f"backbone_lr_factor={backbone_lr_factor}: give 0 (frozen except for its statistics) or more"
+        )
     every = [*model.parameters(), *loss.parameters()]
-    if backbone_lr == 1:
+    if backbone_lr_factor == 1:
         return make(every)
     backbone = getattr(getattr(model, "network", None), "backbone", None)
     if backbone is None:
         raise ValueError(
-            f"backbone_lr={backbone_lr}: this network has no backbone apart from the rest, give 1"
+            f"backbone_lr_factor={backbone_lr_factor}: this network has no separate backbone, give 1"
         )
     slow = list(backbone.parameters())
     known = {id(parameter) for parameter in slow}
     optimizer = make([{"params": [p for p in every if id(p) not in known]}, {"params": slow}])
-    optimizer.param_groups[1]["lr"] *= backbone_lr
+    optimizer.param_groups[1]["lr"] *= backbone_lr_factor
     return optimizer

@@ -1,103 +1,88 @@
-"""Whether and from where a training goes on: what its run folder holds, and whether that is this run."""
+"""Whether and from where a training resumes: what its run folder holds, and whether that is this run."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet import config as cfg
 from eldenet.renames import renamed
-from eldenet.results.fingerprints import differences
+from eldenet.results.fingerprints import differences, run_differences
+from eldenet.results.run_record import RUN_FILE, read_run
+from eldenet.system.files import read_yaml
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
+    from eldenet.training.setup import TrainingSetup
+
+OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 
 
-def finished_run(config: "DictConfig", folder: Path) -> dict[str, Any] | None:
-    """The ``run.json`` of this very run if it is there already, and ``ckpt_path=auto`` asks for it.
+def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str, Any] | None:
+    """The ``run.json`` of this very run if it is finished already and ``ckpt_path=auto`` asks for it.
+
+    Args:
+        setup: of the training.
+        folder: where the finished run may lie; None: the setup's own folder.
 
     Raises:
-        ValueError: the finished run in ``folder`` had other settings or other data, or is an evaluation.
+        ValueError: the finished run had other settings or other frames, or is an evaluation.
     """
-    from eldenet.results.fingerprints import run_differences
-    from eldenet.results.run_record import RUN_FILE, read_run
-
-    if config.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
+    folder = folder or setup.folder
+    if setup.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
     if record.get("training", {}) is None:
-        raise ValueError(f"{folder} holds an evaluation, no training to go on with: give another folder")
-    different = run_differences(cfg.plain(config), record)
+        raise ValueError(f"{folder} holds an evaluation, not a training to resume: give another folder")
+    different = run_differences(setup.settings, record)
     if not different:
-        protocol = cfg.build_protocol(config)
         for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
-            found = cfg.build_split(config, split, protocol).split_hash
+            found = setup.make_split(split, setup.protocol).split_hash
             if record.get(name, found) != found:
                 different.append(f"the frames of data.{split} ({found}, there {record[name]})")
-    if different:
-        raise ValueError(
-            f"{folder} holds a finished run of other settings: {'; '.join(different[:5])}. Take these back, "
-            "give another folder, or remove that one"
-        )
+    _refuse(folder, "finished run of", different)
     return record
 
 
-def checkpoint_of(config: "DictConfig", folder: Path) -> Path | None:
-    """What ``ckpt_path`` says to go on with; None: nothing, or nothing there yet.
+def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
+    """The checkpoint that ``ckpt_path`` names; None: it names none, or there is none yet.
 
     Raises:
-        ValueError: ``folder`` holds another run, or this one, begun with other settings.
+        ValueError: the run folder holds another run, or this one begun with other settings.
     """
-    checkpoint = _named_checkpoint(config, folder)
-    if checkpoint is not None and _lies_in(folder, checkpoint):
-        _refuse_other_settings(config, folder)
-    else:
-        _refuse_to_mix(folder)
+    checkpoint, folder = _named_checkpoint(setup), setup.folder.resolve()
+    if checkpoint is None or folder not in (checkpoint.resolve(), *checkpoint.resolve().parents):
+        held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (setup.folder / file).exists()]
+        if held:
+            raise ValueError(
+                f"run_dir={setup.folder} holds another run already ({held[0]}): resume it (ckpt_path=auto), "
+                "give another run_dir, or remove that folder"
+            )
+        return checkpoint
+    begun = setup.folder / "config.yaml"
+    if begun.is_file():  # the checkpoint itself knows what precision "auto" was
+        known = frozenset(("precision",))
+        different = differences(setup.settings, renamed(read_yaml(begun)), ignored=known)
+        _refuse(setup.folder, "run begun with", different)
     return checkpoint
 
 
-def _named_checkpoint(config: "DictConfig", folder: Path) -> Path | None:
+def _refuse(folder: Path, held: str, different: list[str]) -> None:
+    if different:
+        raise ValueError(
+            f"{folder} holds a {held} other settings: {'; '.join(different[:5])}. Use those, give another "
+            "folder, or remove that one"
+        )
+
+
+def _named_checkpoint(setup: "TrainingSetup") -> Path | None:
     from eldenet.training.checkpoint import checkpoint_file
 
-    if config.ckpt_path is None:
+    if setup.ckpt_path is None:
         return None
-    if config.ckpt_path != "auto":
-        checkpoint_file(config.ckpt_path)
-        return Path(config.ckpt_path)
-    own = folder / "checkpoints" / "last.pt"
+    if setup.ckpt_path != "auto":
+        checkpoint_file(setup.ckpt_path)
+        return Path(setup.ckpt_path)
+    own = setup.folder / OWN_CHECKPOINT
     return own if own.is_file() else None
 
 
-def _lies_in(folder: Path, checkpoint: Path) -> bool:
-    resolved = checkpoint.resolve()
-    return folder.resolve() in (resolved, *resolved.parents)
-
-
-def _refuse_other_settings(config: "DictConfig", folder: Path) -> None:
-    """A run that was begun goes on with the settings that it began with, or its record would be untrue."""
-    begun = folder / "config.yaml"
-    # the checkpoint knows what "auto" was
-    known = frozenset(("precision",))
-    different = (
-        differences(cfg.plain(config), renamed(cfg.read_yaml(begun)), ignored=known)
-        if begun.is_file()
-        else []
-    )
-    if different:
-        raise ValueError(
-            f"{folder} holds a run begun with other settings: {'; '.join(different[:5])}. Take these back, "
-            "give another folder, or remove that one"
-        )
-
-
-def _refuse_to_mix(folder: Path) -> None:
-    """A run folder holds one run."""
-    held = [name for name in ("run.json", "checkpoints/last.pt") if (folder / name).exists()]
-    if held:
-        raise ValueError(
-            f"run_dir={folder} holds another run already ({held[0]}): go on with it (ckpt_path=auto), give "
-            "another run_dir, or remove that folder"
-        )
-
-
 def run_folder(checkpoint: Path) -> Path:
-    """The run that a checkpoint, or a run's folder, belongs to."""
+    """The run folder that a checkpoint belongs to; a run folder is its own."""
     return checkpoint if checkpoint.is_dir() else checkpoint.parent.parent

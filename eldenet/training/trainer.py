@@ -1,10 +1,10 @@
-"""One visible training loop. To change a step, subclass :class:`Trainer` and write ``train_step``."""
+"""One visible training loop. To change a step, subclass :class:`Trainer` and override ``train_step``."""
 
 import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,27 +23,48 @@ from eldenet.training.ema import WeightAverage, average_gradients
 from eldenet.training.loss_meter import LossMeter, timed
 from eldenet.training.optim import build_optimizer
 
-IDENTITY = ("monitor", "seed", "accumulate", "epochs", "backbone_lr", "ema_decay")  # as a checkpoint's
+SIGNATURE = (
+    "monitor",
+    "seed",
+    "accumulate_grad_batches",
+    "epochs",
+    "backbone_lr_factor",
+    "ema_decay",
+)  # a checkpoint's
+
+
+class TrainingData(NamedTuple):
+    """The frames of a training and the rules of its validation.
+
+    Attributes:
+        train: augmented.
+        val: scored after every epoch.
+        protocol: by which ``val`` is scored.
+    """
+
+    train: DepthDataset
+    val: DepthDataset
+    protocol: EvalProtocol
 
 
 class Trainer:
-    """Trains a :class:`DepthNet`; on one device or several (``accelerate launch``, ``torchrun``).
+    """Train a :class:`DepthNet` on one device or several (``accelerate launch``, ``torchrun``).
 
     Args:
         optimizer: parameters -> optimizer.
         scheduler: (optimizer, total_steps, steps_per_epoch) -> schedule, stepped once per update.
         epochs: passes over the training set.
         batch_size: images per process and batch.
-        accumulate: batches per update.
-        gradient_clip: largest norm of the gradient; None: not clipped.
-        backbone_lr: learning rate of the network's backbone, as a factor of the optimizer's.
-        ema_decay: decay per update of an exponential moving average of the weights, which is then what is
-            evaluated and saved; None: none.
+        accumulate_grad_batches: batches per update.
+        max_grad_norm: gradients are clipped to this norm; None: not clipped.
+        backbone_lr_factor: learning rate of the backbone, relative to the optimizer's.
+        ema_decay: decay of an exponential moving average of the weights, which is then evaluated and saved;
+            None: no average.
         channels_last: memory layout of images and weights.
-        monitor: metric that chooses the best epoch.
+        monitor: metric that decides which epoch is the best.
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
-        seed: of order, augmentation and anything random in the network.
+        seed: of frame order, augmentation and anything random in the network.
     """
 
     def __init__(
@@ -53,9 +74,9 @@ class Trainer:
         scheduler: Callable[..., torch.optim.lr_scheduler.LRScheduler],
         epochs: int,
         batch_size: int = 32,
-        accumulate: int = 1,
-        gradient_clip: float | None = None,
-        backbone_lr: float = 1.0,
+        accumulate_grad_batches: int = 1,
+        max_grad_norm: float | None = None,
+        backbone_lr_factor: float = 1.0,
         ema_decay: float | None = None,
         channels_last: bool = True,
         monitor: str = "delta1",
@@ -65,28 +86,34 @@ class Trainer:
     ) -> None:
         if monitor not in METRICS:
             raise ValueError(f"monitor={monitor!r}: choose one of {METRICS}")
-        counts = {"epochs": epochs, "batch_size": batch_size, "accumulate": accumulate}
+        counts = {
+            "epochs": epochs,
+            "batch_size": batch_size,
+            "accumulate_grad_batches": accumulate_grad_batches,
+        }
         counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
         for name, value in counts.items():
             if not (isinstance(value, int) and value >= 1):
-                raise ValueError(f"{name}={value}: a whole number, 1 or more, is needed")
-        if gradient_clip is not None and not gradient_clip > 0:
-            raise ValueError(f"gradient_clip={gradient_clip}: above 0 is needed, or null for no clipping")
+                raise ValueError(f"{name}={value}: give a whole number, 1 or more")
+        if max_grad_norm is not None and not max_grad_norm > 0:
+            raise ValueError(f"max_grad_norm={max_grad_norm}: give a number above 0, or null for no clipping")
         if seed < 0:
-            raise ValueError(f"seed={seed}: 0 or more is needed")
+            raise ValueError(f"seed={seed}: give 0 or more")
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
-        self.epochs, self.batch_size, self.accumulate = epochs, batch_size, accumulate
-        self.gradient_clip, self.ema_decay, self.channels_last = gradient_clip, ema_decay, channels_last
+        self.epochs, self.batch_size, self.accumulate_grad_batches = (
+            epochs,
+            batch_size,
+            accumulate_grad_batches,
+        )
+        self.max_grad_norm, self.ema_decay, self.channels_last = max_grad_norm, ema_decay, channels_last
         self.monitor, self.checkpoint_every, self.evaluate_every = monitor, checkpoint_every, evaluate_every
-        self.seed, self.backbone_lr = seed, backbone_lr
+        self.seed, self.backbone_lr_factor = seed, backbone_lr_factor
 
     def fit(
         self,
         model: DepthNet,
-        train_set: DepthDataset,
-        val_set: DepthDataset,
         loss: WeightedSum,
-        protocol: EvalProtocol,
+        data: TrainingData,
         folder: Path,
         resources: Resources,
         *,
@@ -94,25 +121,23 @@ class Trainer:
         info: dict[str, Any] | None = None,
         sources: Mapping[str, str | None] | None = None,
     ) -> Progress:
-        """Train; the best epoch's weights end in ``folder/model``, all state in ``folder/checkpoints``.
+        """Train; write the best epoch's weights to ``folder/model`` and all state to ``folder/checkpoints``.
 
         Args:
             model: trained in place.
-            train_set: augmented.
-            val_set: scored after every epoch.
             loss: what is minimized.
-            protocol: of the validation.
+            data: frames, and the rules of the validation.
             folder: of the run.
             resources: device, precision, threads and workers.
-            ckpt_path: checkpoint to go on from; the result is that of an uninterrupted run.
-            info: facts to keep beside the weights, in ``config.json``.
-            sources: fingerprints of the weights that the network was given: a training goes on with these.
+            ckpt_path: checkpoint to resume; the result is that of an uninterrupted run.
+            info: facts to store beside the weights, in ``config.json``.
+            sources: fingerprints of the weights and teachers in use; a resumed training must have the same.
 
         Raises:
             FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
         """
         self.info, self.sources = info or {}, dict(sources or {})
-        self._set_up(model, train_set, val_set, loss, protocol, folder, resources, ckpt_path)
+        self._set_up(model, loss, data, folder, resources, ckpt_path)
         progress, batches = self.progress, self.sampler.batches
         for epoch in range(progress.epoch, self.epochs):
             self.sampler.epoch, self.sampler.start = epoch, progress.batch
@@ -125,7 +150,7 @@ class Trainer:
                 for batch in timed(self.loader, progress):
                     started = time.monotonic()
                     progress.batch += 1
-                    update = progress.batch % self.accumulate == 0 or progress.batch == batches
+                    update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
                     batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
                     self.meter.add(progress.step, self.train_step(batch, update=update))
                     progress.step += update
@@ -151,9 +176,9 @@ class Trainer:
         total, terms = self.loss(prediction, batch["depth"], batch["mask"], batch["image"])
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
-            average_gradients(self.loss, self.accelerator)  # its own parameters: the model's are in DDP
-            if self.gradient_clip is not None:
-                self.accelerator.clip_grad_norm_(self.model.parameters(), self.gradient_clip)
+            average_gradients(self.loss, self.accelerator)  # DDP averages the model's
+            if self.max_grad_norm is not None:
+                self.accelerator.clip_grad_norm_(self.model.parameters(), self.max_grad_norm)
             self.optimizer.step()
             self.optimizer.zero_grad(set_to_none=True)
             self.scheduler.step()
@@ -162,19 +187,17 @@ class Trainer:
         return {"total": total.detach()} | {name: value.detach() for name, value in terms.items()}
 
     def _batches_of_this_update(self) -> int:
-        """``accumulate``, but for the epoch's last update, which has what is left."""
-        earlier = (self.progress.batch - 1) // self.accumulate * self.accumulate
-        return min(self.accumulate, self.sampler.batches - earlier)
+        """``accumulate_grad_batches``; fewer in the epoch's last update, which takes what is left."""
+        earlier = (self.progress.batch - 1) // self.accumulate_grad_batches * self.accumulate_grad_batches
+        return min(self.accumulate_grad_batches, self.sampler.batches - earlier)
 
     # ------------------------------------------------------------------ before
 
     def _set_up(
         self,
         model: DepthNet,
-        train_set: DepthDataset,
-        val_set: DepthDataset,
         loss: WeightedSum,
-        protocol: EvalProtocol,
+        data: TrainingData,
         folder: Path,
         resources: Resources,
         ckpt_path: str | Path | None,
@@ -182,22 +205,24 @@ class Trainer:
         seed_everything(self.seed)
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
-        self.folder, self.protocol, self.val_set, self.workers = folder, protocol, val_set, resources.workers
-        loss.attach(model, self.accelerator.autocast)
+        self.train_set, self.val_set, self.protocol = data
+        self.folder, self.workers = folder, resources.workers
+        loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
-        self.train_set = train_set
         self.sampler = EpochSampler(
-            len(train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
+            len(self.train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
         )
         self.loader = training_loader(
-            train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
+            self.train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
         )
-        steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate)
-        optimizer = build_optimizer(self.make_optimizer, model, self.loss, backbone_lr=self.backbone_lr)
+        steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate_grad_batches)
+        optimizer = build_optimizer(
+            self.make_optimizer, model, self.loss, backbone_lr_factor=self.backbone_lr_factor
+        )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
-        # accelerate's autocast would stay on the model, in validation too; train_step has its own
+        # without accelerate's autocast, which would stay on in validation; train_step has its own
         self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
         self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)
         self.average = None if self.ema_decay is None else WeightAverage(model, self.ema_decay)
@@ -211,15 +236,15 @@ class Trainer:
             scaler=self.accelerator.scaler,
             progress=self.progress,
             identity={
-                **{name: getattr(self, name) for name in IDENTITY},
+                **{name: getattr(self, name) for name in SIGNATURE},
                 "model": model.config,
-                "training split": train_set.split_hash,
-                "validation split": val_set.split_hash,
-                "protocol": protocol.as_dict(),
+                "training split": self.train_set.split_hash,
+                "validation split": self.val_set.split_hash,
+                "protocol": self.protocol.as_dict(),
                 "batch_size": self.batch_size * self.processes,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
-                "teacher": loss.identity,
+                "teacher": loss.signature,
                 "precision": resources.precision,
                 "sources": self.sources,
             },
@@ -229,7 +254,7 @@ class Trainer:
             if self.accelerator.is_main_process:
                 bring_best(Path(ckpt_path), folder, self.progress)
         self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
-        # an epoch's points stand at its last step: a run that goes on from there keeps them
+        # an epoch's points lie at its last step: a resumed run keeps them
         self.log = RunLog(
             folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
         )
@@ -237,7 +262,7 @@ class Trainer:
     # ------------------------------------------------------------------ after an epoch
 
     def _end_epoch(self, epoch: int) -> None:
-        self.meter.look()
+        self.meter.read()
         progress = self.progress
         losses = {f"train_{name}": value / progress.batch for name, value in progress.sums.items()}
         row: dict[str, float] = {
@@ -285,7 +310,9 @@ class Trainer:
     def _validate(self) -> dict[str, float]:
         model = self._best_candidate()
         if self.processes > 1:
-            for buffer in model.buffers():  # BatchNorm's are each process's own: score what is saved
+            for (
+                buffer
+            ) in model.buffers():  # each process has its own BatchNorm statistics: score what is saved
                 torch.distributed.broadcast(buffer, 0)
         with self.log.bar("validation", len(self.val_set)) as bar:
             result = evaluate(
@@ -311,6 +338,6 @@ class Trainer:
         return value < best if self.monitor in LOWER_IS_BETTER else value > best
 
     def _save(self, name: str) -> None:
-        self.meter.look()
+        self.meter.read()
         if self.accelerator.is_main_process:
             self.state.save(self.folder / "checkpoints" / name)

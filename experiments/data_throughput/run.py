@@ -1,14 +1,13 @@
-"""How fast frames come, cold and cached, beside torchvision; and how long the training loop waits for them.
+"""Measure how fast frames load, cold and cached, beside torchvision, and how long training waits for them.
 
 ELDENET_DATA=... python experiments/data_throughput/run.py
 
-1. images/s of the training loader: the 665 labelled NYU training frames (480 x 640 JPEG and PNG) at 228 x 304
-   with full augmentation, in batches of 32, from this process alone and from workers. Rows take turns, so a
-   drift of the machine hits all alike; figures are medians over rounds.
-2. The trainer's own record of its wait for data and its time in steps, ELDE-Net, by epoch.
+1. images/s of the training loader: the 665 labeled NYU training frames (480 x 640 JPEG and PNG) at 228 x 304
+   with full augmentation, in batches of 32, with and without workers. Rows take turns, so that a drift of the
+   machine affects all alike; figures are medians over rounds.
+2. The trainer's own record of its wait for data and its time in steps, for ELDE-Net, by epoch.
 """
 
-import csv
 import itertools
 import json
 import os
@@ -33,35 +32,31 @@ from eldenet.data.loaders import EpochSampler, _quiet_worker, training_loader  #
 from eldenet.data.nyu import NYULabelled  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
 from eldenet.system.resources import choose_resources  # noqa: E402
 
 HERE = Path(__file__).parent
 SIZE, BATCH, ROUNDS = (228, 304), 32, 12
-FRAMES = 192  # an epoch of the trainer's
+FRAMES = 192  # of an epoch of the trainer
 ROWS = ("torchvision v2", "cold", "disk", "ram")
 FIELDS = ("loader", "workers", "images_per_s", "ratio_to_cold", "low", "high")
 
 
 class TorchvisionNYU(Dataset):
-    """The same files, sizes and kinds of change in plain torchvision.transforms.v2."""
+    """The same files, sizes and kinds of augmentation in plain torchvision.transforms.v2."""
 
     def __init__(self, frames: NYULabelled) -> None:
         from torchvision.transforms import v2
 
         self.files = [frames.frame_files(index) for index in range(len(frames))]
         self.resize = v2.Resize(SIZE, antialias=True)
-        smooth = v2.InterpolationMode.BILINEAR  # of the image; masks are always moved by nearest
+        smooth = v2.InterpolationMode.BILINEAR  # for the image; masks always use nearest
         move = v2.RandomAffine(5.0, translate=(0.05, 0.05), scale=(1.0, 1.3), interpolation=smooth)
-        self.geometry = v2.Compose(
-            [
-                v2.RandomHorizontalFlip(0.5),
-                v2.RandomApply([move], 0.5),
-            ]
-        )
+        self.geometry = v2.Compose([v2.RandomHorizontalFlip(0.5), v2.RandomApply([move], 0.5)])
         jitter = v2.ColorJitter(brightness=0.2, contrast=0.2)
         whole = v2.ColorJitter(brightness=0.2, contrast=0.2, saturation=0.2)
         hue = v2.ColorJitter(brightness=0.04, saturation=0.08, hue=0.055)
-        self.colour = v2.Compose([v2.RandomApply([step], 0.3) for step in (jitter, whole, hue)])
+        self.color = v2.Compose([v2.RandomApply([step], 0.3) for step in (jitter, whole, hue)])
 
     def __getitem__(self, key: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
         from torchvision import tv_tensors
@@ -71,17 +66,17 @@ class TorchvisionNYU(Dataset):
         picture = tv_tensors.Image(decode_image(str(image), ImageReadMode.RGB))
         mask = tv_tensors.Mask(decode_image(str(depth), ImageReadMode.GRAY))
         picture, mask = self.geometry(*self.resize(picture, mask))
-        metres = (mask.float() + 0.5) * (9.99547 / 255) * (mask > 0)
-        return self.colour(picture).float() / 255, metres
+        meters = (mask.float() + 0.5) * (9.99547 / 255) * (mask > 0)
+        return self.color(picture).float() / 255, meters
 
 
 def loader_of(row: str, workers: int) -> DataLoader:
-    options: dict[str, Any] = {"input_size": SIZE, "load_size": SIZE, "transform": Augmentation()}
+    options: dict[str, Any] = {"input_size": SIZE, "resize_on_load": SIZE, "transform": Augmentation()}
     kind = row if row in ("disk", "ram") else "none"
     frames = NYULabelled(split="train", min_depth=0.1, cache=kind, **options)
     sampler = EpochSampler(len(frames), BATCH, seed=0)
     if row in ("disk", "ram"):
-        for index in range(len(frames)):  # the first epoch, which is as slow as "cold"
+        for index in range(len(frames)):  # fill the cache; this is as slow as "cold"
             frames._ready_frame(index)
     if row != "torchvision v2":
         return training_loader(frames, sampler, workers=workers)
@@ -102,7 +97,7 @@ def endless(loader: DataLoader) -> Iterator[Any]:
 
 
 def measure(workers: int) -> list[dict[str, object]]:
-    """Rows in turn: batch by batch in this process, epoch by epoch with workers, which work ahead."""
+    """Measure the rows in turns: of a batch without workers, of an epoch with workers, which load ahead."""
     loaders = {row: loader_of(row, workers) for row in ROWS}
     seconds: dict[str, list[float]] = {row: [] for row in ROWS}
     if workers == 0:
@@ -118,7 +113,7 @@ def measure(workers: int) -> list[dict[str, object]]:
             for row, loader in loaders.items():
                 loader.batch_sampler.epoch = turn  # type: ignore[union-attr]
                 batches = iter(loader)
-                next(batches)  # from here on the workers are the bottleneck: every batch is taken at once
+                next(batches)  # from here on, batches are taken as fast as the workers make them
                 started = time.perf_counter()
                 count = sum(1 for _ in batches)
                 seconds[row].append((time.perf_counter() - started) / count)
@@ -126,26 +121,21 @@ def measure(workers: int) -> list[dict[str, object]]:
     for row in ROWS:
         ratios = [cold / own for cold, own in zip(seconds["cold"], seconds[row], strict=True)]
         middle = statistics.median(seconds[row])
-        values = (row, workers, round(BATCH / middle), *(round(value, 2) for value in quartiles(ratios)))
+        low, half, high = np.percentile(ratios, (25, 50, 75)).round(2).tolist()
+        values = (row, workers, round(BATCH / middle), half, low, high)
         rows.append(dict(zip(FIELDS, values, strict=True)))
     return rows
 
 
-def quartiles(values: list[float]) -> tuple[float, float, float]:
-    """Median, lower and upper quartile."""
-    low, middle, high = np.percentile(values, (25, 50, 75))
-    return float(middle), float(low), float(high)
-
-
 def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
-    """Seconds waited and in steps, by epoch, of the default network."""
+    """Return the seconds of waiting for data and of steps in each epoch, for the default network."""
     import eldenet
     from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.losses.base import WeightedSum, WeightedTerm
     from eldenet.losses.pointwise import L1Loss
     from eldenet.losses.ssim import SSIMLoss
     from eldenet.training.optim import constant
-    from eldenet.training.trainer import Trainer
+    from eldenet.training.trainer import Trainer, TrainingData
 
     marks = [(0.0, 0.0)]
 
@@ -154,7 +144,7 @@ def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
             marks.append((self.progress.waited, self.progress.seconds))
             super()._end_epoch(epoch)
 
-    options: dict[str, Any] = {"min_depth": 0.1, "input_size": SIZE, "load_size": SIZE}
+    options: dict[str, Any] = {"min_depth": 0.1, "input_size": SIZE, "resize_on_load": SIZE}
     train = NYULabelled(split="train", cache=cache, transform=Augmentation(), **options)
     train.draw_subset(FRAMES, seed=0)
     val = NYULabelled(split="val", min_depth=0.1, input_size=SIZE, resize_depth=False)
@@ -171,7 +161,7 @@ def waits(cache: str, epochs: int = 3) -> list[tuple[float, float]]:
     model = eldenet.load("eldenet").train()
     resources = choose_resources(device="cpu")
     with tempfile.TemporaryDirectory() as folder:
-        trainer.fit(model, train, val, loss, protocol, Path(folder), resources)
+        trainer.fit(model, loss, TrainingData(train, val, protocol), Path(folder), resources)
     return [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(marks)]
 
 
@@ -182,15 +172,12 @@ def main() -> None:
         os.environ["ELDENET_CACHE"] = folder
         rows = measure(0) + measure(max(1, resources.workers))
         waited = {cache: waits(cache) for cache in ("none", "disk", "ram")}
-    with (HERE / "results.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    write_rows(HERE / "results.csv", FIELDS, [list(row.values()) for row in rows])
     lines = [
         f"{where['hardware']['processor']}, {resources.cores} hardware threads, {resources.threads} of them "
         f"torch's, {where['date']}; versions {json.dumps(where['versions'])}.",
         "",
-        f"NYU labelled, 665 frames, {SIZE[0]} x {SIZE[1]}, batch {BATCH}, full augmentation. The source "
+        f"NYU labeled, 665 frames, {SIZE[0]} x {SIZE[1]}, batch {BATCH}, full augmentation. The source "
         "files are in the operating system's memory, so cold means decoding, not a slow disk. Medians and "
         "quartiles of interleaved rounds.",
         "",
@@ -217,12 +204,10 @@ def main() -> None:
 
 
 def draw(rows: list[dict[str, object]]) -> None:
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
+    figure = Figure(figsize=(6, 3), layout="constrained")
+    axes = figure.subplots()
     labels = [f"{r['loader']}, {r['workers']} workers" for r in rows]
     rates = [float(str(r["images_per_s"])) for r in rows]
     bars = axes.barh(labels, rates, color=["#999999" if "torch" in label else "#3b6ea5" for label in labels])

@@ -1,10 +1,10 @@
-"""Does another DQN learn the same on the same environment? Stable-Baselines3's, beside ours.
+"""Compare our DQN with Stable-Baselines3's on the same environment.
 
 python experiments/dqn_crosscheck/run.py        300,000 steps each, then 100 validation arenas per density
 
-Same observation, steps, discount, n-step returns, batch, replay and network. What differs:
-Stable-Baselines3's loss is Huber's (it takes no other), its targets are not double, and its target network
-moves once per step of all robots.
+Both have the same observation, steps, discount, n-step returns, batch, replay and network. Stable-Baselines3
+differs in its loss (Huber, the only one that it offers), its targets (not double), and its target network,
+which is updated once per step of all robots.
 """
 
 from argparse import ArgumentParser
@@ -16,9 +16,9 @@ import torch
 from stable_baselines3 import DQN as ReferenceDQN
 from stable_baselines3.common.env_util import make_vec_env
 
-from eldenet.navigation.dqn import DQN
+from eldenet.navigation.dqn import DQN, DQNSettings
 from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
-from eldenet.navigation.evaluation import cross, summarize
+from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.qnetwork import QNetwork
@@ -31,7 +31,7 @@ ROBOTS = 16
 
 
 def train_reference(steps: int, seed: int) -> QNetwork:
-    """Train Stable-Baselines3's DQN and take its network over."""
+    """Train Stable-Baselines3's DQN and return its network as one of ours."""
     env = make_vec_env(ArenaNavEnv, n_envs=ROBOTS, seed=seed)
     model = ReferenceDQN(
         "MlpPolicy", env, learning_rate=lambda left: 5e-4 * (0.1 + 0.9 * left), buffer_size=400_000,
@@ -51,8 +51,8 @@ def train_reference(steps: int, seed: int) -> QNetwork:
 
 
 def train_ours(steps: int, seed: int) -> QNetwork:
-    """Train ours on as many robots."""
-    learner = DQN(ArenaNavVectorEnv(ROBOTS), steps=steps, seed=seed)
+    """Train our DQN on as many robots and return its network."""
+    learner = DQN(ArenaNavVectorEnv(ROBOTS), DQNSettings(total_timesteps=steps, seed=seed))
     learner.learn()
     return learner.policy_dqn
 
@@ -62,23 +62,24 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300_000)
     parser.add_argument("--worlds", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=HERE / "results.md")
+    args = parser.parse_args()
     where = environment()
     lines = [
         "# Two DQNs on one environment",
         "",
-        f"{given.steps:,} steps, seed {given.seed}, {ROBOTS} robots; success [%] on {given.worlds} "
+        f"{args.steps:,} steps, seed {args.seed}, {ROBOTS} robots; success [%] on {args.worlds} "
         "validation arenas, kinematic, sensor ranges.",
         "",
         "| learner | 20 obstacles | 80 obstacles |",
         "|---|---:|---:|",
     ]
     for name, train in (("Stable-Baselines3", train_reference), ("ours", train_ours)):
-        network = train(given.steps, given.seed)
+        network = train(args.steps, args.seed)
         shown = []
         for density in (20, 80):
-            arenas = frozen_arenas(density, given.worlds, split="val")
-            rows = cross(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
+            arenas = frozen_arenas(density, args.worlds, split="val")
+            rows = run_episodes(arenas, lambda robots, n=network: Navigator(n, {}, robots=robots), Ranges())
             s = summarize(rows)
             shown.append(f"{s['success']:.1f} [{s['success_low']:.1f}, {s['success_high']:.1f}]")
         lines.append(f"| {name} | {shown[0]} | {shown[1]} |")
@@ -89,7 +90,7 @@ def main() -> None:
         f"torch {where['versions']['torch']}, mujoco {where['versions']['mujoco']}, {where['date']}; "
         f"`python experiments/dqn_crosscheck/{where['command']}`.",
     ]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
+    args.out.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

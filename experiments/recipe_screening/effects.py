@@ -1,4 +1,7 @@
-"""``python experiments/recipe_screening/effects.py``: what each change gives, from the stored runs."""
+"""Estimate the effect of each change from the stored runs: effects.md.
+
+python experiments/recipe_screening/effects.py
+"""
 
 from pathlib import Path
 
@@ -11,26 +14,26 @@ from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).resolve().parent
 METRICS = ("delta1", "rmse", "abs_rel")
-CHANGES = {  # what the columns of the design switch on; "nothing" shows how large an effect chance makes
+CHANGES = {  # columns of the design; "nothing" changes nothing, so its effect shows the size of chance
     "model/head=inverse": "model/head=inverse",
     "loss.terms.l1.weight=0.1": "loss.terms.l1.weight=0.1",
     "BerHu in place of L1": "loss.terms.l1.loss._target_=eldenet.losses.pointwise.BerHuLoss",
     "trainer.batch_size=8": "trainer.batch_size=8",
     "trainer.ema_decay=0.99": "trainer.ema_decay=0.99",
-    "trainer.gradient_clip=1": "trainer.gradient_clip=1.0",
+    "trainer.max_grad_norm=1": "trainer.max_grad_norm=1.0",
     "optimizer.lr=2e-3": "optimizer.lr=2.0e-3",
     "AdamW, weight decay 0.05": "optimizer=adamw",
     "zoom up to 1.6": "augmentation.scale=[1.0,1.6]",
-    "colours changed twice as often": "augmentation.color_jitter=0.6",
+    "colors changed twice as often": "augmentation.color_jitter=0.6",
 }
 NOTHING = ("run_02", "run_06", "run_07", "run_08", "run_10", "run_11")
 
 
 def effects(study: Study) -> dict[str, dict[str, float]]:
-    """Change -> metric -> mean of the runs with it less the mean of the runs without it.
+    """Return change -> metric -> mean of the runs with the change minus mean of the runs without it.
 
     Plackett and Burman, "The design of optimum multifactorial experiments", 1946: any two columns are
-    balanced, so the other changes cancel, but for what pairs of changes do together.
+    balanced, so the other changes cancel, except for interactions of two changes.
     """
     rows = designed(study)
     runs = {row.name: read_run(study.stored(row, 0))["metrics"] for row in rows}
@@ -45,12 +48,12 @@ def effects(study: Study) -> dict[str, dict[str, float]]:
 
 
 def designed(study: Study) -> list[StudyRow]:
-    """The twelve runs; the other rows look at what these point to."""
+    """Return the twelve runs of the design; the other rows test its conclusions."""
     return [row for row in study.rows if row.name.startswith("run_")]
 
 
 def predicted(study: Study, row: StudyRow, found: dict[str, dict[str, float]], metric: str) -> float:
-    """``metric`` of another row, were its changes to add up: half of each effect up or down from the mean."""
+    """Return ``metric`` of another row if effects add up: the mean plus or minus half of each effect."""
     mean = np.mean([read_run(study.stored(one, 0))["metrics"][metric] for one in designed(study)])
     signs = {name: 1 if override in row.overrides else -1 for name, override in CHANGES.items()}
     return float(mean + sum(sign * found[name][metric] / 2 for name, sign in signs.items()))
@@ -63,9 +66,9 @@ def _contrast(runs: dict[str, dict[str, float]], chosen: list[str], metric: str)
 
 
 def margin(values: list[float]) -> float:
-    """What an effect must exceed to be more than chance, judged by the effects themselves.
+    """Return the size beyond which an effect is more than chance, estimated from the effects themselves.
 
-    Lenth, "Quick and easy analysis of unreplicated factorials", 1989: most effects are taken to be none.
+    Lenth, "Quick and easy analysis of unreplicated factorials", 1989: most effects are assumed to be zero.
     """
     sizes = np.abs(values)
     rough = 1.5 * np.median(sizes)

@@ -1,4 +1,4 @@
-"""What lower precision costs in accuracy: one trained network, every precision, the same real frames.
+"""Measure how much accuracy lower precision costs: one trained network on the same real frames.
 
 python experiments/table1_efficiency/precision.py runs/nyu/rooms          # a run of +experiment=nyu_labelled
 """
@@ -7,16 +7,17 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import torch
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.config import build_export, build_protocol, build_split, compose
 from eldenet.deploy import runtimes
+from eldenet.deploy.exporting import export
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
-from eldenet.export import export
 from eldenet.results.run_record import environment
-from eldenet.results.statistics import paired_interval
+from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
 
 HERE = Path(__file__).parent
@@ -41,14 +42,14 @@ def main() -> None:
         if kind != "torch":
             output = WORK / f"{runtime}-{precision}{'.onnx' if kind == 'onnx' else '.xml'}"
             words = [f"checkpoint='{checkpoint}'", f"format={kind}", f"precision={precision}", "checks=1"]
-            export(
-                compose("export", [*words, f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"])
-            )
+            words += [f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"]
+            export(build_export(compose("export", words)))
             network = RuntimeNetwork(runtimes.load(output, runtime, precision, threads=1))
         result = evaluate(network, val_set, protocol, batch_size=1)
-        scores = {row[0]: row[delta1] for row in result.rows}
+        values = np.array([[float(row[delta1]) for row in result.rows]])
+        scores = Scores(tuple(row[0] for row in result.rows), values)
         reference = scores if reference is None else reference
-        mean, low, high = paired_interval(scores, reference)
+        mean, low, high = paired_interval(scores, reference, draw_seeds=False)
         metrics = [f"{result.metrics[name]:.4f}" for name in ("delta1", "abs_rel", "rmse")]
         rows.append([runtime, precision, *metrics, f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]"])
         print(*rows[-1], flush=True)

@@ -1,21 +1,21 @@
-"""Table 1: what each network costs. Measures what networks.yaml lists, writes results.md, .csv, .tex, .png.
+"""Table 1: costs of the networks in networks.yaml. Writes results.md, .csv, .tex and .png.
 
 python experiments/table1_efficiency/run.py                # all of it, on an idle machine
 python experiments/table1_efficiency/run.py rounds=1 seconds=0.05 memory=false   # a quick look
 """
 
-import csv
 import sys
 from pathlib import Path
 
 import yaml
 
 import eldenet
-from eldenet.benchmark import benchmark
-from eldenet.config import compose
+from eldenet.config import build_benchmark, compose
 from eldenet.deploy.benchmarking.measure import COLUMNS
-from eldenet.deploy.benchmarking.tables import draw, notes_of, text_of
+from eldenet.deploy.benchmarking.run import benchmark
+from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies, text_of
 from eldenet.results.tables import to_latex, to_markdown
+from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 
@@ -32,16 +32,14 @@ def main() -> None:
         settings["models"] = [model for model in settings["models"] if model in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
         # a folder of its own: a column compares rows that were measured in the same rounds
-        config = compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"])
-        first = first or config
-        tables[name] = benchmark(config)
+        setup = build_benchmark(compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"]))
+        first = first or setup
+        tables[name] = benchmark(setup)
     missing = [name for name in listed["models"] if name not in there]
     write(tables, missing, listed["no_code"], Path(work), first)
 
 
-def write(
-    tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, config
-) -> None:
+def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, setup) -> None:
     """One table for each part, with a heading; a CSV of all rows, by part; the plot of the first part."""
     every = {(name, *row["key"]): row for name, rows in tables.items() for row in rows}
     notes = [
@@ -50,10 +48,8 @@ def write(
     ]
     notes += [f"no code identified, so no figures: {', '.join(no_code)}"]
     notes += [f"not in this version: {', '.join(missing)}"] if missing else []
-    with (folder / "results.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["part", *COLUMNS])
-        writer.writerows([key[0], *(row[name] for name in COLUMNS)] for key, row in every.items())
+    lines = [[key[0], *(row[name] for name in COLUMNS)] for key, row in every.items()]
+    write_rows(folder / "results.csv", ["part", *COLUMNS], lines)
     markdown, latex = [], []
     for number, (name, rows) in enumerate(tables.items(), 1):
         cells = [[text_of(column, row[column]) for column in COLUMNS] for row in rows]
@@ -62,7 +58,9 @@ def write(
         latex.append(f"% {name}\n{to_latex(COLUMNS, cells, below)}")
     (folder / "results.md").write_text("\n".join(markdown))
     (folder / "results.tex").write_text("\n".join(latex))
-    draw(config, next(iter(tables.values())), folder / "results.png")
+    rows = next(iter(tables.values()))
+    accuracies = read_accuracies(setup.accuracies, setup.accuracy, {row["model"] for row in rows})
+    draw(rows, accuracies, folder / "results.png")
     print(f"{len(every)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
 
 

@@ -1,4 +1,4 @@
-"""The whole path of a robot: a 640x480 uint8 frame -> metres at 640x480, by an exported file.
+"""Time the whole path on a robot: from a 640x480 uint8 frame to meters at 640x480, by an exported file.
 
 python experiments/table1_efficiency/whole_path.py
 """

@@ -1,4 +1,4 @@
-"""The frames that table 4 compares methods on: simulated streets and halls, KITTI's object frames."""
+"""The frames of table 4: simulated streets and halls, and KITTI's object frames."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,21 +10,21 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import Detector, merge_cyclists
 from eldenet.perception.kitti_object import KittiObjects
-from eldenet.perception.lifter import LARGE, SMALL
+from eldenet.perception.lifter import LARGE_SIDE, SMALL_SIDE
 from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
 
 SIZES = {"street": (256, 832), "hall": (240, 320)}
-HEIGHTS = {"street": 1.65, "hall": 1.0}  # of the camera above the ground [m], as a user would know it
-LEAST_HEIGHT = 18  # [px] of simulated objects: KITTI's 25 at its own size
-EXACT_SIGMA = 0.01  # of exact and LiDAR depth: what is left are pixels of something else
+HEIGHTS = {"street": 1.65, "hall": 1.0}  # nominal height of the camera above the ground [m]
+LEAST_HEIGHT = 18  # least height of simulated objects [px]: KITTI's 25 at the simulated size
+EXACT_SIGMA = 0.01  # relative error of exact and LiDAR depth, from pixels of other objects
 
 Sigma = tuple[float, float]  # depth_sigma, small_sigma
 
 
 @dataclass
 class Case:
-    """One frame with all that a method needs, and the truth."""
+    """One frame with all inputs of a method, and the truth."""
 
     name: str
     image: np.ndarray
@@ -32,13 +32,13 @@ class Case:
     detections: Detections2D
     camera: PinholeCamera
     truth: Boxes3D
-    rows: np.ndarray  # pairs: truth[rows] was found as detections[columns]
+    rows: np.ndarray  # pairs: truth[rows] matches detections[columns]
     columns: np.ndarray
 
 
 @dataclass
 class Setting:
-    """Frames with one kind of depth and of 2D boxes, and what a user would tell the lifter about them."""
+    """Frames with one kind of depth and of 2D boxes, and the lifter's options for them."""
 
     depth: str
     boxes: str
@@ -54,7 +54,7 @@ def render(split: str, first: int, count: int, kind: str) -> list[StreetView]:
 
 
 def simulated(views: list[StreetView], depth_of: Callable[[StreetView], np.ndarray]) -> list[Case]:
-    """Objects of which three tenths or more are seen, whole in the picture, and not tiny."""
+    """Return cases of objects that are visible to 30 % or more, not cut by the border, and not tiny."""
     cases = []
     for number, view in enumerate(views):
         tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
@@ -67,7 +67,7 @@ def simulated(views: list[StreetView], depth_of: Callable[[StreetView], np.ndarr
 
 
 def real(kitti: KittiObjects, detector: Detector | None, depth_of: Callable) -> Iterator[Case]:
-    """Cars and vans not beyond KITTI's "hard"; detections of the detector, or the labels' own."""
+    """Yield cases of cars and vans up to KITTI's "hard", with boxes of the detector or of the labels."""
     for name in kitti.names:
         image = kitti.image(name)
         depth = depth_of(name, image)
@@ -85,9 +85,9 @@ def real(kitti: KittiObjects, detector: Detector | None, depth_of: Callable) -> 
 
 
 def relative_error(views: list[StreetView], predictor: DepthPredictor) -> Sigma:
-    """Relative depth errors of large and of small objects: ``depth_sigma`` and ``small_sigma``.
+    """Return the relative depth errors of large and small objects: ``depth_sigma`` and ``small_sigma``.
 
-    A power law through the medians of the smaller and the larger half.
+    They lie on a power law through the medians of the smaller and the larger half of the objects.
     """
     errors, sides = [], []
     for view in views:
@@ -104,5 +104,5 @@ def relative_error(views: list[StreetView], predictor: DepthPredictor) -> Sigma:
     ]
     (small, wrong), (large, right) = halves
     slope = min(0.0, np.log(right / wrong) / (large - small))
-    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE, SMALL)]
+    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE_SIDE, SMALL_SIDE)]
     return float(np.clip(sigma[0], EXACT_SIGMA, 0.5)), float(np.clip(sigma[1], EXACT_SIGMA, 0.5))

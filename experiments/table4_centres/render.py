@@ -1,4 +1,4 @@
-"""Rendered streets or halls as a folder of pictures and depth maps, to train a depth network on.
+"""Render streets or halls into a folder of pictures and depth maps, to train a depth network on.
 
 python experiments/table4_centres/render.py runs/streets 1800
 python experiments/table4_centres/render.py runs/halls 1800 hall
@@ -18,7 +18,7 @@ SIZES = {"street": (96, 312), "hall": (96, 128)}
 
 
 def main(folder: Path, count: int, kind: str) -> None:
-    """Frames that are there already are left as they are."""
+    """Render ``count`` frames; existing ones are kept."""
     for name in ("images", "depths"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for index in range(count):

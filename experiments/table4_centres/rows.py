@@ -1,4 +1,4 @@
-"""Table 4's figures as rows and lines."""
+"""Rows and lines of table 4."""
 
 import sys
 from pathlib import Path
@@ -15,14 +15,14 @@ COLUMNS = (
     "command",
 )  # fmt: skip
 TITLES = (
-    "depth, 2D boxes", "method", "objects", "centre accuracy [%]", "median [m]", "BEV > 0.25 [%]",
+    "depth, 2D boxes", "method", "objects", "center accuracy [%]", "median [m]", "BEV > 0.25 [%]",
     "BEV > 0.5 [%]", "3D > 0.5 [%]", "yaw [deg]",
 )  # fmt: skip
 RUNTIME = "boxes: numpy; depth networks: torch; YOLOX: ONNX Runtime"
 
 
 def table_rows(setting: Setting, pairs: dict[str, Pairs]) -> list[list[str]]:
-    """One row a method, the first ten of ``COLUMNS``; brackets hold 95 % of 2000 resamples of frames."""
+    """Return a row for each method, up to ``yaw_deg``; brackets hold 95 % of 2000 resamples of frames."""
     rows = []
     for method, part in pairs.items():
         figures = summary(part)
@@ -38,7 +38,7 @@ def table_rows(setting: Setting, pairs: dict[str, Pairs]) -> list[list[str]]:
 
 
 def where(setting: Setting) -> list[str]:
-    """The rest of ``COLUMNS``: how the figures came to be."""
+    """Return the columns from ``protocol`` on: how the figures were made."""
     machine = environment()
     versions = {**machine["versions"], "python": machine["python"]}
     names = ("python", "numpy", "torch", "opencv-python-headless", "mujoco")
@@ -50,13 +50,13 @@ def where(setting: Setting) -> list[str]:
 
 
 def command() -> str:
-    """The command of this run, without the machine's folders."""
+    """Return the command of this run, without the machine's folders."""
     words = " ".join(Path(word).name if "/" in word else word for word in sys.argv[1:])
     return f"python experiments/table4_centres/run.py {words}"
 
 
 def differences(setting: Setting, pairs: dict[str, Pairs]) -> list[str]:
-    """Lines "refine minus another", on the same objects."""
+    """Return lines with the differences of ``refine`` to the other methods, on the same objects."""
     lines = []
     for other in ("paper", "no_depth", "lshape"):
         parts = []
@@ -73,7 +73,7 @@ def differences(setting: Setting, pairs: dict[str, Pairs]) -> list[str]:
 
 
 def accuracy_by_distance(setting: Setting, pairs: dict[str, Pairs]) -> list[str]:
-    """Lines of centre accuracy with and without depth."""
+    """Return lines with center accuracy by distance, with and without depth."""
     lines = []
     for method in ("refine", "no_depth"):
         parts = [
@@ -86,10 +86,10 @@ def accuracy_by_distance(setting: Setting, pairs: dict[str, Pairs]) -> list[str]
 
 
 def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]:
-    """The protocol and the machine, in words."""
+    """Return lines that describe the protocol and the machine."""
     machine = dict(zip(COLUMNS[11:], where(example), strict=True))
     return [
-        "Centre accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
+        "Center accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
         "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
         "Brackets: 95 % of 2000 resamples of whole frames.",
         "",

@@ -1,4 +1,4 @@
-"""What lifting and a whole frame cost in processor time: other work on the machine does not count in it."""
+"""Processor time of lifting boxes and of whole frames, which other work on the machine does not add to."""
 
 import time
 from collections.abc import Callable
@@ -14,7 +14,7 @@ _REPEATS = 5
 
 
 def milliseconds(work: Callable[[], object]) -> float:
-    """Least processor time of a few calls, all threads of the process together."""
+    """Return the least processor time of a few calls [ms], all threads together."""
     spent = []
     for _ in range(_REPEATS):
         start = time.process_time()
@@ -24,7 +24,7 @@ def milliseconds(work: Callable[[], object]) -> float:
 
 
 def lifting(setting: Setting, frames: int = 10) -> list[str]:
-    """A line: ``refine`` per object, of pictures with few and with many, the ground included."""
+    """Return a line: time of ``refine`` per object in pictures with few and many objects, ground included."""
     lifter = refine(setting)
     parts = []
     for count in COUNTS:
@@ -42,7 +42,7 @@ def lifting(setting: Setting, frames: int = 10) -> list[str]:
 
 
 def stages(setting: Setting, depth_of: Callable[[np.ndarray], np.ndarray], detector: Detector) -> list[str]:
-    """A line: the stages of whole frames, medians."""
+    """Return a line: median times of the stages of whole frames."""
     lifter = refine(setting)
 
     def spent(case: Case) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""The command line of both tables: what is asked for, and which rows that makes."""
+"""The command line of tables 5 and 6, and the rows that it asks for."""
 
 import csv
 from argparse import ArgumentParser, Namespace
@@ -7,66 +7,57 @@ from pathlib import Path
 from typing import Any
 
 from inputs import TRUTH, check_inputs
-from methods import LEARNT, PLANNERS, VARIANTS
+from methods import LEARNED, PLANNERS, VARIANTS
 from rows import Row, course_name
 
 from eldenet.navigation.episodes import GOALS
 
 HERE = Path(__file__).parent
-COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, people who walk
+COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, walking people
 SENSORS = ("ranges", "noisy", "camera", "objects")
 
 
 def arguments(
-    methods: Sequence[str] = tuple(name for name in (*LEARNT, *PLANNERS) if name not in VARIANTS),
+    methods: Sequence[str] = tuple(name for name in (*LEARNED, *PLANNERS) if name not in VARIANTS),
     courses: Sequence[tuple[int, int]] = COURSES,
 ) -> Namespace:
-    """What both tables' commands take; ``methods`` and ``courses`` are those of the default."""
-    parser = ArgumentParser()
+    """Return the options of either table's command, by default for these methods and courses."""
+    parser = ArgumentParser(description="Rows that are stored and up to date are read, not made again.")
     parser.add_argument("--worlds", type=int, default=500, help="test arenas per density")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of every learnt method")
-    parser.add_argument("--methods", default=",,".join(methods), help="names, separated by ,,")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of every learned method")
+    parser.add_argument("--methods", default=",,".join(methods), help="names, separated by two commas")
     parser.add_argument(
         "--sensors",
         default="ranges",
-        help="of ranges, noisy, camera, objects; camera@0.1: in a tenth of the light",
+        help="ranges, noisy, camera, objects; camera@0.1 is a camera in a tenth of the light",
     )
-    parser.add_argument("--physics", default="wheels")
+    parser.add_argument("--physics", default="wheels", help="wheels, kinematic")
     parser.add_argument("--courses", default=",".join(course_name(*course) for course in courses))
-    parser.add_argument("--goal", default="known", choices=GOALS, help="where the goal's place is taken from")
-    parser.add_argument("--depth", help=f"network of camera and objects: folder or file; or {TRUTH}")
-    parser.add_argument("--detector", help=f"of objects: an .onnx file; or {TRUTH}, an ideal one")
-    parser.add_argument("--errors", default="packaged", help="range_errors.json of sensor noisy")
-    parser.add_argument("--any-sources", action="store_true", help="take trainings that other sources made")
-    parser.add_argument(
-        "--recheck",
-        type=int,
-        default=0,
-        metavar="N",
-        help="keep a row that other sources made if its first N crossings come out the same, bit for bit, "
-        "and a training if its first leg does",
-    )
-    parser.add_argument("--out", help="name of the results; default: results-<worlds>")
-    parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="where trainings go")
-    parser.add_argument("--rows", type=Path, default=HERE / "rows", help="where rows are kept")
+    parser.add_argument("--goal", default="known", choices=GOALS, help="source of the goal's position")
+    parser.add_argument("--depth", help=f"depth network of camera and objects: folder or file; or {TRUTH}")
+    parser.add_argument("--detector", help=f"detector of objects: an .onnx file; or {TRUTH}, an ideal one")
+    parser.add_argument("--errors", default="packaged", help="range_errors.json of noisy")
+    parser.add_argument("--out", help="name of the table's files (default: results-<worlds>)")
+    parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="folder of trainings")
+    parser.add_argument("--rows", type=Path, default=HERE / "rows", help="folder of rows")
     return parser.parse_args()
 
 
-def results_name(given: Namespace) -> str:
-    """Of a table's files, without their endings."""
-    goal = "" if given.goal == "known" else f"-goal-{given.goal}"
-    return str(given.out or f"results-{given.worlds}{goal}")
+def results_name(args: Namespace) -> str:
+    """Return the name of a table's files, without their endings."""
+    goal = "" if args.goal == "known" else f"-goal-{args.goal}"
+    return str(args.out or f"results-{args.worlds}{goal}")
 
 
 def refuse_to_drop(path: Path, asked: Iterable[Sequence[str]]) -> None:
-    """A part of a table must not replace the whole.
+    """Refuse to replace a table by a part of it.
 
     Args:
-        path: of the table's CSV.
+        path: the table's CSV.
         asked: first columns of every row that the command will write.
 
     Raises:
-        ValueError: the file holds rows that were not asked for.
+        ValueError: the file holds rows that the command will not write.
     """
     if not path.is_file():
         return
@@ -77,35 +68,37 @@ def refuse_to_drop(path: Path, asked: Iterable[Sequence[str]]) -> None:
     if dropped:
         raise ValueError(
             f"{path} holds {len(dropped)} rows that this command does not ask for, such as "
-            f"{', '.join(dropped[0][:width])}: ask for them too (they are not made twice), or give --out"
+            f"{', '.join(dropped[0][:width])}: ask for them too (stored rows are read), or give --out"
         )
 
 
 def without_nan(row: Sequence[Any]) -> list[Any]:
-    """For a CSV: an empty field where there is no number."""
+    """Return a CSV row with empty fields in place of NaN."""
     return ["" if isinstance(value, float) and value != value else value for value in row]
 
 
-def all_rows(given: Namespace) -> Iterator[Row]:
-    """Every row that the command asks for.
+def all_rows(args: Namespace) -> Iterator[Row]:
+    """Yield every row that the command asks for.
 
     Raises:
-        ValueError: a method, a sensor or a course that there is not, or something that a sensor needs.
+        ValueError: a method, sensor or course is unknown, or an input of a sensor is missing.
     """
-    methods, sensors, courses = given.methods.split(",,"), given.sensors.split(","), given.courses.split(",")
+    methods, sensors, courses = args.methods.split(",,"), args.sensors.split(","), args.courses.split(",")
     known = {course_name(*course): course for course in COURSES}
     for kind, asked, there in (
-        ("methods", methods, [*LEARNT, *PLANNERS]),
+        ("methods", methods, [*LEARNED, *PLANNERS]),
         ("sensors", [sensor.partition("@")[0] for sensor in sensors], SENSORS),
         ("courses", courses, known),
     ):
         if not set(asked) <= set(there):
-            raise ValueError(f"--{kind}: {sorted(set(asked) - set(there))} is none of {', '.join(there)}")
-    check_inputs(given, sensors)
-    for physics in given.physics.split(","):
+            raise ValueError(
+                f"--{kind}: unknown {sorted(set(asked) - set(there))}; choose among {', '.join(there)}"
+            )
+    check_inputs(args, sensors)
+    for physics in args.physics.split(","):
         for sensor in sensors:
             for method in methods:
-                seeds = range(1 if method in LEARNT and LEARNT[method].packaged else given.seeds)
-                for seed in seeds if method in LEARNT else [None]:
+                seeds = range(1 if method in LEARNED and LEARNED[method].packaged else args.seeds)
+                for seed in seeds if method in LEARNED else [None]:
                     for course in courses:
-                        yield Row(method, *known[course], sensor, physics, given.worlds, seed, given.goal)
+                        yield Row(method, *known[course], sensor, physics, args.worlds, seed, args.goal)

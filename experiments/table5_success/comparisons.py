@@ -1,30 +1,29 @@
-"""Methods and sensors against each other on the same worlds."""
+"""Compare methods, and sensors, on the same worlds."""
 
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
-from eldenet.navigation.evaluation import Crossing
-from eldenet.navigation.statistics import mcnemar
+from eldenet.navigation.evaluation import Episode, mcnemar
 
-# physics, sensor, method, course -> crossings of every training
-Tables = dict[tuple[str, str, str, str], list[list[Crossing]]]
-#: A sensor's loss is against true ranges: of the method itself, and of the default for one trained for it.
+# (physics, sensor, method, course) -> episodes of every training
+Tables = dict[tuple[str, str, str, str], list[list[Episode]]]
+#: What a sensor costs is counted against the same method with true ranges, and against these methods too.
 ALSO_AGAINST = {"dqn_mixed": ("dqn",)}
-OURS = ("dqn_ensemble", "dqn")  # the first of them that a table has is compared with all others
+OURS = ("dqn_ensemble", "dqn")  # the first one in a table is compared with all other methods
 
 
 def courses_of(tables: Tables) -> list[str]:
-    """In the order in which they came."""
+    """Return the courses of all tables, in order of appearance."""
     return list(dict.fromkeys(key[3] for key in tables))
 
 
-def solved(trainings: list[list[Crossing]]) -> np.ndarray:
-    """``(trainings, worlds)`` bool."""
-    return np.array([[crossing.outcome == "success" for crossing in rows] for rows in trainings])
+def solved(trainings: list[list[Episode]]) -> np.ndarray:
+    """Return whether each episode succeeded ``(trainings, worlds)`` bool."""
+    return np.array([[episode.outcome == "success" for episode in rows] for rows in trainings])
 
 
 def paired(tables: Tables, physics: str, sensor: str) -> list[str]:
-    """The default's first training against every other method on the same worlds."""
+    """Return table lines: our method's first training against every other method's on the same worlds."""
     methods = dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor))
     default = next((name for name in OURS if name in methods), None)
     lines = []
@@ -43,10 +42,10 @@ def paired(tables: Tables, physics: str, sensor: str) -> list[str]:
 
 
 def loss(tables: Tables, physics: str, sensor: str) -> list[str]:
-    """Success that this sensor costs against true ranges on the same worlds.
+    """Return table lines: success lost with this sensor, compared with true ranges on the same worlds.
 
-    Points, mean over trainings, with their paired 95 % bootstrap interval over worlds; and the first
-    trainings' exact McNemar test.
+    In percentage points, as mean over trainings, with the paired 95 % bootstrap interval over worlds and the
+    exact McNemar test of the first trainings.
     """
     lines = []
     for method in dict.fromkeys(key[2] for key in tables if key[:2] == (physics, sensor)):
@@ -67,7 +66,7 @@ def loss(tables: Tables, physics: str, sensor: str) -> list[str]:
 
 
 def _lost(true: np.ndarray, seen: np.ndarray) -> str:
-    """Cells of a row of :func:`loss`."""
+    """Return the last cells of a line of :func:`loss`."""
     lost = 100.0 * (true.mean(axis=0) - seen.mean(axis=0))  # of every world
     low, high = bootstrap_interval(lambda drawn: float(lost[drawn].mean()), len(lost))
     only_true, only_seen, p = mcnemar(true[0], seen[0])

@@ -1,12 +1,12 @@
-"""A figure of panels, one per physics and sensor: what the figures of tables 5 and 6 share."""
+"""The figures of tables 5 and 6: one panel for each physics and sensor."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 Panel = tuple[str, str]  # physics, sensor
-Points = Sequence[Sequence[float]]  # obstacles, value and, where it has one, the ends of its interval
+Points = Sequence[Sequence[float]]  # obstacles, value and, if there is one, its interval: low, high
 COLUMNS = 3  # of panels
-SPREAD = 0.6  # of a number of obstacles' column on the axis: the methods lie side by side in it
+SPREAD = 0.6  # share of a column's width in which its methods lie side by side
 MARKERS = "osDv^P<X>*"
 
 
@@ -17,15 +17,16 @@ def draw_panels(
     ylabel: str,
     ylim: tuple[float, float] | None = None,
 ) -> None:
-    """Draw every panel, a column for each density, and write the figure.
+    """Draw every panel with a column for each density, and write the figure.
 
-    A method has one colour and marker in all panels, and lies beside the others: equal values hide nothing.
+    A method has one color and marker in all panels. Methods lie side by side, so that equal values stay
+    visible.
 
     Args:
         curves: panel -> method -> its points.
-        path: of the picture.
-        ylabel: of each row's first panel.
-        ylim: of all panels.
+        path: file of the figure.
+        ylabel: label of each row's first panel.
+        ylim: range of all panels.
     """
     from matplotlib.figure import Figure
 
@@ -68,5 +69,5 @@ def draw_panels(
 
 
 def shift(place: int, methods: int) -> float:
-    """How far a method's points lie beside the middle of their column."""
+    """Return how far a method's points lie beside the middle of their column."""
     return (place - (methods - 1) / 2) * min(0.12, SPREAD / methods)

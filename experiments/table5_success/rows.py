@@ -1,27 +1,38 @@
-"""One row of the navigation tables: a method, a density, a sensor, a physics -> one CSV, made once."""
+"""One row of the navigation tables: a method on one course. Its episodes are crossed once and stored.
+
+``rows/<method>.csv`` holds an episode a line, ``rows/<method>.json`` what each row of them was made with.
+"""
 
 import csv
+import fcntl
 import functools
 import json
+import os
 import shutil
 import time
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from inputs import CAMERAS, digest, input_hashes, make_sensor, training_of
-from methods import LEARNT, PLANNERS
+from inputs import digest, input_hashes, make_sensor, trained_policy
+from methods import LEARNED, PLANNERS
 
-from eldenet.navigation.evaluation import Crossing, Policy, as_rows, cross
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import Episode, Policy, run_episodes
 from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
+from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import crossing_hash
-from eldenet.results.run_record import environment, write_json, write_rows
+from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
+from eldenet.system.files import write_json, write_rows
 
 HERE = Path(__file__).parent
+LABELS = ("sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row of a method
+EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")  # columns of an episode
 
 
 @dataclass(frozen=True)
@@ -29,14 +40,14 @@ class Row:
     """What is measured.
 
     Attributes:
-        method: a name of LEARNT or PLANNERS.
+        method: a name of LEARNED or PLANNERS.
         density: standing obstacles.
-        movers: people who walk.
+        movers: walking people.
         sensor: "ranges", "noisy", "camera" or "objects"; "camera@0.1" in that share of a normal day's light.
         physics: "wheels" or "kinematic".
-        worlds: how many arenas.
+        worlds: number of arenas.
         seed: of the training; None for planners.
-        goal: "known" or "odometry".
+        goal: "known", "fixes" or "odometry".
     """
 
     method: str
@@ -54,118 +65,166 @@ class Row:
         return course_name(self.density, self.movers)
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """Values of the columns ``LABELS``."""
+        seed = "" if self.seed is None else str(self.seed)
+        return (self.sensor, self.goal, self.physics, self.course, str(self.worlds), seed)
+
+    @property
     def name(self) -> str:
-        """Of its files."""
-        method = self.method.replace(", ", "-").replace(" ", "_")
-        seed = "" if self.seed is None else f"-seed{self.seed}"
-        goal = "" if self.goal == "known" else f"-goal_{self.goal}"
-        return f"{method}{seed}-{self.sensor}{goal}-{self.physics}-{self.course}-{self.worlds}"
+        """Key of its note, such as "ranges-known-wheels-20-500-seed0"."""
+        return "-".join(self.labels[:-1]) + ("" if self.seed is None else f"-seed{self.seed}")
+
+    @property
+    def file(self) -> str:
+        """Name of its method's two files, without their ending."""
+        return self.method.replace(", ", "-").replace(" ", "_")
 
 
 def course_name(density: int, movers: int) -> str:
-    """As tables write it."""
+    """Return a course as tables write it."""
     return f"{density}+{movers}" if movers else str(density)
 
 
-def policy_file(row: Row, given: Namespace) -> Path | None:
-    """The trained policy of a row; it is trained now if it was not yet. None for planners.
+def measure(row: Row, args: Namespace) -> list[Episode]:
+    """Return the episodes of a row: stored ones if all that they depend on is unchanged, else new ones."""
+    arenas, found = frozen(row.density, row.worlds, row.movers)
+    wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
+    if wanted is not None and found != wanted:
+        raise ValueError(f"the test arenas of course {row.course} differ from the frozen ones in arenas.json")
+    weights = policy_file(row, args)
+    key = key_of(row, args, weights, found)
+    stored = read_notes(args.rows / f"{row.file}.json").get(row.name)
+    if stored is not None and stored["key"] == key:
+        return read_episodes(args.rows / f"{row.file}.csv")[row.labels]
+    started = time.process_time()
+    crossings = make_crossings(row, args, weights, arenas)
+    spent = round(time.process_time() - started, 1)
+    store(row, args.rows, crossings, key, spent)
+    solved = sum(crossing.outcome == "success" for crossing in crossings)
+    print(
+        f"{row.method} {row.name}: {solved} of {len(crossings)}, {spent:.0f} s of processor time", flush=True
+    )
+    return crossings
 
-    What rows rest on is kept beside them, in ``policies``: a table is rebuilt without its trainings' folders.
+
+@functools.cache
+def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str]:
+    """Return the test arenas, the same for every method and sensor, and their hash."""
+    arenas = frozen_arenas(density, worlds, pedestrians=movers)
+    return arenas, arenas_hash(arenas)
+
+
+def policy_file(row: Row, args: Namespace) -> Path | None:
+    """Return the policy of a row, trained now if it is missing; None for planners.
+
+    Policies of stored rows are kept beside them in ``policies``, so that a table can be rebuilt without the
+    folders of its trainings.
     """
     if row.seed is None:
         return None
-    if LEARNT[row.method].packaged:
+    if LEARNED[row.method].packaged:
         return DEFAULT_WEIGHTS
-    method = LEARNT[row.method].drivers or row.method
-    options = [*LEARNT[method].options, f"seed={row.seed}"]
-    folder, kept = (at / f"{method}-{row.seed}" for at in (given.runs, given.rows.parent / "policies"))
-    check = functools.partial(
-        training_of, options=options, any_sources=given.any_sources, recheck=given.recheck > 0
-    )
+    method = LEARNED[row.method].drivers or row.method
+    options = [*LEARNED[method].options, f"seed={row.seed}"]
+    folder, kept = (at / f"{method}-{row.seed}" for at in (args.runs, args.rows.parent / "policies"))
     if not folder.is_dir() and kept.is_dir():
-        return check(kept)
-    policy = check(folder)
+        return trained_policy(kept, options)
+    policy = trained_policy(folder, options)
     kept.mkdir(parents=True, exist_ok=True)
     for name in (policy.name, "training.json"):
         shutil.copyfile(folder / name, kept / name)
     return policy
 
 
-@functools.cache
-def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str]:
-    """Test arenas, the same for every method and sensor, and their hash."""
-    arenas = frozen_arenas(density, worlds, movers=movers)
-    return arenas, arenas_hash(arenas)
-
-
-def key_of(row: Row, given: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
-    """All that a row's crossings depend on: where any of it has changed, the row is made anew."""
+def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
+    """Return all that a row's episodes depend on: where any of it changes, the row is made anew."""
     versions = environment()["versions"]
     return {
         "arenas": arenas,
-        "sources": crossing_hash(camera=row.sensor.partition("@")[0] in CAMERAS),
+        "version": EPISODE_VERSION,
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
-        "drives": None if row.seed is None else LEARNT[row.method].drives,
-        **input_hashes(row.sensor, given),
+        "drives": None if row.seed is None else LEARNED[row.method].drives,
+        **input_hashes(row.sensor, args),
     }
 
 
-def measure(row: Row, given: Namespace) -> list[Crossing]:
-    """The crossings of a row: read, if nothing that they depend on has changed since, or made now.
-
-    With ``--recheck`` a row that differs by its sources alone is read too, if some of it comes out the same.
-    """
-    arenas, found = frozen(row.density, row.worlds, row.movers)
-    wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
-    if wanted is not None and found != wanted:
-        raise ValueError(f"the test arenas {row.course} are not those that were frozen (arenas.json)")
-    weights = policy_file(row, given)
-    key = key_of(row, given, weights, found)
-    table, note = given.rows / f"{row.name}.csv", given.rows / f"{row.name}.json"
-    if table.is_file() and note.is_file():
-        kept = json.loads(note.read_text())
-        if kept["key"] == key:
-            return read_rows(table)
-        if given.recheck and kept["key"] | {"sources": key["sources"]} == key:
-            there = read_rows(table)
-            if make_crossings(row, given, weights, arenas[: given.recheck]) == there[: given.recheck]:
-                again = {"worlds": given.recheck, "made_by": kept["key"]["sources"]}
-                write_json(note, kept | {"key": key, "rechecked": [*kept.get("rechecked", []), again]})
-                print(f"{row.name}: the first {given.recheck} came out the same, kept", flush=True)
-                return there
-    started = time.process_time()
-    crossings = make_crossings(row, given, weights, arenas)
-    write_rows(table, *as_rows(crossings))
-    spent = round(time.process_time() - started, 1)
-    write_json(note, {"key": key, "cpu_seconds": spent, **environment()})
-    solved = sum(crossing.outcome == "success" for crossing in crossings)
-    print(f"{row.name}: {solved} of {len(crossings)}, {spent:.0f} s of processor time", flush=True)
-    return crossings
-
-
-def make_crossings(
-    row: Row, given: Namespace, weights: Path | None, arenas: Sequence[Arena]
-) -> list[Crossing]:
-    """Cross arenas as the row says; an outcome does not depend on the other arenas."""
+def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> list[Episode]:
+    """Cross all arenas; the outcome in one does not depend on the others."""
 
     def driver(robots: int) -> Policy:
         if row.seed is None:
             return PLANNERS[row.method](robots)
-        return Navigator.load(weights, **LEARNT[row.method].drives, robots=robots)
+        return Navigator.load(weights, **LEARNED[row.method].drives, robots=robots)
 
-    return cross(arenas, driver, make_sensor(row.sensor, given), physics=row.physics, goal=row.goal)
+    settings = EpisodeSettings(row.physics, row.goal)
+    return run_episodes(arenas, driver, make_sensor(row.sensor, args), settings)
 
 
-def read_rows(path: Path) -> list[Crossing]:
-    """The crossings of a CSV."""
-    with path.open() as file:
-        return [
-            Crossing(
-                line["world"],
-                int(line["density"]),
-                line["outcome"],
-                *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
-            )
-            for line in csv.DictReader(file)
+def read_episodes(file: Path) -> dict[tuple[str, ...], list[Episode]]:
+    """Return the episodes of a method's CSV by the labels of their rows; none without the file."""
+    if not file.is_file():
+        return {}
+    with file.open() as lines:
+        grouped = groupby(csv.DictReader(lines), lambda line: tuple(line[name] for name in LABELS))
+        return {labels: [_crossing(line) for line in episodes] for labels, episodes in grouped}
+
+
+def _crossing(line: Mapping[str, str]) -> Episode:
+    density = int(line["course"].partition("+")[0])
+    return Episode(line["world"], density, line["outcome"], *(float(line[name]) for name in EPISODE[2:]))
+
+
+def read_notes(file: Path) -> dict[str, dict[str, Any]]:
+    """Return the notes of a method's rows by their names; none without the file."""
+    if not file.is_file():
+        return {}
+    content = json.loads(file.read_text())
+    environments = content["environments"]
+    return {
+        name: note | {"environment": environments[note["environment"]]}
+        for name, note in content["rows"].items()
+    }
+
+
+def store(
+    row: Row, folder: Path, crossings: Sequence[Episode], key: Mapping[str, Any], cpu_seconds: float
+) -> None:
+    """Add or replace one row of a method's files; other rows stay, also those of commands side by side."""
+    table, note = folder / f"{row.file}.csv", folder / f"{row.file}.json"
+    where = environment()
+    with locked(folder):
+        episodes = read_episodes(table) | {row.labels: crossings}
+        lines = [
+            [*labels, *(getattr(crossing, name) for name in EPISODE)]
+            for labels, group in episodes.items()
+            for crossing in group
         ]
+        write_rows(table, [*LABELS, *EPISODE], lines)
+        made = {"key": key, "cpu_seconds": cpu_seconds, "date": where.pop("date"), "environment": where}
+        write_notes(note, read_notes(note) | {row.name: made})
+
+
+def write_notes(file: Path, notes: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write the notes of a method's rows; an environment that several share is written once."""
+    environments: list[Any] = []
+    for note in notes.values():
+        if note["environment"] not in environments:
+            environments.append(note["environment"])
+    rows = {
+        name: {**note, "environment": environments.index(note["environment"])} for name, note in notes.items()
+    }
+    write_json(file, {"environments": environments, "rows": rows})
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Let one command at a time change the files of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

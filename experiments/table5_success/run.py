@@ -1,10 +1,10 @@
-"""Table 5: how often a robot crosses arenas of 5, 20, 40 and 80 obstacles, and 20 with 10 walkers.
+"""Table 5: how often a robot crosses arenas of 5, 20, 40 and 80 obstacles, and of 20 with 10 walkers.
 
 python experiments/table5_success/run.py                                      500 worlds, 3 trainings
 python experiments/table5_success/run.py --worlds 100 --methods dqn_ensemble,,astar_dwa,,dwa
 
-Trains what is not trained yet, crosses the frozen test arenas, keeps every row, writes results-500.md,
-.csv and .png at the end. A killed command goes on where it stopped.
+Trains missing methods, crosses the frozen test arenas, stores every row, and writes results-500.md, .csv and
+.png at the end. A killed command resumes where it stopped.
 """
 
 from argparse import Namespace
@@ -17,34 +17,35 @@ import numpy as np
 from command import all_rows, arguments, refuse_to_drop, results_name, without_nan
 from comparisons import Tables, courses_of, loss, paired
 from inputs import fed_by
-from methods import LEARNT
+from methods import LEARNED
 from panels import draw_panels
 from rows import measure
 
-from eldenet.navigation.evaluation import Crossing, summarize
-from eldenet.results.run_record import environment, write_rows
+from eldenet.navigation.evaluation import Episode, summarize
+from eldenet.results.run_record import environment
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 
 
 def main() -> None:
-    given = arguments()
-    rows = list(all_rows(given))
+    args = arguments()
+    rows = list(all_rows(args))
     asked = [(r.physics, r.sensor, r.method, str(r.seed or 0), r.course) for r in rows]
-    refuse_to_drop(HERE / f"{results_name(given)}.csv", asked)
+    refuse_to_drop(HERE / f"{results_name(args)}.csv", asked)
     tables: Tables = defaultdict(list)
     for row in rows:
-        tables[row.physics, row.sensor, row.method, row.course].append(measure(row, given))
-    write_results(tables, given)
+        tables[row.physics, row.sensor, row.method, row.course].append(measure(row, args))
+    write_results(tables, args)
 
 
-def write_results(tables: Tables, given: Namespace) -> None:
-    where, name = environment(), results_name(given)
+def write_results(tables: Tables, args: Namespace) -> None:
+    where, name = environment(), results_name(args)
     lines = [
         "# Success of crossing an arena (Table 5)",
         "",
-        f"{given.worlds} frozen test arenas per column (20 x 20 m, start to goal 10 m or more, any heading; "
+        f"{args.worlds} frozen test arenas per column (20 x 20 m, start to goal 10 m or more, any heading; "
         "20+10 are 20 obstacles and 10 people who walk), "
         f"time limit 60 s, goal within 0.5 m, robot {ROBOT.length} x {ROBOT.width} m, camera 69.4 degrees. "
         "Success [%] with its 95 % Wilson interval over worlds (mean over trainings), "
@@ -54,9 +55,9 @@ def write_results(tables: Tables, given: Namespace) -> None:
     cells, courses = [], courses_of(tables)
     for physics, sensor in dict.fromkeys((key[0], key[1]) for key in tables):
         lines += [
-            f"## {sensor}, {physics}, goal {given.goal}",
+            f"## {sensor}, {physics}, goal {args.goal}",
             "",
-            fed_by(sensor, given),
+            fed_by(sensor, args),
             "",
             "| method | trainings | " + " | ".join(courses) + " |",
         ]
@@ -69,11 +70,9 @@ def write_results(tables: Tables, given: Namespace) -> None:
                 for number, crossings in enumerate(seeds):
                     values = [physics, sensor, method, number, course, *summarize(crossings).values()]
                     cells.append(without_nan(values))
-            trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNT else "-"
+            trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNED else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), "", *loss(tables, physics, sensor), ""]
-    if given.any_sources:
-        lines += ["Taken with `--any-sources`: learnt methods may have been trained by other sources.", ""]
     lines += [
         f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
         f"mujoco {where['versions']['mujoco']}, "
@@ -86,7 +85,7 @@ def write_results(tables: Tables, given: Namespace) -> None:
     plot(cells, HERE / f"{name}.png")
 
 
-def cell(seeds: list[list[Crossing]]) -> str:
+def cell(seeds: list[list[Episode]]) -> str:
     if not seeds:
         return "-"
     parts = [summarize(crossings) for crossings in seeds]
@@ -99,7 +98,7 @@ def cell(seeds: list[list[Crossing]]) -> str:
 
 
 def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
-    """Success against density, one panel per physics and sensor, of the rows of a results CSV."""
+    """Draw success over density, a panel for each physics and sensor, from the rows of a results CSV."""
     shares: dict = defaultdict(list)
     for physics, sensor, method, _, course, _, *values in cells:
         if str(course).isdigit():
@@ -107,7 +106,7 @@ def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
     curves: dict = defaultdict(lambda: defaultdict(list))
     for (panel, method, course), trainings in shares.items():
         curves[panel][method].append((course, *np.mean(trainings, axis=0)))
-    if curves:  # walkers have one column alone, no curve
+    if curves:  # a table of walkers has one column, so no curve
         draw_panels(curves, path, ylabel="success [%]", ylim=(0, 102))
 
 

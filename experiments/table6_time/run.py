@@ -1,10 +1,10 @@
-"""Table 6: how long a crossing takes, on the worlds that every method solved.
+"""Table 6: how long an episode takes, on the worlds that every method solved.
 
-python experiments/table6_time/run.py            takes the options of table5_success/run.py, and its rows
+python experiments/table6_time/run.py            has the options of table5_success/run.py, and reads its rows
 
-A method that fails often fails on the long ways; its mean time over its own successes flatters it. So the
-first figure counts the worlds alone that all methods of the table solved, and the ratio those that A* with
-the full map and the method both solved.
+A method that often fails does so on long paths, so the mean time over its own successes flatters it. The
+first figure therefore counts only the worlds that all methods of the table solved; the ratio counts those
+that both the method and A* with the full map solved.
 """
 
 import math
@@ -25,36 +25,37 @@ from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
-from eldenet.navigation.evaluation import Crossing, solved_by_all  # noqa: E402
-from eldenet.results.run_record import environment, write_rows  # noqa: E402
+from eldenet.navigation.evaluation import Episode, solved_by_all  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
 
-# physics, sensor, course -> method -> crossings of every training
-Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Crossing]]]]
+# (physics, sensor, course) -> method -> episodes of every training
+Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Episode]]]]
 
 REFERENCE = "astar_dwa"
-# straight solves so few that it would leave nothing to compare; so would weak learnt methods, at 80
+# straight and weak learned methods solve so few worlds at 80 that nothing would be left to compare
 METHODS = ("dqn_ensemble", "dqn", "dqn_as_trained", "astar_dwa", "astar_online_dwa", "dwa")
 
 
 def main() -> None:
-    given = arguments(METHODS, [course for course in COURSES if not course[1]])
-    rows = list(all_rows(given))
+    args = arguments(METHODS, [course for course in COURSES if not course[1]])
+    rows = list(all_rows(args))
     refuse_to_drop(
-        HERE / f"{results_name(given)}.csv", [(r.physics, r.sensor, r.method, r.course) for r in rows]
+        HERE / f"{results_name(args)}.csv", [(r.physics, r.sensor, r.method, r.course) for r in rows]
     )
     tables: dict = defaultdict(lambda: defaultdict(list))
     for row in rows:
-        tables[row.physics, row.sensor, row.course][row.method].append(measure(row, given))
-    write_results(tables, given)
+        tables[row.physics, row.sensor, row.course][row.method].append(measure(row, args))
+    write_results(tables, args)
 
 
-def write_results(tables: Tables, given: Namespace) -> None:
-    name = results_name(given)
+def write_results(tables: Tables, args: Namespace) -> None:
+    name = results_name(args)
     where, courses = environment(), list(dict.fromkeys(key[2] for key in tables))
     lines = [
         "# Time of crossing an arena (Table 6)",
         "",
-        f"The worlds and rows of table5_success, {given.worlds} test arenas per column. Mean time [s] on "
+        f"The worlds and rows of table5_success, {args.worlds} test arenas per column. Mean time [s] on "
         "the worlds that all methods of the table, and all their trainings, solved (how many: last row); "
         f"after it the ratio to {REFERENCE} over the worlds that both solved, mean over trainings, with its "
         "paired 95 % bootstrap interval over worlds.",
@@ -63,7 +64,7 @@ def write_results(tables: Tables, given: Namespace) -> None:
     cells = []
     for physics, sensor in dict.fromkeys(key[:2] for key in tables):
         methods = list(tables[physics, sensor, courses[0]])
-        lines += [f"## {sensor}, {physics}, goal {given.goal}", "", fed_by(sensor, given), ""]
+        lines += [f"## {sensor}, {physics}, goal {args.goal}", "", fed_by(sensor, args), ""]
         lines += ["| method | " + " | ".join(courses) + " |", "|---|" + "---:|" * len(courses)]
         common = {
             d: solved_by_all([seed for seeds in tables[physics, sensor, d].values() for seed in seeds])
@@ -95,25 +96,25 @@ def write_results(tables: Tables, given: Namespace) -> None:
     print("\n".join(lines))
 
 
-def times(trainings: list[list[Crossing]]) -> np.ndarray:
-    """``(trainings, worlds)`` [s]."""
+def times(trainings: list[list[Episode]]) -> np.ndarray:
+    """Return the time of each episode ``(trainings, worlds)`` [s]."""
     return np.array([[crossing.seconds for crossing in rows] for rows in trainings])
 
 
 def cell(mean: float, ratio: float, low: float, high: float) -> str:
-    """Of the table; "-" for what there is not."""
+    """Return a cell of the table; "-" for a missing time."""
     shown = "-" if math.isnan(mean) else f"{mean:.1f}"
     return shown if math.isnan(ratio) else f"{shown}, {ratio:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def ratio_to_reference(
-    rows: Mapping[str, list[list[Crossing]]], method: str
+    rows: Mapping[str, list[list[Episode]]], method: str
 ) -> tuple[float, float, float, int]:
-    """Mean time over the reference's on the worlds that both solved, mean over trainings.
+    """Return the mean time over the reference's on the worlds that both solved, as mean over trainings.
 
     Returns:
-        The ratio, its paired 95 % bootstrap interval over worlds, and the fewest worlds that a training and
-        the reference both solved. nan where a training shares none.
+        The ratio, its paired 95 % bootstrap interval over worlds, and the least number of worlds that a
+        training and the reference both solved. NaN if a training shares none.
     """
     if REFERENCE not in rows:
         return math.nan, math.nan, math.nan, 0
@@ -132,7 +133,7 @@ def ratio_to_reference(
 
 
 def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
-    """Time against density, one panel per physics and sensor, of the rows of a results CSV."""
+    """Draw time over density, a panel for each physics and sensor, from the rows of a results CSV."""
     curves: dict = defaultdict(lambda: defaultdict(list))
     for physics, sensor, method, course, seconds, *_ in cells:
         if str(course).isdigit() and seconds != "":

@@ -1,9 +1,9 @@
-"""How many steps a second the training environment makes: steps.md.
+"""Measure the steps per second of the training environment: steps.md.
 
-python experiments/table6_time/steps.py        a few minutes, on a machine that does nothing else
+python experiments/table6_time/steps.py        a few minutes, on an idle machine
 
-The packaged driver chooses the actions, so that episodes are as long as in training; its network's time is
-not counted, episodes that end and new arenas are.
+The packaged driver chooses the actions, so that episodes are as long as in training. The time of its network
+is not counted; ends of episodes and new arenas are.
 """
 
 import time
@@ -21,8 +21,8 @@ from eldenet.navigation.tasks import TrainingArenas
 from eldenet.results.run_record import environment
 
 HERE = Path(__file__).parent
-ROBOTS, ROUNDS = 64, 450  # about four episodes of every robot: each arena is crossed four times in training
-PROCESSES = (1, 2)  # that train side by side, a thread each
+ROBOTS, ROUNDS = 64, 450  # about four episodes a robot, as often as training crosses each arena
+PROCESSES = (1, 2)  # side by side, with one thread each
 ROWS: tuple[tuple[str, str, Sensor], ...] = (
     ("kinematic, true ranges", "kinematic", Ranges()),
     ("kinematic, measured errors", "kinematic", NoisyRanges(errors="packaged")),
@@ -60,14 +60,14 @@ def main() -> None:
 
 
 def together(processes: int, density: int, physics: str, sensor: Sensor) -> float:
-    """Steps a second of so many processes at once."""
+    """Return the steps per second of several processes at once, in sum."""
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(rate, density, physics, sensor) for _ in range(processes)]
         return sum(job.result() for job in jobs)
 
 
 def rate(density: int, physics: str, sensor: Sensor) -> float:
-    """Steps of one robot a second."""
+    """Return the steps per second of one process, all robots together."""
     torch.set_num_threads(1)
     driver = Navigator.load()
     env = ArenaNavVectorEnv(

@@ -1,8 +1,8 @@
-"""What training costs on this machine: precision and memory layout, and whether the data keeps up.
+"""Measure the speed of training: precision and memory layout, and whether loading keeps up.
 
 python experiments/training_speed/run.py
 
-Two tables, each measured in interleaved rounds (a drift of the machine hits all rows alike), medians:
+Two tables of medians over interleaved rounds, so that a drift of the machine affects all rows alike:
 1. images/s of a bare training step on tensors in memory, for precision x layout, at 224 x 320 and 120 x 160;
 2. the training loop with rooms at 120 x 160, full augmentation and loading, over the bare step on one batch.
 """
@@ -34,7 +34,7 @@ STEPS = 20
 
 
 def make_step(precision: str, channels_last: bool, size: tuple[int, int]) -> Callable[..., None]:
-    """A training step of the default network on a batch in memory: forward, loss, backward, Adam."""
+    """Return a training step of the default network on a batch in memory: forward, loss, backward, Adam."""
     model = eldenet.load("eldenet").train()
     layout = torch.channels_last if channels_last else torch.contiguous_format
     model.to(memory_format=layout)
@@ -56,7 +56,7 @@ def make_step(precision: str, channels_last: bool, size: tuple[int, int]) -> Cal
 
 
 def rate_of_steps(rows: dict[str, Callable[..., None]], rounds: int = 7) -> dict[str, float]:
-    """Median images/s of each row over interleaved rounds."""
+    """Return the median images/s of each row over interleaved rounds."""
     seconds: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(rounds):
         for name, step in rows.items():
@@ -69,7 +69,7 @@ def rate_of_steps(rows: dict[str, Callable[..., None]], rounds: int = 7) -> dict
 def loop_against_step(
     size: tuple[int, int], threads: int | str, workers: int | str
 ) -> tuple[float, float, str]:
-    """images/s of the loop with data, and of the bare step, alternating batch by batch in one process."""
+    """Return images/s of the loop with data and of the bare step, in turns of one batch, and a label."""
     resources = choose_resources(device="cpu", threads=threads, workers=workers)
     rooms = Rooms("train", 2048, size=size, transform=Augmentation(), input_size=size)
     sampler = EpochSampler(len(rooms), BATCH, seed=0)

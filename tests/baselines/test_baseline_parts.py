@@ -1,53 +1,22 @@
-"""The parts of other papers' networks, against numbers by hand and torch's own."""
+"""Parts of other papers' networks, against plain formulas and torch's own operators."""
 
 import pytest
 import torch
 import torch.nn.functional as F
 from support.networks import picture
 
-from eldenet.backbones.mobilenet import MobileNetV1
 from eldenet.baselines import lite_mono, meter
 from eldenet.baselines.ddrnet import DDRNet
 from eldenet.baselines.guidedepth import GuideDepth
 from eldenet.baselines.lite_mono import LiteMono
-from eldenet.configurable import build
-from eldenet.decoders.fastdepth import FastDepthDecoder
-from eldenet.heads import ScaledHead
-from eldenet.model import EncoderDecoder
 
 
-def test_fastdepth_adds_the_skips() -> None:
-    torch.manual_seed(0)
-    network = EncoderDecoder(MobileNetV1(), FastDepthDecoder).eval()
-    features = list(network.backbone(picture(64, 64)))
-    with torch.inference_mode():
-        whole = network.decoder(features)
-        for index in range(3):  # strides 2, 4, 8
-            changed = [*features]
-            changed[index] = torch.zeros_like(changed[index])
-            assert not torch.equal(network.decoder(changed), whole)
-        changed = [*features]
-        changed[3] = torch.zeros_like(changed[3])  # stride 16 is no skip
-        assert torch.equal(network.decoder(changed), whole)
-
-
-def test_fastdepths_upconv_has_two_equal_forms() -> None:
-    torch.manual_seed(0)
-    info = MobileNetV1().feature_info
-    slow = FastDepthDecoder(info, operator="upconv", skips=False).eval()
-    fast = FastDepthDecoder(info, operator="upconv", skips=False, fast=True).eval()
-    fast.load_state_dict(slow.state_dict())
-    features = [torch.rand(1, width, 64 // stride, 64 // stride) for width, stride in info]
-    with torch.inference_mode():
-        torch.testing.assert_close(slow(features), fast(features), rtol=1e-4, atol=1e-5)
-
-
-def test_guidedepth_sees_the_image_at_full_size() -> None:
+def test_guidedepths_last_step_sees_the_image_at_full_size() -> None:
     torch.manual_seed(0)
     model = GuideDepth("small").eval()
     image = picture(64, 64)
     changed = image.clone()
-    changed[..., 33, 33] = 5  # no other stride's guide has this pixel
+    changed[..., 33, 33] = 5  # a pixel that the coarser guides skip
     with torch.inference_mode():
         features = model.features(image)
         model.features.forward = lambda _: features
@@ -60,8 +29,8 @@ def test_ddrnet_ends_at_stride_eight() -> None:
         assert DDRNet(5).eval()(picture(97, 131)).shape == (1, 5, 13, 17)
 
 
-def test_cross_covariance_attention_by_hand() -> None:
-    """Against plain loops over heads (El-Nouby et al. 2021, equations 3 and 4)."""
+def test_cross_covariance_attention_equals_plain_loops() -> None:
+    """El-Nouby et al. 2021, equations 3 and 4."""
     torch.manual_seed(0)
     attention = lite_mono.CrossCovarianceAttention(16).eval()
     attention.temperature.data.uniform_(0.5, 2)
@@ -77,7 +46,7 @@ def test_cross_covariance_attention_by_hand() -> None:
     torch.testing.assert_close(attention(tokens)[0], expected, rtol=1e-4, atol=1e-5)
 
 
-def test_meters_attention_is_torchs() -> None:
+def test_meters_attention_equals_torchs() -> None:
     torch.manual_seed(0)
     attention = meter.Attention(24)
     tokens = torch.randn(2, 4, 9, 24)
@@ -95,17 +64,10 @@ def test_drop_path_grows_with_depth() -> None:
     assert rates == sorted(rates)
 
 
-def test_lite_monos_dilations() -> None:
+def test_lite_mono_has_the_papers_dilations() -> None:
     def dilations(**options) -> list[list[int]]:
         stages = LiteMono(**options).encoder.stages
         return [[block.branch[0].dilation[0] for block in stage[:-1]] for stage in stages]
 
     assert dilations() == [[1, 2, 3], [1, 2, 3], [1, 2, 3, 1, 2, 3, 2, 4, 6]]
     assert dilations(size="small", dilations="high") == [[1, 2, 5], [1, 2, 5], [1, 2, 5, 2, 4, 10]]
-
-
-def test_scaled_head() -> None:
-    head = ScaledHead(0.01, 0.5, 8.0)
-    raw = torch.tensor([-5.0, 100.0, 250.0, 900.0])
-    torch.testing.assert_close(head(raw), torch.tensor([0.5, 1.0, 2.5, 8.0]))
-    assert build(head.config).config == head.config

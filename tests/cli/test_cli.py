@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support import layouts
 
-from eldenet.config import compose
-from eldenet.train import train
+from eldenet.config import build_training, compose
+from eldenet.training.run import train
 
 TINY = (
     "data.size=[32,40]",
@@ -146,7 +146,7 @@ def test_frames_that_cannot_be_scored_show_before_the_first_epoch(tmp_path, rule
     root = layouts.folder(tmp_path / "data")
     words = ["data=folder", f"data.root={root}", "model=eldenet_s", "protocol=folder", rule]
     with pytest.raises(ValueError, match=re.escape(message)):
-        train(compose("train", words), tmp_path / "run")
+        train(build_training(compose("train", words), tmp_path / "run"))
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from eldenet.config import build_protocol, build_split, compose
-from eldenet.data import rendered
 from eldenet.data.arenas import Arenas
-from eldenet.data.rooms import Rooms
-from eldenet.data.shards import DEPTH_STEP
-from eldenet.simulation import arena_frames
-from eldenet.simulation.arena_frames import FIRST_ARENA, render_arena
-from eldenet.simulation.arena_view import ArenaView, camera_pose
+from eldenet.data.rendering import DEPTH_STEP
+from eldenet.simulation import arena_view
+from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
 from eldenet.simulation.robot import ROBOT
 
@@ -34,11 +31,11 @@ def dataset(root):
 def test_frames_are_of_the_training_stream_alone_and_of_no_arena_twice(monkeypatch):
     asked = []
 
-    def note(split, density, index, *, movers):
+    def note(split, density, index, *, pedestrians):
         asked.append((split, index))
         return generate_arena(split, 0, 0)
 
-    monkeypatch.setattr(arena_frames, "generate_arena", note)
+    monkeypatch.setattr(arena_view, "generate_arena", note)
     for split in FIRST_ARENA:
         for index in (0, 1, 999_999):
             render_arena(split, index, (16, 16), views=1)
@@ -68,10 +65,10 @@ def test_light_goes_from_dim_to_bright_and_people_walk(monkeypatch):
         def __init__(self, arena, size, *, light=1.0):
             if size != (9, 16):
                 lights.append(light)
-                movers.append(len(arena.movers))
+                movers.append(len(arena.pedestrians))
             super().__init__(arena, size, light=light)
 
-    monkeypatch.setattr(arena_frames, "ArenaView", Dark)
+    monkeypatch.setattr(arena_view, "ArenaView", Dark)
     for index in range(12):
         render_arena("train", index, (16, 16), views=1)
     assert 0.05 <= min(lights) < 0.3
@@ -87,7 +84,7 @@ def test_robots_stand_where_they_fit(dataset):
         assert views.depth.max() < 40
 
 
-def test_the_data_set_reads_what_was_rendered(dataset, root, monkeypatch):
+def test_the_data_set_reads_what_was_rendered(dataset):
     views = render_arena("train", 1, SIZE)
     frame = dataset.load_frame(9)
     assert frame.name == "arenas/train/000001/1"
@@ -96,20 +93,6 @@ def test_the_data_set_reads_what_was_rendered(dataset, root, monkeypatch):
     np.testing.assert_allclose(frame.depth[near], views.depth[1][near], atol=DEPTH_STEP)
     sample = dataset[9]
     assert sample["depth"][sample["mask"]].max() <= 10
-    asked = []
-    monkeypatch.setattr(rendered, "render_missing", lambda *args: asked.append(args[1].name))
-    assert Arenas("train", 5, size=SIZE, root=root).names == dataset.names[:5]
-    assert not asked
-    Arenas("val", 5, size=SIZE, root=root)
-    assert asked == ["arenas"]
-    with pytest.raises(ValueError, match="arenas has the splits"):
-        Arenas("holiday", root=root)
-
-
-def test_a_new_version_reads_no_old_frames():
-    next_version = Arenas.generator._replace(version=2)
-    names = {generator.folder_name(SIZE) for generator in (Rooms.generator, Arenas.generator, next_version)}
-    assert len(names | {Arenas.generator.folder_name((36, 52))}) == 4
 
 
 def test_data_arenas_composes_builds_and_can_be_scored(root):
@@ -144,7 +127,7 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
         geom = np.zeros(1, np.int32)
         depth = np.array(
             [
-                mujoco.mj_ray(other.model, other.data, center, ray, None, 1, -1, geom) * ray[0]
+                mujoco.mj_ray(other.room.model, other.room.data, center, ray, None, 1, -1, geom) * ray[0]
                 for ray in view.camera.rays(rotation)
             ]
         ).reshape(SIZE)

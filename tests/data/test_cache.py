@@ -61,8 +61,8 @@ def _once(write: Callable[[Path], Path], root: Path) -> Path:
 def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path) -> None:
     build = ADAPTERS[name](tmp_path)
     # frames of their own sizes, as KITTI's, and frames made small
-    for load_size in (None, (30, 40)):
-        options = {"transform": Augmentation(), "input_size": (24, 32), "load_size": load_size}
+    for resize_on_load in (None, (30, 40)):
+        options = {"transform": Augmentation(), "input_size": (24, 32), "resize_on_load": resize_on_load}
         plain, cached = build(**options), build(cache=kind, **options)
         expected = [plain[3, index] for index in range(len(plain))]
         assert all(same(cached[3, index], expected[index]) for index in range(len(plain)))
@@ -78,7 +78,7 @@ def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path) ->
 
 
 def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
-    options = {"load_size": (12, 16), "resize_depth": False}
+    options = {"resize_on_load": (12, 16), "resize_depth": False}
     plain = NYULabelled(layouts.labelled(tmp_path), **options)
     for kind in ("ram", "disk"):
         cached = NYULabelled(tmp_path, cache=kind, **options)
@@ -103,15 +103,15 @@ def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, 
 
 def test_changed_settings_read_everything_again(tmp_path: Path, monkeypatch) -> None:
     root = layouts.labelled(tmp_path)
-    usual = {"cache": "disk", "load_size": (12, 16)}
+    usual = {"cache": "disk", "resize_on_load": (12, 16)}
     every = list(range(len(NYULabelled(root))))
     assert reads_of(NYULabelled(root, **usual)) == every
     assert reads_of(NYULabelled(root, **usual, max_depth=5.0, seed=7, input_size=(6, 8))) == []  # come later
     for changes in (
-        {"load_size": (13, 16)},
+        {"resize_on_load": (13, 16)},
         {"encoding": "nyu8"},
         {"resize_depth": False},
-        {"load_size": None},
+        {"resize_on_load": None},
     ):
         assert reads_of(NYULabelled(root, **(usual | changes))) == every, changes
     assert reads_of(NYULabelled(root, **usual, split="val")) == [0, 1]
@@ -151,7 +151,7 @@ def test_every_adapter_names_its_settings(tmp_path: Path) -> None:
 
 
 def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
-    root, options = layouts.labelled(tmp_path), {"cache": "disk", "load_size": (12, 16)}
+    root, options = layouts.labelled(tmp_path), {"cache": "disk", "resize_on_load": (12, 16)}
     assert len(reads_of(NYULabelled(root, **options))) == 2
     path = root / "data/nyu2_train/labeled_out/0030.png"
     old = path.stat()
@@ -168,7 +168,7 @@ def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
     again = NYULabelled(root, **options)
     index = again.names.index("labeled_out/0030")
     assert reads_of(again) == [index]
-    assert same(again[index], NYULabelled(root, load_size=(12, 16))[index])
+    assert same(again[index], NYULabelled(root, resize_on_load=(12, 16))[index])
     assert reads_of(NYULabelled(root, **options)) == []
 
 
@@ -188,7 +188,7 @@ def test_changed_code_of_an_adapter_is_noticed(tmp_path: Path, monkeypatch) -> N
 
 
 def test_an_adapter_without_files_is_told_so() -> None:
-    with pytest.raises(ValueError, match=r"SyntheticDepth does not say which files.*cache=ram"):
+    with pytest.raises(ValueError, match=r"SyntheticDepth has no frame_files method.*cache=ram"):
         SyntheticDepth(3, cache="disk")[0]
 
 

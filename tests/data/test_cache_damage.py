@@ -15,7 +15,8 @@ from support.frame_caches import reads_of, same
 from support.synthetic import SyntheticDepth
 
 from eldenet.data import cache as cache_module
-from eldenet.data.cache import HEADER, FrameStore
+from eldenet.data import frame_store
+from eldenet.data.frame_store import HEADER, FrameStore
 from eldenet.data.nyu import NYULabelled
 from eldenet.types import Frame
 
@@ -28,7 +29,7 @@ SIDE = 300
 def write_forever(path: Path, value: int, die_at: int | None = None) -> None:
     """Fill the four slots again and again; a process to be killed, or to kill itself half way in a write."""
     store = FrameStore(path, 4, HEADER + 7 * SIDE**2)
-    write, calls = cache_module._write, 0
+    write, calls = frame_store._write, 0
 
     def dying(handle: int, content: bytes, start: int) -> None:
         nonlocal calls
@@ -38,7 +39,7 @@ def write_forever(path: Path, value: int, die_at: int | None = None) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         write(handle, content, start)
 
-    cache_module._write = dying
+    frame_store._write = dying
     while True:
         value = value % 200 + 1
         image = np.full((SIDE, SIDE, 3), value, np.uint8)
@@ -118,7 +119,7 @@ def test_a_damaged_slot_is_read_again(tmp_path: Path, store_folder: Path) -> Non
 def test_a_full_disk_is_said_once_and_the_work_goes_on(tmp_path: Path, caplog) -> None:
     plain, cached = (NYULabelled(layouts.labelled(tmp_path), cache=kind) for kind in ("none", "disk"))
     cached.open_cache()
-    store = cached._store
+    store = cached._cache
     full = os.open("/dev/full", os.O_RDWR)  # says "no space left on device" to every write
     os.dup2(full, store.handle)
     os.close(full)
@@ -146,5 +147,5 @@ def test_the_log_says_where_and_how_large(tmp_path: Path, store_folder: Path, ca
 
 def test_memory_that_is_too_small_is_refused(monkeypatch) -> None:
     monkeypatch.setattr(cache_module, "available_memory", lambda: 10_000)
-    with pytest.raises(ValueError, match=r"cache=ram wants 0\.00 GB for 30 frames.*cache=disk"):
+    with pytest.raises(ValueError, match=r"cache=ram needs 0\.00 GB for 30 frames.*cache=disk"):
         SyntheticDepth(30, cache="ram")[0]

@@ -22,7 +22,7 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.system.resources import Resources, seed_everything
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 from eldenet.types import Frame
 
 pytestmark = pytest.mark.usefixtures("store_folder")
@@ -97,7 +97,9 @@ def train(folder: Path, *, cache: str = "none", workers: int = 0, epochs: int = 
     loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
     trainer = make_trainer(epochs=epochs, checkpoint_every=1)
     model = eldenet.load("eldenet_s").train()
-    return trainer.fit(model, data, SyntheticDepth(4), loss, PROTOCOL, folder, resources, **options)
+    return trainer.fit(
+        model, loss, TrainingData(data, SyntheticDepth(4), PROTOCOL), folder, resources, **options
+    )
 
 
 def test_cached_training_is_the_training_resumed_too(tmp_path: Path, monkeypatch) -> None:
@@ -133,7 +135,7 @@ def test_the_wait_for_data_is_counted(tmp_path: Path) -> None:
     resources = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
     model = eldenet.load("eldenet_s").train()
     progress = make_trainer(epochs=1).fit(
-        model, Slow(8), SyntheticDepth(2), loss, PROTOCOL, tmp_path, resources
+        model, loss, TrainingData(Slow(8), SyntheticDepth(2), PROTOCOL), tmp_path, resources
     )
     assert 0.4 <= progress.waited < 5
 

@@ -1,6 +1,8 @@
 """``check_data`` on whole and on damaged data sets: everything wrong is named, nothing stops it."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -9,18 +11,18 @@ import pytest
 from support import layouts
 
 from eldenet.check_data import _bars, check
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split, spread
-from eldenet.train import remembered
+from eldenet.training.run import common_frames
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
-    good = check(compose("check_data", [*overrides, f"run_dir={folder}"]))
+    good = check(build_check_data(compose("check_data", [*overrides, f"run_dir={folder}"])))
     return good, json.loads((folder / "check.json").read_text())
 
 
-def test_a_whole_data_set(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_complete_data_set_has_no_faults(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     root = layouts.folder(tmp_path / "data")
     good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.intrinsics=[60,61,32,24]")
     assert good
@@ -66,7 +68,7 @@ def test_everything_wrong_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         "f020.png is cut",
     ):
         assert text in shown
-    assert "holds uint8, encoding 'mm' wants uint16" in shown
+    assert "holds uint8, encoding 'mm' needs uint16" in shown
     assert "depths/f010" not in shown
 
 
@@ -115,7 +117,7 @@ def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
     train, val, test = (
         build_split(config, name, build_protocol(config)) for name in ("train", "val", "test")
     )
-    assert (remembered(train, val), remembered(train, test)) == (0, 9)
+    assert (common_frames(train, val), common_frames(train, test)) == (0, 9)
 
 
 def test_all_frames_missing_is_a_fault(tmp_path: Path) -> None:
@@ -150,7 +152,23 @@ def test_the_command_ends_with_1(tmp_path: Path, run_command) -> None:
     assert "frames=0" in finished.stderr
 
 
-def test_a_sample_of_frames(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named_before_torch_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    code = (
+        "import sys; from eldenet.config import build_check_data, compose\n"
+        "try: build_check_data(compose('check_data', sys.argv[1:]))\n"
+        "except FileNotFoundError as error: print(error)\n"
+        "assert 'torch' not in sys.modules"
+    )
+    for words, message in (
+        (["data.root=/nope"], "/nope is not a folder: set data.root"),
+        ([], "set data.root"),
+    ):
+        command = [sys.executable, "-c", code, "data=nyu_labelled", *words]
+        assert message in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
     assert spread(10, None) == list(range(10))
     assert spread(10, 3) == [0, 4, 9]
     assert spread(3, 10) == [0, 1, 2]
@@ -163,7 +181,7 @@ def test_a_sample_of_frames(tmp_path: Path) -> None:
     assert found.percentiles["p99"] < 5.05
 
 
-def test_bars() -> None:
+def test_a_histogram_is_one_line_of_text() -> None:
     assert _bars([0, 1, 100, 50]) == " ▁█▄"
     assert _bars([]) == _bars([0]) == "-"
 

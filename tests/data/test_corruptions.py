@@ -1,6 +1,6 @@
-"""Five hundred seeded corruptions: one clear error naming the file, or a counted skip; never a wrong sample.
+"""Five hundred seeded corruptions: each is one clear error that names the file, or a counted skip.
 
-What cannot be told from a good file is left out: numbers changed within pixels that carry no check sum.
+Changes that nothing can detect are left out: other numbers in pixels without a checksum.
 """
 
 import shutil
@@ -161,12 +161,12 @@ def test_numbers_that_are_no_depth_are_unknown(tmp_path: Path) -> None:
         root = tmp_path / ending
         given = folder_of(ending, "meters")(root)
         writer(root / f"depths/f1{ending}", values)
-        config = compose("train", ["data=folder", "data.input_size=null", "data.load_size=null", *given])
+        config = compose("train", ["data=folder", "data.input_size=null", "data.resize_on_load=null", *given])
         _, (_, sample, _) = samples(config)
         np.testing.assert_array_equal(sample["mask"][0], ~bad)
         np.testing.assert_array_equal(sample["depth"][0], np.where(bad, 0, NYU_FRAME.meters))
     given = [f"data.root={tmp_path / 'h5'}", "data.train.split=trainval", "data.input_size=null"]
-    config = compose("train", ["data=nyu_hdf5", "protocol=folder", "data.train.load_size=null", *given])
+    config = compose("train", ["data=nyu_hdf5", "protocol=folder", "data.train.resize_on_load=null", *given])
     np.testing.assert_array_equal(samples(config)[1][0]["mask"][0], ~bad)
 
 

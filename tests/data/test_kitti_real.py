@@ -9,8 +9,7 @@ import pytest
 from support.layouts import devkit_meters, real_folder
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
-from eldenet.data.kitti_lidar import entry, rectified_intrinsics, velodyne_to_image
-from eldenet.data.kitti_velodyne import project_scan, read_scan
+from eldenet.data.kitti_lidar import entry, project_scan, read_scan, rectified_intrinsics, velodyne_to_image
 
 
 @pytest.fixture
@@ -26,7 +25,7 @@ def test_real_devkit_frames(real: Path) -> None:
         frame = data.load_frame(i)
         np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_meters(file))
         assert 0.1 < (frame.depth > 0).mean() < 0.4
-        picture_file = data.pictures[i]
+        picture_file = data.frame_files(i)[0]
         np.testing.assert_array_equal(frame.image, cv2.imread(str(picture_file))[..., ::-1])
         assert frame.intrinsics is not None
         np.testing.assert_allclose(frame.intrinsics[:2, 2], [609.5593, 172.854])
@@ -36,7 +35,7 @@ def test_real_derived_maps_with_raw_pictures(real: Path) -> None:
     """The derived maps lie as the merged devkit does."""
     data = KITTIDepth(real / "depth_derived", depth="velodyne_raw", split="all")
     assert len(data) == 20
-    for i, file in enumerate(data.sources):
+    for i, file in enumerate(file for _, file in data.files):
         np.testing.assert_array_equal(data.load_frame(i).depth.astype(np.float64), devkit_meters(file))
 
 
@@ -49,7 +48,7 @@ def test_real_scans_give_back_the_derived_maps(real: Path) -> None:
         derived = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         # in double: in single precision a handful of points change sides of half a step of 1/256 m
         matrix = velodyne_to_image(real / "raw" / drive[:10], 2)
-        depth = project_scan(read_scan(data.sources[i]), matrix, derived.shape)
+        depth = project_scan(read_scan(data.frame_files(i)[1]), matrix, derived.shape)
         np.testing.assert_array_equal(np.round(depth * 256).astype(np.uint16), derived)
         frame = data.load_frame(i)
         np.testing.assert_array_equal(frame.depth, depth.astype(np.float32))
@@ -78,7 +77,7 @@ def test_real_selection(real: Path) -> None:
     for depth, count in (("velodyne_raw", 2), ("groundtruth", 1)):
         data = KITTISelection(depth=depth, on_error="skip", **options)
         assert len(data) == count
-        for i, file in enumerate(data.sources):
+        for i, file in enumerate(file for _, file in data.files):
             frame = data.load_frame(i)
             assert frame.image.shape == (352, 1216, 3)
             np.testing.assert_array_equal(frame.depth.astype(np.float64), devkit_meters(file))

@@ -1,4 +1,4 @@
-"""``python -m eldenet.export`` as a user types it, and every family of networks in the zoo."""
+"""``python -m eldenet.export``, for every family of networks in the zoo."""
 
 from pathlib import Path
 
@@ -8,10 +8,11 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.config import compose
+from eldenet.config import build_export, compose
 from eldenet.deploy import runtimes
+from eldenet.deploy.exporting import export
 from eldenet.deploy.files import describe, differences, read_metadata
-from eldenet.export import export, read_pictures
+from eldenet.deploy.quantize import read_pictures
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
@@ -42,7 +43,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(folder: Path, photos: Path, *overrides: str) -> Path:
     quoted = [f"checkpoint='{folder}'", f"pictures='{photos}'", "calibration=6", "checks=2"]
-    return export(compose("export", [*quoted, *overrides]))
+    return export(build_export(compose("export", [*quoted, *overrides])))
 
 
 def image_of(photos: Path) -> np.ndarray:
@@ -66,14 +67,16 @@ def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -
         assert differences(depth, reference)["max_relative"] < 1e-4
 
 
-def test_what_a_file_says_of_its_training() -> None:
+def test_a_file_states_its_training_data() -> None:
     model = eldenet.load("eldenet_s")
     assert describe(model, "mine", SIZE)["data"] == "none: freshly initialized"
     model.info = {"trained_on": "streets"}
     assert describe(model, "mine", SIZE)["data"] == "not stated"
 
 
-def test_command_from_another_folder(run_command, model_folder: Path, photos: Path, tmp_path: Path) -> None:
+def test_the_command_exports_from_another_folder(
+    run_command, model_folder: Path, photos: Path, tmp_path: Path
+) -> None:
     done = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}", "checks=2", "opset=13")
     assert done.returncode == 0, done.stderr
     path = tmp_path / "exports" / "mine-32x64-fp32.onnx"
@@ -92,7 +95,7 @@ def test_command_from_another_folder(run_command, model_folder: Path, photos: Pa
 
 
 @pytest.mark.parametrize("format", ["onnx", "openvino"])
-def test_int8(model_folder: Path, photos: Path, tmp_path: Path, format: str, capsys) -> None:
+def test_int8_files_run(model_folder: Path, photos: Path, tmp_path: Path, format: str, capsys) -> None:
     ending = {"onnx": "onnx", "openvino": "xml"}[format]
     output = tmp_path / f"small.{ending}"
     path = run(model_folder, photos, f"format={format}", "precision=int8", f"output='{output}'", "opset=17")
@@ -115,7 +118,7 @@ def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp
     assert runtimes.load(path, precision="fp32", threads=1).precision == "fp32"
 
 
-def test_a_camera_file(model_folder: Path, photos: Path, tmp_path: Path) -> None:
+def test_a_camera_file_takes_frames(model_folder: Path, photos: Path, tmp_path: Path) -> None:
     path = run(
         model_folder, photos, "camera=[72,96]", "batch=1", "opset=13", f"output='{tmp_path / 'c.onnx'}'"
     )
@@ -128,15 +131,15 @@ def test_a_camera_file(model_folder: Path, photos: Path, tmp_path: Path) -> None
     ("overrides", "message"),
     [
         (["format=tflite"], "onnx, openvino"),
-        (["precision=bf16"], "format=onnx has fp32, int8; bf16 is format=openvino's"),
+        (["precision=bf16"], "format=onnx has fp32, int8; for bf16 give format=openvino"),
         (["size=[32]"], r"size=\[32\]: give \[height, width\]"),
         (["camera=5"], r"camera=5: give \[height, width\]"),
         (["output=depth.xml"], r"needs a name that ends in \.onnx"),
         (["opset=5"], "opset=5: choose 11 to 18"),
-        (["pictures=/nowhere/*.jpg"], "are none: give a folder, or a pattern"),
+        (["pictures=/nowhere/*.jpg"], "holds no pictures: give a folder, or a pattern"),
     ],
 )
-def test_mistakes(
+def test_wrong_settings_are_refused(
     model_folder: Path, photos: Path, overrides: list[str], message: str, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

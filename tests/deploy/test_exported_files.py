@@ -1,4 +1,4 @@
-"""Exported files of other sizes, opsets and batches, and what cannot be exported."""
+"""Exported files of other sizes, opsets and batches; what cannot be exported."""
 
 import math
 from pathlib import Path
@@ -7,72 +7,52 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import ROUNDING, SIZE, meters, smooth_pictures, trained
+from support.rooms_network import ROUNDING, SIZE
 
 import eldenet
 from eldenet.deploy import runtimes
-from eldenet.deploy.files import CameraNet, area_weights, describe, differences, write_onnx, write_openvino
-from eldenet.deploy.predictor import DepthPredictor, resized
+from eldenet.deploy.camera import CameraNet
+from eldenet.deploy.files import describe, differences, write_onnx, write_openvino
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
-from eldenet.model import DepthNet
+from eldenet.geometry import resize_image
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
 
 
-@pytest.fixture(scope="module")
-def model() -> DepthNet:
-    return trained()
-
-
-@pytest.fixture(scope="module")
-def images() -> np.ndarray:
-    return smooth_pictures()
-
-
-@pytest.fixture(scope="module")
-def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return meters(model, images)
-
-
-def test_a_license_is_what_somebody_stated(model: DepthNet) -> None:
-    assert describe(model, "m", SIZE, license="CC-BY-4.0")["license"] == "CC-BY-4.0"
+def test_a_license_is_the_one_that_was_stated(trained_model) -> None:
+    assert describe(trained_model, "m", SIZE, license="CC-BY-4.0")["license"] == "CC-BY-4.0"
     packaged = eldenet.load("eldenet_rooms")
     assert describe(packaged, "m", SIZE)["license"] == packaged.info["license"] != "not stated"
 
 
 @pytest.mark.parametrize("camera", [(64, 128), (20, 40), (70, 100), SIZE])
-def test_frames_of_other_sizes(model, camera: tuple[int, int], tmp_path: Path) -> None:
+def test_a_file_takes_frames_of_another_size(trained_model, camera: tuple[int, int], tmp_path: Path) -> None:
     frame = cv2.resize(np.random.default_rng(2).integers(0, 255, (4, 6, 3), np.uint8), camera[::-1])
-    facts = describe(model, "m", SIZE, camera_size=camera)
-    path = write_onnx(model, tmp_path / "m.onnx", SIZE, batch=1, opset=13, camera_size=camera, metadata=facts)
+    facts = describe(trained_model, "m", SIZE, camera_size=camera)
+    path = write_onnx(
+        trained_model, tmp_path / "m.onnx", SIZE, batch=1, opset=13, camera_size=camera, metadata=facts
+    )
     depth = runtimes.load(path, "onnxruntime", threads=1)(frame[None])[0, 0]
-    found = differences(depth, DepthPredictor(model, SIZE)(frame))
-    assert (
-        found["max_relative"] < 0.02
-    )  # OpenCV rounds to gray levels, and where a frame grows its weights too
+    found = differences(depth, DepthPredictor(trained_model, SIZE)(frame))
+    assert found["max_relative"] < 0.02  # OpenCV rounds to gray levels, and the weights of frames that grow
     assert found["median_relative"] < 2e-3
 
 
 @pytest.mark.parametrize("camera", [(64, 128), (70, 100), (32, 100), (50, 64)])
-def test_a_graph_shrinks_a_frame_as_the_data_sets_do(model, camera: tuple[int, int]) -> None:
-    """But for their rounding to whole gray levels, and where one side stays as it is, too."""
+def test_a_graph_shrinks_frames_as_the_data_sets_do(trained_model, camera: tuple[int, int]) -> None:
+    """Up to their rounding to whole gray levels."""
     frame = np.random.default_rng(4).integers(0, 256, (*camera, 3), np.uint8)
     image = torch.from_numpy(frame).permute(2, 0, 1)[None].float()
-    ours = CameraNet(model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()
-    np.testing.assert_allclose(ours, resized(frame, SIZE), atol=0.51)
+    ours = CameraNet(trained_model, camera, SIZE).resized(image)[0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(ours, resize_image(frame, SIZE), atol=0.51)
 
 
-def test_area_weights_equal_opencv() -> None:
-    picture = np.random.default_rng(3).random((48, 70)).astype(np.float32)
-    ours = area_weights(48, 21).numpy() @ picture @ area_weights(70, 32).numpy().T
-    np.testing.assert_allclose(ours, cv2.resize(picture, (32, 21), interpolation=cv2.INTER_AREA), atol=1e-6)
-
-
-def test_a_static_file_of_an_old_opset(model, images, reference, tmp_path: Path) -> None:
+def test_a_file_of_an_old_opset_runs(trained_model, images, reference, tmp_path: Path) -> None:
     import onnx
 
-    path = write_onnx(model, tmp_path / "old.onnx", SIZE, batch=1, opset=11, metadata={"model": "m"})
+    path = write_onnx(trained_model, tmp_path / "old.onnx", SIZE, batch=1, opset=11, metadata={"model": "m"})
     assert [entry.version for entry in onnx.load(path).opset_import] == [11]
     network = runtimes.load(path, "onnxruntime", threads=1)
     assert differences(network(images[:1]), reference[:1])["max_relative"] < ROUNDING
@@ -80,17 +60,17 @@ def test_a_static_file_of_an_old_opset(model, images, reference, tmp_path: Path)
         network(images)
     for wrong in ({"opset": 9}, {"opset": 19}, {"batch": 0}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))}="):
-            write_onnx(model, tmp_path / "wrong.onnx", SIZE, **wrong)
+            write_onnx(trained_model, tmp_path / "wrong.onnx", SIZE, **wrong)
     with pytest.raises(ValueError, match="shrink one way and grow the other"):
-        write_onnx(model, tmp_path / "wrong.onnx", SIZE, camera_size=(16, 128))
+        write_onnx(trained_model, tmp_path / "wrong.onnx", SIZE, camera_size=(16, 128))
 
 
 @pytest.mark.parametrize("ending", [".onnx", ".xml"])
 def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
-    model, images, reference, tmp_path: Path, ending: str
+    trained_model, images, reference, tmp_path: Path, ending: str
 ) -> None:
-    facts = describe(model, "eldenet_s", SIZE)
-    path = write_onnx(model, tmp_path / "two.onnx", SIZE, batch=2, metadata=facts)
+    facts = describe(trained_model, "eldenet_s", SIZE)
+    path = write_onnx(trained_model, tmp_path / "two.onnx", SIZE, batch=2, metadata=facts)
     if ending == ".xml":
         path = write_openvino(path, tmp_path / "two.xml", facts)
     network = runtimes.load(path, threads=1)
@@ -105,11 +85,11 @@ def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     cost = measure_runtime_cost(network, SIZE)
     assert cost.batch == 2
     assert cost.throughput_img_s > 0
-    assert math.isnan(cost.latency_ms_p50)  # of one image, which this file does not take
+    assert math.isnan(cost.latency_ms_p50)  # the file does not take one image
     assert math.isnan(cost.latency_ms_p95)
 
 
-def test_an_opset_that_cannot_express_a_network(tmp_path: Path) -> None:
+def test_an_opset_that_cannot_express_a_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="opset=11 cannot express this network: "):
         write_onnx(eldenet.load("meter_xxs"), tmp_path / "m.onnx", SIZE, batch=1, opset=11)
     assert not list(tmp_path.iterdir())

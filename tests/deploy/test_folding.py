@@ -1,9 +1,9 @@
-"""The inference form of a network computes the same with less work."""
+"""A folded network computes the same with less work."""
 
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import ROUNDING, SIZE, meters, smooth_pictures, trained
+from support.rooms_network import ROUNDING, SIZE
 from torch import nn
 
 import eldenet
@@ -12,21 +12,6 @@ from eldenet.deploy.files import differences
 from eldenet.deploy.fold import fold, merge_upconv
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
-
-
-@pytest.fixture(scope="module")
-def model() -> DepthNet:
-    return trained()
-
-
-@pytest.fixture(scope="module")
-def images() -> np.ndarray:
-    return smooth_pictures()
-
-
-@pytest.fixture(scope="module")
-def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return meters(model, images)
 
 
 @pytest.mark.parametrize("fast", [True, False])
@@ -38,20 +23,19 @@ def test_a_merged_upconvolution_is_the_operator_itself(fast: bool) -> None:
     )
 
 
-def test_folding_changes_nothing_but_the_work(model: DepthNet, images: np.ndarray, reference) -> None:
-    before = {name: value.clone() for name, value in model.state_dict().items()}
-    folded = fold(model)
+def test_folding_changes_neither_depth_nor_model(trained_model, images: np.ndarray, reference) -> None:
+    before = {name: value.clone() for name, value in trained_model.state_dict().items()}
+    folded = fold(trained_model)
     assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
     with torch.inference_mode():
         assert differences(folded(torch.from_numpy(images)).numpy(), reference)["max_relative"] < ROUNDING
-    for name, value in model.state_dict().items():
+    for name, value in trained_model.state_dict().items():
         assert torch.equal(value, before[name]), name
 
 
-@pytest.mark.parametrize("name", ["resnet18_upconv"])
-def test_resnet_blocks_are_folded(name: str) -> None:
+def test_resnet_blocks_are_folded() -> None:
     torch.manual_seed(0)
-    model = eldenet.load(name).eval()
+    model = eldenet.load("resnet18_upconv").eval()
     for part in model.modules():
         if isinstance(part, nn.BatchNorm2d):
             part.running_mean.uniform_(-0.2, 0.2)
@@ -71,14 +55,14 @@ class ActiveNorm(nn.BatchNorm2d):
 
 
 class HalvedConv(nn.Conv2d):
-    """Computes something else than its base from the same weights, as weight standardisation does."""
+    """Computes something else from the same weights, as weight standardization does."""
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         return super().forward(input) / 2
 
 
 @pytest.mark.parametrize("parts", [(nn.Conv2d, ActiveNorm), (HalvedConv, nn.BatchNorm2d)])
-def test_what_does_more_than_its_base_is_not_folded(parts: tuple[type, type]) -> None:
+def test_subclasses_that_do_more_are_not_folded(parts: tuple[type, type]) -> None:
     torch.manual_seed(0)
     conv, norm = parts
     network = nn.Sequential(conv(3, 4, 3, padding=1), norm(4), nn.Conv2d(4, 1, 1))

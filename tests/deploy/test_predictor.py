@@ -1,4 +1,4 @@
-"""Frame in, meters out; and how meters become numbers, points and pictures."""
+"""Frames become meters; meters become numbers, points and pictures."""
 
 import math
 from pathlib import Path
@@ -10,7 +10,7 @@ import torch
 from support.predicting import photo, read_ply
 
 import eldenet
-from eldenet.deploy.pointcloud import write_ply
+from eldenet.deploy.outputs import write_ply
 from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.model import DepthNet
@@ -38,7 +38,7 @@ def test_predictor_is_the_network_with_a_resize_around_it(model: DepthNet) -> No
     np.testing.assert_allclose(DepthPredictor(model, (24, 32))(frame), large[0, 0], rtol=1e-6)
 
 
-def test_predictor_of_an_unknown_training_size_bounds_the_longer_side() -> None:
+def test_predictor_without_a_training_size_limits_the_longer_side() -> None:
     predictor = DepthPredictor(eldenet.load("eldenet_s"), max_side=100)
     assert predictor.size_for(50, 80) == (50, 80)
     assert predictor.size_for(300, 200) == (100, 67)
@@ -46,12 +46,12 @@ def test_predictor_of_an_unknown_training_size_bounds_the_longer_side() -> None:
 
 
 @pytest.mark.parametrize("frame", [photo()[..., 0], photo().astype(np.float32), photo()[:0]])
-def test_predictor_refuses_what_is_no_frame(model: DepthNet, frame: np.ndarray) -> None:
+def test_predictor_refuses_other_shapes_and_types(model: DepthNet, frame: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"\(H, W, 3\) uint8 RGB is needed"):
         DepthPredictor(model)(frame)
 
 
-def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> None:
+def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> None:
     with pytest.raises(ValueError, match="input_size"):
         DepthPredictor(model, (0, 32))
     with pytest.raises(ValueError, match="max_side"):
@@ -67,35 +67,33 @@ def test_predictor_refuses_sizes_and_depth_that_are_none(model: DepthNet) -> Non
         DepthPredictor(Broken())(photo())  # type: ignore[arg-type]
 
 
-def test_predictor_refuses_a_device_for_a_runtime_which_has_its_own() -> None:
+def test_predictor_refuses_a_device_for_a_runtime() -> None:
     with pytest.raises(ValueError, match=r"device=cuda is for a model.*eldenet\.runtimes\.load"):
         DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
 
 
-def test_fp32_on_cuda_is_that_of_the_other_runtimes(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fp32_on_cuda_is_not_tf32(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
     monkeypatch.setattr(model, "to", lambda device: model)  # no CUDA device is needed
     DepthPredictor(model, device="cuda")
     assert not torch.backends.cudnn.allow_tf32
 
 
-def test_millimeters() -> None:
+def test_millimeters_are_rounded_and_0_where_unknown() -> None:
     depth = np.array([[0.0, 1.2344, 1.2346, 65.5351, 65.536, 200.0, np.nan, np.inf, -1.0]], np.float32)
     np.testing.assert_array_equal(to_millimeters(depth), [[0, 1234, 1235, 65535, 0, 0, 0, 0, 0]])
 
 
-def test_point_cloud_leaves_out_what_is_unknown(tmp_path: Path) -> None:
+def test_a_point_cloud_leaves_out_unknown_points(tmp_path: Path) -> None:
     points = np.array([[0, 0, 1], [0, 0, 0], [1, np.nan, 2], [3, 4, 5]], np.float64)
     colors = np.arange(12, dtype=np.uint8).reshape(4, 3)
     assert write_ply(tmp_path / "a/b.ply", points, colors) == 2
     vertices = read_ply(tmp_path / "a/b.ply")
     assert vertices["z"].tolist() == [1, 5]
     assert vertices["blue"].tolist() == [2, 11]
-    with pytest.raises(ValueError, match="one shape"):
-        write_ply(tmp_path / "c.ply", points, colors[:2])
 
 
-def test_scale_in_meters() -> None:
+def test_the_scale_shows_round_meters_at_a_constant_width() -> None:
     for near, far in ((0, 1), (0.7, 9.9), (1.2, 1.25), (3, 80), (0.5, 120)):
         numbers = round_numbers(near, far)
         assert 3 <= len(numbers) <= 8

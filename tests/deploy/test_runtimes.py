@@ -1,4 +1,4 @@
-"""One network under every runtime gives the same meters; a file says what it is."""
+"""One network gives the same meters under every runtime; a file describes itself."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE, meters, smooth_pictures, trained
+from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE
 
 import eldenet
-from eldenet.config import compose
-from eldenet.deploy import runtimes
+from eldenet import runtimes
+from eldenet.config import build_evaluation, compose
 from eldenet.deploy.files import (
     count_operations,
     describe,
@@ -22,7 +22,7 @@ from eldenet.deploy.files import (
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
 from eldenet.deploy.runtimes.onnx import OPTIONS, providers_behind
-from eldenet.evaluate import _open
+from eldenet.deploy.scoring import open_checkpoint
 from eldenet.model import DepthNet
 from eldenet.system.resources import Resources
 
@@ -31,33 +31,20 @@ pytest.importorskip("openvino")
 
 
 @pytest.fixture(scope="module")
-def model() -> DepthNet:
-    return trained()
-
-
-@pytest.fixture(scope="module")
-def images() -> np.ndarray:
-    return smooth_pictures()
-
-
-@pytest.fixture(scope="module")
-def reference(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    return meters(model, images)
-
-
-@pytest.fixture(scope="module")
-def files(model: DepthNet, images: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def files(
+    trained_model: DepthNet, images: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("exports")
-    facts = describe(model, "eldenet_s", SIZE)
-    onnx = write_onnx(model, folder / "fp32.onnx", SIZE, metadata=facts)
+    facts = describe(trained_model, "eldenet_s", SIZE)
+    onnx = write_onnx(trained_model, folder / "fp32.onnx", SIZE, metadata=facts)
     return {
         "onnx": onnx,
         "xml": write_openvino(onnx, folder / "fp32.xml", facts),
         "int8 onnx": quantize_onnx(onnx, folder / "int8.onnx", [image[None] for image in images]),
         "int8 xml": quantize_openvino(onnx, folder / "int8.xml", [image[None] for image in images], facts),
         "frames": write_onnx(
-            model, folder / "frames.onnx", SIZE, batch=1, camera_size=CAMERA,
-            metadata=describe(model, "eldenet_s", SIZE, camera_size=CAMERA),
+            trained_model, folder / "frames.onnx", SIZE, batch=1, camera_size=CAMERA,
+            metadata=describe(trained_model, "eldenet_s", SIZE, camera_size=CAMERA),
         ),
     }  # fmt: skip
 
@@ -86,30 +73,30 @@ def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtim
 
 
 @pytest.mark.parametrize("runtime", ["torch", "torch_channels_last", "onnxruntime"])
-def test_models_run_without_a_file(model, images, reference, runtime: str) -> None:
-    network = runtimes.load(model, runtime, threads=1)
+def test_models_run_without_a_file(trained_model, images, reference, runtime: str) -> None:
+    network = runtimes.load(trained_model, runtime, threads=1)
     assert network.runtime == runtime
     assert differences(network(images), reference)["max_relative"] < ROUNDING
 
 
-def test_a_training_or_model_folder_runs(model, images, reference, tmp_path: Path) -> None:
-    model.save_pretrained(tmp_path / "run" / "model")
+def test_a_training_or_model_folder_runs(trained_model, images, reference, tmp_path: Path) -> None:
+    trained_model.save_pretrained(tmp_path / "run" / "model")
     for folder in (tmp_path / "run", tmp_path / "run" / "model"):
         depth = runtimes.load(folder, threads=1)(images)
         assert differences(depth, reference)["max_relative"] < ROUNDING
 
 
 @pytest.mark.slow
-def test_compiled_torch_agrees(model, images, reference) -> None:
-    depth = runtimes.load(model, "torch_compile", threads=1)(images)
+def test_compiled_torch_agrees(trained_model, images, reference) -> None:
+    depth = runtimes.load(trained_model, "torch_compile", threads=1)(images)
     assert differences(depth, reference)["max_relative"] < ROUNDING
 
 
 @pytest.mark.parametrize("runtime", ["torch", "torch_channels_last", "openvino"])
-def test_bf16_is_near(model, files, images, reference, runtime: str) -> None:
+def test_bf16_is_near(trained_model, files, images, reference, runtime: str) -> None:
     if runtime == "openvino" and not bf16_there():
         pytest.skip("this processor does not multiply bf16")
-    source = files["xml"] if runtime == "openvino" else model
+    source = files["xml"] if runtime == "openvino" else trained_model
     network = runtimes.load(source, runtime, "bf16", threads=1)
     found = differences(network(images), reference)
     assert network.precision == "bf16"
@@ -130,7 +117,7 @@ def test_int8_is_near(files, images, reference, file: str, runtime: str) -> None
     assert read_metadata(files[file])["precision"] == "int8"
 
 
-def test_what_is_not_there_is_said(model, files, images) -> None:
+def test_the_error_for_what_is_missing_lists_what_there_is(trained_model, files, images) -> None:
     for source, arguments, message in (
         (files["onnx"], {"runtime": "tvm"}, "choose auto, torch, torch_channels_last"),
         (files["onnx"], {"runtime": "torch"}, "runs under onnxruntime or openvino, not under torch"),
@@ -139,9 +126,13 @@ def test_what_is_not_there_is_said(model, files, images) -> None:
         (files["onnx"], {"runtime": "onnxruntime", "precision": "int8"}, "export it with precision=int8"),
         (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO here has .*cpu"),
         (files["int8 xml"], {"precision": "bf16"}, "only int8"),
-        (model, {"precision": "int8"}, "export a file"),
-        (model, {"runtime": "onnxruntime", "precision": "int8"}, "calibration frames: export a file"),
-        (model, {"device": "tpu"}, "torch runs on cpu or cuda"),
+        (trained_model, {"precision": "int8"}, "export a file"),
+        (
+            trained_model,
+            {"runtime": "onnxruntime", "precision": "int8"},
+            "calibration pictures: export a file",
+        ),
+        (trained_model, {"device": "tpu"}, "torch runs on cpu or cuda"),
         (eldenet.load("eldenet_s"), {"runtime": "onnxruntime"}, "needs a size"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -150,7 +141,7 @@ def test_what_is_not_there_is_said(model, files, images) -> None:
         runtimes.load("nothing.onnx")
 
 
-def test_a_missing_provider_names_those_there_are(files) -> None:
+def test_the_error_for_a_missing_provider_lists_the_installed_ones(files) -> None:
     import onnxruntime
 
     there = onnxruntime.get_available_providers()
@@ -163,7 +154,7 @@ def test_a_missing_provider_names_those_there_are(files) -> None:
     assert named.device == "cpu"
 
 
-def test_an_accelerators_fp32_is_fp32() -> None:
+def test_fp32_on_cuda_is_not_tf32() -> None:
     cpu, cuda, tensorrt = (f"{name}ExecutionProvider" for name in ("CPU", "CUDA", "Tensorrt"))
     assert providers_behind(cpu, [cuda, cpu]) == [cpu]
     assert providers_behind(cuda, [tensorrt, cuda, cpu]) == [cuda, cpu]
@@ -172,7 +163,7 @@ def test_an_accelerators_fp32_is_fp32() -> None:
     assert OPTIONS[cuda] == {"use_tf32": "0"}  # ONNX Runtime's own default is TF32
 
 
-def test_evaluate_runs_a_file_where_it_is_asked_to(files) -> None:
+def test_evaluate_runs_a_file_where_it_is_asked_to(files, tmp_path) -> None:
     """Not on the CPU without a word: here no runtime has CUDA, and that is said."""
     import onnxruntime
 
@@ -181,8 +172,13 @@ def test_evaluate_runs_a_file_where_it_is_asked_to(files) -> None:
     resources = Resources(device="cuda", precision="fp32", threads=1, workers=0, cores=1)
     words = [f"checkpoint='{files['onnx']}'", "engine=onnxruntime"]
     with pytest.raises(ValueError, match="CUDAExecutionProvider"):
-        _open(compose("evaluate", [*words, "runtime.device=cuda"]), resources)
-    assert _open(compose("evaluate", words), resources).network.device == "cpu"
+        open_checkpoint(
+            build_evaluation(compose("evaluate", [*words, "runtime.device=cuda"]), tmp_path), resources
+        )
+    assert (
+        open_checkpoint(build_evaluation(compose("evaluate", words), tmp_path), resources).network.device
+        == "cpu"
+    )
 
 
 def test_wrong_images_are_refused(files, images) -> None:
@@ -193,7 +189,7 @@ def test_wrong_images_are_refused(files, images) -> None:
             network(images[..., :-8])
 
 
-def test_files_say_what_they_are(files) -> None:
+def test_files_describe_themselves(files) -> None:
     for name in ("onnx", "xml"):
         facts = read_metadata(files[name])
         assert facts["model"] == "eldenet_s"
@@ -209,7 +205,7 @@ def test_files_say_what_they_are(files) -> None:
     assert "uint8 RGB frame (B, H, W, 3)" in read_metadata(files["frames"])["input"]
 
 
-def test_nothing_runs_twice_in_the_graph(files) -> None:
+def test_the_graph_has_no_superfluous_operations(files) -> None:
     kinds = count_operations(files["onnx"])
     assert kinds["BatchNormalization"] == 0
     assert kinds["DepthToSpace"] == 4  # the four up-convolutions
@@ -217,13 +213,13 @@ def test_nothing_runs_twice_in_the_graph(files) -> None:
 
 
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
-def test_frames_in_meters_out(model, files, runtime: str) -> None:
+def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str) -> None:
     generator = np.random.default_rng(1)
     frame = cv2.resize(generator.integers(0, 255, (6, 8, 3), dtype=np.uint8), CAMERA[::-1])
     network = runtimes.load(files["frames"], runtime, threads=1)
     assert network.takes_frames
     assert network.camera_size == CAMERA
-    expected = DepthPredictor(model, SIZE)(frame)
+    expected = DepthPredictor(trained_model, SIZE)(frame)
     assert expected.shape == CAMERA
     depth = network(frame[None])
     assert depth.shape == (1, 1, *CAMERA)
@@ -237,13 +233,17 @@ def test_frames_in_meters_out(model, files, runtime: str) -> None:
         DepthPredictor(network, (64, 64))
 
 
-def test_any_batch_is_not_fixed(model, files) -> None:
-    for source, runtime in ((files["onnx"], "onnxruntime"), (files["xml"], "openvino"), (model, "torch")):
+def test_files_of_any_batch_have_no_fixed_batch(trained_model, files) -> None:
+    for source, runtime in (
+        (files["onnx"], "onnxruntime"),
+        (files["xml"], "openvino"),
+        (trained_model, "torch"),
+    ):
         assert runtimes.load(source, runtime, threads=1).fixed_batch is None
 
 
-def test_a_folder_of_foreign_classes_needs_trust(model, tmp_path: Path) -> None:
-    folder = model.save_pretrained(tmp_path / "model")
+def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) -> None:
+    folder = trained_model.save_pretrained(tmp_path / "model")
     config = folder / "config.json"
     config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
     with pytest.raises(ValueError, match="trusted_modules"):

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 import torch
 from support import layouts
-from support.networks import small_net
+from support.scoring import score_small
 from support.synthetic import SyntheticDepth
-from support.training import ONE_THREAD
 
-from eldenet.config import build_protocol, compose
-from eldenet.data import rendered
+from eldenet.config import compose
+from eldenet.data import rendered, rendering
 from eldenet.data.folder import FolderDataset
 from eldenet.data.rooms import Rooms
-from eldenet.data.shards import shard_folder, write_shard
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
-from eldenet.results.run_log import RunLog
-from eldenet.results.score import score_and_record
+from eldenet.simulation.furnished_rooms import render as render_module
+from eldenet.simulation.furnished_rooms.render import Views
 from eldenet.types import Frame
 
 Asked = list[tuple[str, Sequence[int]]]
@@ -53,12 +51,8 @@ def test_it_reads_at_most_the_given_number_of_frames(monkeypatch: pytest.MonkeyP
 
 
 def score(data: str, folder: Path, *words: str, split: str) -> dict[str, Any]:
-    overrides = [f"data={data}", *words, "model_name=small", f"run_dir={folder}"]
-    config = compose("train", overrides)
-    rules = build_protocol(config)
-    return score_and_record(
-        config, small_net(), rules, ONE_THREAD, folder, RunLog(folder), name="small", split=split
-    )
+    config = compose("train", [f"data={data}", *words, "model_name=small", f"run_dir={folder}"])
+    return score_small(config, folder, split)
 
 
 @pytest.fixture
@@ -101,22 +95,22 @@ def test_intrinsics_need_frames_of_one_size(mixed: Path) -> None:
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
-    """Splits and shards whose rendering was asked for; flat frames are written instead."""
+    """Splits and scenes whose rendering was asked for; what is written for them is flat."""
     found: Asked = []
 
-    def write(
-        root: Path, generator: Any, split: str, shards: Sequence[int], size: tuple[int, int], workers: int
-    ) -> None:
-        found.append((split, list(shards)))
-        for shard in shards:
-            arrays = {
-                "image": np.zeros((rendered.SHARD_FRAMES, *size, 3), np.uint8),
-                "depth": np.full((rendered.SHARD_FRAMES, *size), 10_000 + shard, np.uint16),
-                "intrinsics": np.tile(np.eye(3), (rendered.SHARD_FRAMES, 1, 1)),
-            }
-            write_shard(shard_folder(root, split, shard), arrays)
+    def flat_scene(split: str, scene: int, size: tuple[int, int], views: int) -> Views:
+        depth = np.full((views, *size), 2 + scene / 1000, np.float32)
+        image, eye = np.zeros((views, *size, 3), np.uint8), np.tile(np.eye(3), (views, 1, 1))
+        return Views(image, depth, eye, eye[:, 0], eye)
 
-    monkeypatch.setattr(rendered, "render_missing", write)
+    def render(
+        folder: Path, generator: Any, split: str, scenes: Sequence[int], size: Any, workers: int
+    ) -> None:
+        found.append((split, list(scenes)))
+        rendering.render_missing(folder, generator, split, scenes, size, workers=0)
+
+    monkeypatch.setattr(render_module, "render_room", flat_scene)
+    monkeypatch.setattr(rendered, "render_missing", render)
     return found
 
 
@@ -130,15 +124,14 @@ def test_an_evaluation_renders_few_training_frames(
 ) -> None:
     frames = "data.frames={train: 576, val: 8, test: 8}"
     few = score_rooms(tmp_path, frames, "data.subset.train=550")
-    assert asked == [("test", [0]), ("train", list(range(8)))]
+    assert asked == [("test", [0]), ("train", list(range(64)))]
     assert few["constant_predictor"] is not None
-    assert "of the first 512 training frames alone: not all of data.train.frames=576" in words_of(capsys)
+    assert "of the first 512 training frames: not all of data.train.frames=576" in words_of(capsys)
     again = score_rooms(tmp_path, frames)
     assert len(asked) == 2
     assert again["train_split_hash"] == few["train_split_hash"]
     Rooms("train", 576, size=(16, 20), root=tmp_path)  # as a training does
     every = score_rooms(tmp_path, frames)
-    assert every["config"]["data"]["train"]["frames"] == 576
     assert every["train_split_hash"] != few["train_split_hash"]
     assert every["constant_predictor"] != few["constant_predictor"]
 
@@ -149,5 +142,5 @@ def words_of(capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_training_frames_that_are_scored_are_all_rendered(tmp_path: Path, asked: Asked) -> None:
     record = score_rooms(tmp_path, "data.frames={train: 640, val: 8, test: 8}", split="train")
-    assert asked == [("train", list(range(10)))]
+    assert asked == [("train", list(range(80)))]
     assert record["metrics"]["images"] == 640

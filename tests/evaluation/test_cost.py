@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from support.pplcnet_classifier import PPLCNetClassifier
 from torch import Tensor, nn
 
-from eldenet.backbones.pplcnet import PPLCNetClassifier
 from eldenet.evaluation.cost import CostReport, count_macs, count_params, measure_cost
 
 
@@ -41,7 +41,7 @@ def test_macs_by_hand(layer: nn.Module, macs: int) -> None:
 def test_pplcnet_equals_the_published_table() -> None:
     model = PPLCNetClassifier(0.5)
     assert count_params(model) == 1_879_576
-    assert count_macs(model, (224, 224)) == 44_731_008  # tests/test_pplcnet.py has the whole table
+    assert count_macs(model, (224, 224)) == 44_731_008  # tests/backbones/test_pplcnet.py has the whole table
 
 
 def test_counting_leaves_the_model_as_it_was() -> None:

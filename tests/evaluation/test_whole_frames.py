@@ -7,17 +7,17 @@ import pytest
 from support import layouts
 from support.networks import small_net
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.config import build_export, build_protocol, build_split, build_training, compose
 from eldenet.deploy import runtimes
+from eldenet.deploy.exporting import target_of
 from eldenet.deploy.files import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork
-from eldenet.evaluate import trained_size
-from eldenet.export import read_job
+from eldenet.deploy.scoring import trained_size
 from eldenet.geometry import resize_intrinsics
 from eldenet.model import DepthNet
-from eldenet.train import seen_sizes, train
+from eldenet.training.run import train, trained_sizes
 
 VGA = layouts.content((480, 640))
 CROPPING = {
@@ -37,7 +37,7 @@ def training(name: str, folder: Path) -> tuple[dict[str, Any], Any]:
     config = compose("train", [*overrides, f"data.root={layout(folder)}"])
     protocol = build_protocol(config)
     frames = build_split(config, "train", protocol)
-    return seen_sizes(list(config.data.input_size), protocol, frames), frames
+    return trained_sizes(list(config.data.input_size), protocol, frames), frames
 
 
 @pytest.mark.parametrize("name", ["kitti", "kitti_raw", "kitti_paper"])
@@ -64,7 +64,7 @@ def test_sizes_of_whole_frames(tmp_path: Path) -> None:
     assert nyu == {"input_size": [228, 304], "whole_frame_size": [240, 320]}
     config = compose("train", ["data=kitti", f"data.root={tmp_path / 'kitti/depth'}", "data.input_size=null"])
     protocol = build_protocol(config)
-    sizes = seen_sizes(None, protocol, build_split(config, "train", protocol))
+    sizes = trained_sizes(None, protocol, build_split(config, "train", protocol))
     assert sizes == {"input_size": None, "whole_frame_size": [375, 1242]}
 
 
@@ -80,7 +80,7 @@ def test_a_training_tells_its_model(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     given = ["data=kitti", f"data.root={layouts.kitti_depth(tmp_path)}", "model=eldenet_s", "model_name=m"]
     config = compose("train", [*given, "run_dir=r", "runtime.threads=1", "runtime.workers=0"])
     with pytest.raises(Fitted) as told:
-        train(config, tmp_path / "run")
+        train(build_training(config, tmp_path / "run"))
     assert told.value.args[0]["whole_frame_size"] == [188, 621]
     assert told.value.args[0]["input_size"] == [176, 608]
 
@@ -90,7 +90,7 @@ def test_where_frames_are_seen_whole_nothing_is_added(tmp_path: Path) -> None:
     for overrides in (["data=cityscapes"], ["+experiment=cityscapes_paper"]):
         config = compose("train", [*overrides, f"data.root={tree}"])
         protocol = build_protocol(config)
-        sizes = seen_sizes([128, 256], protocol, build_split(config, "train", protocol))
+        sizes = trained_sizes([128, 256], protocol, build_split(config, "train", protocol))
         assert sizes == {"input_size": [128, 256]}
 
 
@@ -107,7 +107,7 @@ def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> Non
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
         config = compose("export", ["checkpoint=x", f"output='{tmp_path / 'm.onnx'}'", *overrides])
-        assert list(read_job(config, model).size) == size
+        assert list(target_of(build_export(config), model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)
     assert DepthPredictor(network).size_for(120, 152) == tuple(WHOLE)

@@ -1,4 +1,4 @@
-"""Losses: right against independent formulations, blind to masked pixels, differentiable."""
+"""Losses: equal to independent formulas, unaffected by masked pixels, differentiable."""
 
 import math
 from collections.abc import Callable
@@ -13,14 +13,14 @@ from support.depth_maps import maps, patchy, value_and_gradient
 from torch import Tensor
 
 from eldenet.config import compose, instantiate
-from eldenet.losses.base import Loss, WeightedSum, WeightedTerm, masked_mean
+from eldenet.losses.base import Loss, WeightedSum, WeightedTerm
 from eldenet.losses.gradient import GradientLoss
 from eldenet.losses.pointwise import BerHuLoss, L1Loss, L2Loss
 from eldenet.losses.silog import SILogLoss
 from eldenet.losses.ssim import SSIMLoss
 
 FOLDER = Path(__file__).parents[2] / "configs" / "loss"
-WITH_TEACHER = {"ssim_l1_distill"}  # tests/test_distillation.py
+WITH_TEACHER = {"ssim_l1_distill"}  # tests/training/test_distillation.py
 NAMES = sorted({path.stem for path in FOLDER.glob("*.yaml")} - WITH_TEACHER)
 LOSSES: dict[str, Callable[[], Loss]] = {
     "l1": L1Loss,
@@ -57,7 +57,7 @@ def total(request: pytest.FixtureRequest) -> Callable[..., Tensor]:
     return lambda *arguments: loss(*arguments)[0]
 
 
-def test_minimal_on_equal(total: Callable[..., Tensor]) -> None:
+def test_a_perfect_prediction_has_the_least_loss(total: Callable[..., Tensor]) -> None:
     prediction, target = maps(0)
     mask = torch.ones_like(target, dtype=torch.bool)
     at_equal, gradient = value_and_gradient(total, target, target, mask)
@@ -72,29 +72,29 @@ def test_minimal_on_equal(total: Callable[..., Tensor]) -> None:
     junk=st.lists(st.sampled_from(ANYTHING), min_size=2, max_size=2),
 )
 @settings(max_examples=25, deadline=None)
-def test_masked_pixels_do_not_matter(total, seed: int, share: float, junk: list[float]) -> None:
+def test_masked_pixels_do_not_count(total, seed: int, share: float, junk: list[float]) -> None:
     prediction, target = maps(seed)
     mask = patchy(seed + 1, target.shape, share)
     value, gradient = value_and_gradient(total, prediction, target, mask)
     assert torch.isfinite(value)
     assert (gradient[~mask] == 0).all()
-    spoilt = prediction.masked_fill(~mask, junk[0]), target.masked_fill(~mask, junk[1])
-    value_again, gradient_again = value_and_gradient(total, *spoilt, mask)
+    spoiled = prediction.masked_fill(~mask, junk[0]), target.masked_fill(~mask, junk[1])
+    value_again, gradient_again = value_and_gradient(total, *spoiled, mask)
     assert torch.equal(value, value_again)
     assert torch.equal(gradient, gradient_again)
 
 
-def test_nothing_known_is_no_harm(total: Callable[..., Tensor]) -> None:
+def test_a_batch_without_known_pixels_gives_zero(total: Callable[..., Tensor]) -> None:
     prediction, target = maps(0)
     nothing = torch.zeros_like(target, dtype=torch.bool)
     for junk in (1.0, *ANYTHING):
-        spoilt = torch.full_like(prediction, junk)
-        value, gradient = value_and_gradient(total, spoilt, target, nothing)
+        spoiled = torch.full_like(prediction, junk)
+        value, gradient = value_and_gradient(total, spoiled, target, nothing)
         assert abs(value) < 1e-4
         assert (gradient == 0).all()
 
 
-def test_one_known_pixel_is_enough(total: Callable[..., Tensor]) -> None:
+def test_a_single_known_pixel_gives_a_finite_loss(total: Callable[..., Tensor]) -> None:
     prediction, target = maps(0)
     mask = torch.zeros_like(target, dtype=torch.bool)
     mask[1, 0, 3, 4] = True
@@ -133,34 +133,26 @@ REFERENCES = {
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", REFERENCES)
-def test_equals_numpy(name: str, seed: int) -> None:
+def test_the_loss_equals_its_numpy_formula(name: str, seed: int) -> None:
     prediction, target = maps(seed, dtype=torch.float64)
     mask = patchy(seed, target.shape, 0.3)
     expected = REFERENCES[name](prediction.numpy(), target.numpy(), mask.numpy())
     assert LOSSES[name]()(prediction, target, mask).item() == pytest.approx(expected, rel=1e-12)
 
 
-def test_berhu_by_hand() -> None:
-    # errors 0.1, 0.2, 1: c = 0.2; the last costs (1 + 0.04) / 0.4 = 2.6
-    target = torch.ones(1, 1, 1, 3)
-    prediction = target + torch.tensor([0.1, -0.2, 1.0])
-    value = BerHuLoss()(prediction, target, torch.ones_like(target, dtype=torch.bool))
-    assert value.item() == pytest.approx((0.1 + 0.2 + 2.6) / 3)
-
-
-def test_silog_with_balance_1_is_blind_to_scale() -> None:
+def test_silog_with_variance_focus_1_ignores_scale() -> None:
     prediction, target = maps(0, dtype=torch.float64)
     mask = torch.ones_like(target, dtype=torch.bool)
-    loss = SILogLoss(balance=1.0)
+    loss = SILogLoss(variance_focus=1.0)
     torch.testing.assert_close(loss(3 * prediction, target, mask), loss(prediction, target, mask))
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_gradcheck(name: str) -> None:
+def test_gradients_match_finite_differences(name: str) -> None:
     prediction, target = maps(3, size=(7, 8), batch=1, dtype=torch.float64)
     loss, mask = LOSSES[name](), patchy(4, target.shape, 0.02)
     mask[0, 0, 0, 0] = True
-    # berHu's threshold follows the largest error but carries no gradient: that one pixel stands still
+    # berHu's threshold follows the largest error but carries no gradient: that pixel is kept constant
     largest = torch.zeros_like(mask)
     largest[0, 0, 0, 0] = True
 
@@ -173,7 +165,7 @@ def test_gradcheck(name: str) -> None:
 # --- the sum ---
 
 
-def test_total_is_the_weighted_sum() -> None:
+def test_the_total_weighs_every_term_and_reports_it_without_the_weight() -> None:
     prediction, target = maps(11)
     mask = patchy(12, target.shape, 0.1)
     weights = {"l1": 0.3, "ssim": 2.0, "gradient": 0.0}
@@ -185,21 +177,16 @@ def test_total_is_the_weighted_sum() -> None:
     torch.testing.assert_close(total, 0.3 * terms["l1"] + 2.0 * terms["ssim"])
 
 
-def test_a_term_may_compare_logarithms_or_inverses() -> None:
+@pytest.mark.parametrize("name", ["l1", "berhu", "gradient"])
+@pytest.mark.parametrize(("space", "change"), [("log", torch.log), ("inverse", torch.reciprocal)])
+def test_a_term_can_compare_logarithms_or_inverse_depth(name: str, space: str, change) -> None:
     prediction, target = maps(14)
     mask = patchy(15, target.shape, 0.2)
-    for space, change in (("meters", lambda depth: depth), ("log", torch.log), ("inverse", lambda d: 1 / d)):
-        for name in ("l1", "berhu", "gradient"):
-            loss = WeightedSum({name: WeightedTerm(LOSSES[name](), 0.5, space=space)})
-            total, terms = loss(prediction, target, mask)
-            expected = LOSSES[name]()(change(prediction), change(target), mask)
-            torch.testing.assert_close(terms[name], expected)
-            torch.testing.assert_close(total, 0.5 * expected)
-    with pytest.raises(ValueError, match="space='disparity': choose one of"):
-        WeightedTerm(L1Loss(), space="disparity")
+    value = WeightedTerm(LOSSES[name](), space=space)(prediction, target, mask)
+    torch.testing.assert_close(value, LOSSES[name]()(change(prediction), change(target), mask))
 
 
-def test_the_papers_loss_shows_both_weights() -> None:
+def test_the_named_losses_hold_the_terms_of_their_papers() -> None:
     loss = from_yaml("ssim_l1")
     assert {name: term.weight for name, term in loss.terms.items()} == {"ssim": 1.0, "l1": 1.0}
     assert loss.terms["ssim"].loss.value_range == 10.0
@@ -207,23 +194,24 @@ def test_the_papers_loss_shows_both_weights() -> None:
     assert from_yaml("ssim_l1_log").terms["log_l1"].space == "log"
 
 
-def test_wrong_inputs_say_so() -> None:
-    prediction, target = maps(13)
-    mask = torch.ones_like(target, dtype=torch.bool)
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    with pytest.raises(ValueError, match=r"prediction \(1, 1, 16, 20\), target \(2, 1, 16, 20\).*one shape"):
-        loss(prediction[:1], target, mask)
-    with pytest.raises(ValueError, match="one shape"):
-        loss(prediction, target, mask[..., :5])
-    with pytest.raises(ValueError, match=r"mask is torch\.float32: a bool tensor"):
-        loss(prediction, target, mask.float())
-    with pytest.raises(ValueError, match="at least one term"):
-        WeightedSum({})
-    with pytest.raises(ValueError, match="weight=-1"):
-        WeightedTerm(L1Loss(), -1)
+DEPTH, KNOWN = torch.ones(2, 1, 16, 20), torch.ones(2, 1, 16, 20, dtype=torch.bool)
 
 
-def test_masked_mean() -> None:
-    values = torch.tensor([1.0, 2.0, math.nan])
-    assert masked_mean(values, torch.tensor([True, True, False])) == 1.5
-    assert masked_mean(values, torch.zeros(3, dtype=torch.bool)) == 0
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (
+            lambda loss: loss(DEPTH[:1], DEPTH, KNOWN),
+            r"prediction \(1, 1, 16, 20\), target \(2, 1, 16, 20\).*the same shape",
+        ),
+        (lambda loss: loss(DEPTH, DEPTH, KNOWN[..., :5]), "the same shape"),
+        (lambda loss: loss(DEPTH, DEPTH, DEPTH), r"mask is torch\.float32: give a bool tensor"),
+        (lambda _: WeightedSum({}), "at least one term"),
+        (lambda _: WeightedTerm(L1Loss(), -1), "weight=-1"),
+        (lambda _: WeightedTerm(L1Loss(), space="disparity"), "space='disparity': choose one of meters"),
+        (lambda _: WeightedTerm(SILogLoss(), space="log"), "space='log' does not fit SILogLoss"),
+    ],
+)
+def test_wrong_input_is_named(use: Callable, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        use(WeightedSum({"l1": WeightedTerm(L1Loss())}))

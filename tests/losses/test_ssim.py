@@ -1,4 +1,4 @@
-"""SSIM as a loss: right against two other implementations, over whole windows, in full precision."""
+"""SSIM as a loss: equal to two other implementations, over whole windows only, in full precision."""
 
 import kornia.metrics
 import numpy as np
@@ -13,7 +13,7 @@ from eldenet.losses.ssim import SSIMLoss, eroded, ssim_map
 
 @pytest.mark.parametrize("window", [5, 7, 11])
 @pytest.mark.parametrize("size", [(11, 14), (24, 31)])
-def test_ssim_map_equals_kornia(size: tuple[int, int], window: int) -> None:
+def test_the_map_equals_kornias(size: tuple[int, int], window: int) -> None:
     prediction, target = maps(5, size=size, dtype=torch.float64)
     ours = ssim_map(prediction, target, window=window, value_range=10.0)
     theirs = kornia.metrics.ssim(prediction, target, window, max_val=10.0, eps=0.0)
@@ -22,7 +22,7 @@ def test_ssim_map_equals_kornia(size: tuple[int, int], window: int) -> None:
     torch.testing.assert_close(single.double(), theirs, atol=1e-5, rtol=0)
 
 
-def test_ssim_equals_scikit_image() -> None:
+def test_map_and_loss_equal_scikit_images() -> None:
     prediction, target = maps(6, size=(32, 40), batch=1, dtype=torch.float64)
     mean, full = structural_similarity(
         prediction[0, 0].numpy(),
@@ -43,7 +43,7 @@ def test_ssim_equals_scikit_image() -> None:
 
 @pytest.mark.parametrize("window", [3, 7, 11])
 @pytest.mark.parametrize("share", [0.0, 0.005, 0.05, 1.0])
-def test_erosion_equals_scipy(window: int, share: float) -> None:
+def test_mask_erosion_equals_scipys(window: int, share: float) -> None:
     mask = patchy(7, (3, 1, 30, 40), share)
     ours = eroded(mask, window).numpy()
     expected = [
@@ -52,7 +52,7 @@ def test_erosion_equals_scipy(window: int, share: float) -> None:
     np.testing.assert_array_equal(ours[:, 0], expected)
 
 
-def test_ssim_counts_whole_windows_only() -> None:
+def test_only_windows_without_unknown_pixels_count() -> None:
     prediction, target = maps(8, size=(30, 40), batch=1, dtype=torch.float64)
     mask = torch.ones_like(target, dtype=torch.bool)
     mask[..., 15, 20] = False
@@ -63,7 +63,7 @@ def test_ssim_counts_whole_windows_only() -> None:
     assert SSIMLoss()(prediction, target, mask).item() == pytest.approx(expected)
 
 
-def test_ssim_keeps_its_precision_under_autocast() -> None:
+def test_autocast_does_not_lower_the_precision() -> None:
     prediction, target = maps(9)
     target = prediction + 0.05 * target
     exact = ssim_map(prediction.double(), target.double(), window=11, value_range=10.0)
@@ -72,9 +72,9 @@ def test_ssim_keeps_its_precision_under_autocast() -> None:
     torch.testing.assert_close(mixed.double(), exact, atol=1e-5, rtol=0)
 
 
-def test_ssim_trains_after_an_evaluation_of_the_same_size() -> None:
-    size = (13, 17)  # of no other test: its blur is built here, in inference mode
-    prediction, target = maps(10, size=size, dtype=torch.float64)  # as the blur is kept
+def test_training_works_after_an_evaluation_at_the_same_size() -> None:
+    size = (13, 17)  # used by no other test, so its blur is cached here, in inference mode
+    prediction, target = maps(10, size=size, dtype=torch.float64)
     with torch.inference_mode():
         ssim_map(prediction, target, window=11, value_range=10.0)
     mask = torch.ones_like(target, dtype=torch.bool)
@@ -82,9 +82,9 @@ def test_ssim_trains_after_an_evaluation_of_the_same_size() -> None:
     assert gradient.abs().sum() > 0
 
 
-def test_ssim_refuses_what_it_cannot_do() -> None:
-    with pytest.raises(ValueError, match="window=4: an odd number"):
+def test_even_windows_and_maps_smaller_than_the_window_are_refused() -> None:
+    with pytest.raises(ValueError, match="window=4: give an odd number"):
         SSIMLoss(window=4)
     small = torch.ones(1, 1, 5, 50)
-    with pytest.raises(ValueError, match=r"window of 11 pixels needs larger maps than \(1, 1, 5, 50\)"):
+    with pytest.raises(ValueError, match=r"maps of \(1, 1, 5, 50\) are too small for SSIM's window of 11"):
         ssim_map(small, small, window=11, value_range=10.0)

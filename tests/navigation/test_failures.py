@@ -1,17 +1,15 @@
-"""Why crossings fail: arenas in which the reason is known."""
-
-import csv
-import json
+"""Why episodes fail: arenas with a known cause."""
 
 import numpy as np
 import pytest
 
-from eldenet.navigation.evaluation import cross
-from eldenet.navigation.failures import as_rows, draw_worst, touched_spot, trace
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import as_rows, run_episodes
+from eldenet.navigation.failures import draw_worst, touched_spot, trace
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
-from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+from eldenet.simulation.arenas import Arena, Obstacle
 
 
 def straight(robots: int) -> Straight:
@@ -56,10 +54,10 @@ TUNNEL = (
         (arena(start=(8.0, 0.0, 3.1415927), goal=(-11.0, 0.0)), straight, "in view", "wall", 0),
     ],
 )
-def test_the_reason_is_found(world, make, kind, touched, bearing):
-    rows = cross([world], make, Ranges(), time_limit=20.0)
+def test_the_cause_of_a_collision_is_found(world, make, kind, touched, bearing):
+    rows = run_episodes([world], make, Ranges(), EpisodeSettings(time_limit=20.0))
     assert rows[0].outcome == "collision"
-    (failure,) = trace([world], rows, make, Ranges(), time_limit=20.0)
+    (failure,) = trace([world], rows, make, Ranges(), EpisodeSettings(time_limit=20.0))
     assert (failure.kind, failure.touched) == (kind, touched)
     if bearing is not None:
         assert abs(abs(failure.bearing) - bearing) <= 20
@@ -67,15 +65,15 @@ def test_the_reason_is_found(world, make, kind, touched, bearing):
     assert failure.picture.shape == (480, 480, 3)
 
 
-def test_a_time_out_is_one_and_successes_are_left_out():
+def test_time_outs_are_failures_and_successes_are_not():
     worlds = [arena(goal=(3.0, 0.0)), arena(goal=(9.0, 0.0))]
-    rows = cross(worlds, straight, Ranges(), time_limit=8.0)
+    rows = run_episodes(worlds, straight, Ranges(), EpisodeSettings(time_limit=8.0))
     assert [row.outcome for row in rows] == ["success", "timeout"]
-    (failure,) = trace(worlds, rows, straight, Ranges(), time_limit=8.0)
+    (failure,) = trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=8.0))
     assert (failure.kind, failure.touched) == ("timeout", "")
     assert failure.remaining == pytest.approx(9.0 - 7.3, abs=0.8)
-    with pytest.raises(ValueError, match="of the first drive"):
-        trace(worlds, rows, straight, Ranges(), time_limit=60.0)
+    with pytest.raises(ValueError, match="of the first run"):
+        trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=60.0))
 
 
 @pytest.mark.parametrize("follows", [False, True])
@@ -84,8 +82,8 @@ def test_a_learnt_driver_s_failures_are_traced_too(follows):
         return Navigator.load(walkers=follows, slows_within=1.0, robots=robots)
 
     worlds = [arena(goal=(9.0, 0.0))]
-    rows = cross(worlds, packaged, Ranges(), time_limit=3.0)
-    (failure,) = trace(worlds, rows, packaged, Ranges(), time_limit=3.0)
+    rows = run_episodes(worlds, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
+    (failure,) = trace(worlds, rows, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
     assert failure.kind == "timeout"
     assert failure.remaining == pytest.approx(9.0 - 3.0, abs=1.5)
 
@@ -101,8 +99,8 @@ def test_the_spot_lies_between_robot_and_obstacle():
 
 def test_the_worst_are_drawn_and_listed():
     worlds = [arena(AHEAD), arena(goal=(9.0, 0.0)), arena(BEHIND, goal=(-6.0, 0.0), start=(0.0, 0.0, 3.14))]
-    rows = cross(worlds, straight, Ranges(), time_limit=8.0)
-    failures = trace(worlds, rows, straight, Ranges(), time_limit=8.0)
+    rows = run_episodes(worlds, straight, Ranges(), EpisodeSettings(time_limit=8.0))
+    failures = trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=8.0))
     assert len(failures) == 3
     picture = draw_worst(failures, across=2)
     assert picture.shape == (960, 960, 3)
@@ -110,28 +108,6 @@ def test_the_worst_are_drawn_and_listed():
     assert draw_worst(failures, most=1).shape == (480, 480, 3)
     worst = max(failures, key=lambda failure: failure.remaining)
     assert (draw_worst(failures, most=1) == worst.picture).all()
-    names, lines = as_rows(failures)
+    names, lines = as_rows(failures, without=["picture"])
     assert "picture" not in names
     assert len(lines) == 3
-    with pytest.raises(ValueError, match="every crossing succeeded"):
-        draw_worst([])
-
-
-def test_the_command_writes_a_table_and_a_picture(run_command, tmp_path):
-    import cv2
-
-    finished = run_command(
-        "navigate", "mode=diagnose", "policy=straight", "density=60", "worlds=4", "split=val",
-        "physics=kinematic", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    with (tmp_path / "run" / "failures_60.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert rows
-    assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
-    assert cv2.imread(str(tmp_path / "run" / "failures_60.png")).shape[0] % 480 == 0
-    run = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert (run["mode"], run["policy"], run["config"]["split"]) == ("diagnose", "straight", "val")
-    assert run["densities"]["60"]["worlds"] == 4
-    assert sum(run["densities"]["60"]["failures"].values()) == len(rows)
-    assert generate_arena("val", 60, 0).name in {f"val-60-{number}" for number in range(4)}

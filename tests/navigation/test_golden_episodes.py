@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from eldenet.navigation.evaluation import cross
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.policy import Navigator
+from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.versions import EPISODE_VERSION
 
 GOLDEN = Path(__file__).parent / "golden" / f"episodes-v{EPISODE_VERSION}.json"
 
@@ -21,8 +22,9 @@ def episodes() -> list[dict[str, object]]:
     rows = []
     for physics in ("kinematic", "wheels"):
         for density, movers in ((5, 0), (20, 0), (20, 10)):
-            arenas = frozen_arenas(density, 2, split="val", movers=movers)
-            found = cross(arenas, lambda robots: Navigator.load(robots=robots), Ranges(), physics=physics)
+            arenas = frozen_arenas(density, 2, split="val", pedestrians=movers)
+            settings = EpisodeSettings(physics)
+            found = run_episodes(arenas, lambda robots: Navigator.load(robots=robots), Ranges(), settings)
             rows += [{"physics": physics, "density": density, "movers": movers, "outcome": row.outcome,
                       "seconds": round(row.seconds, 2), "travelled": round(row.travelled, 3)}
                      for row in found]  # fmt: skip

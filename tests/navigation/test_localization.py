@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from eldenet.navigation.episodes import Crossings
+from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.localization import Fixes, Localizer
 from eldenet.navigation.sensors import Drift, Odometry, Ranges
 from eldenet.simulation.arenas import generate_arena
 
 
 def drive(localizer: Localizer, odometry: Odometry, rng: np.random.Generator, steps: int, deviation: float):
-    """A winding way, a fix a second; returns the true pose at its end."""
+    """Drive a winding path with a fix per second; return the true pose at its end."""
     pose = odometry.pose
     for step in range(1, steps + 1):
         yaw = pose[2] + 0.1 * math.sin(step / 7)
@@ -25,7 +25,7 @@ def drive(localizer: Localizer, odometry: Odometry, rng: np.random.Generator, st
     return pose
 
 
-def test_without_fixes_it_is_the_odometry():
+def test_without_fixes_the_pose_is_the_odometry():
     rng = np.random.default_rng(0)
     odometry = Odometry(Drift(), rng, (1.0, 2.0, 0.3))
     localizer = Localizer((1.0, 2.0, 0.3), deviation=0.1)
@@ -60,18 +60,18 @@ def test_bearings_are_counter_clockwise_from_ahead():
     assert localizer.towards(0.0, 1.0) == pytest.approx((1.0, math.pi / 2))
 
 
-def test_crossings_with_fixes_know_the_goal_within_decimeters():
+def test_episodes_with_fixes_know_the_goal_within_decimeters():
     class Drifting(Ranges):
         drift = Drift(0.05, math.radians(3))
 
-    crossings = Crossings(2, Drifting(), goal="fixes", fixes=Fixes(1.0, 0.1))
-    lost = Crossings(2, Drifting(), goal="odometry")
-    for under_way in (crossings, lost):
+    episodes = Episodes(2, Drifting(), EpisodeSettings(goal="fixes", fixes=Fixes(1.0, 0.1)))
+    lost = Episodes(2, Drifting(), EpisodeSettings(goal="odometry"))
+    for running in (episodes, lost):
         for slot in range(2):
-            under_way.start(slot, generate_arena("val", 0, slot), (5, slot))
+            running.start(slot, generate_arena("val", 0, slot), (5, slot))
         for step in range(60):
-            under_way.step(np.full((2, 2), (0.6, 0.6 * math.sin(step / 5))))
-    error = np.abs(crossings.sense().goal - crossings.goals())
+            running.step(np.full((2, 2), (0.6, 0.6 * math.sin(step / 5))))
+    error = np.abs(episodes.sense().goal - episodes.goals())
     assert error[:, 0].max() < 0.3
     assert (np.abs(lost.sense().goal - lost.goals())[:, 1] > 3 * error[:, 1]).all()
-    assert (crossings.poses == lost.poses).all()  # fixes change no random number of the rest
+    assert (episodes.poses == lost.poses).all()  # fixes change no random number of the rest

@@ -1,4 +1,4 @@
-"""Detectors that are no files: fixed boxes, functions, torchvision; riders and bicycles become cyclists."""
+"""Detectors without a file: known boxes, functions, torchvision; riders and bicycles become cyclists."""
 
 import numpy as np
 import pytest
@@ -11,33 +11,24 @@ from eldenet.perception.detectors import (
     FixedDetections,
     TorchvisionDetector,
     merge_cyclists,
-    only,
-    rename,
 )
 
 
-def test_the_simple_adapters():
+def test_fixed_detections_come_in_order_and_end():
     known = Detections2D(WANTED, np.ones(2), np.array([0, 1]), ("car", "dog"))
     fixed = FixedDetections([known])
     assert fixed(FRAME) is known
     with pytest.raises(ValueError, match="more frames"):
         fixed(FRAME)
-    called = CallableDetector(lambda frame: (WANTED.tolist(), [0.5, 0.6], [0, 1]), ("car", "dog"))(FRAME)
-    np.testing.assert_array_equal(called.xyxy, WANTED - 0.5)
-    assert only(called, ["Dog"]).classes == ["dog"]
-    assert rename(called, {"dog": "hound"}).classes == ["car", "hound"]
 
 
-def test_torchvision_networks_are_taken():
-    from torchvision.models.detection import ssdlite320_mobilenet_v3_large
-
-    model = ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
-    found = TorchvisionDetector(model, ("nothing", "car", "dog"), threshold=0.0)(FRAME)
-    assert set(found.classes) <= {"car", "dog"}
-    assert (found.xyxy >= -0.5).all()
+def test_a_function_is_a_detector_that_counts_from_the_corner():
+    found = CallableDetector(lambda frame: (WANTED.tolist(), [0.5, 0.6], [0, 1]), ("car", "dog"))(FRAME)
+    np.testing.assert_array_equal(found.xyxy, WANTED - 0.5)
+    assert found.classes == ["car", "dog"]
 
 
-def test_a_torchvision_network_sees_its_own_precision():
+def test_a_torchvision_network_gets_images_in_its_own_precision():
     from torchvision.models.detection import ssdlite320_mobilenet_v3_large
 
     torch.manual_seed(0)
@@ -48,11 +39,13 @@ def test_a_torchvision_network_sees_its_own_precision():
     double = detector(FRAME)
     assert len(double) > 0
     assert (double.xyxy.dtype, double.score.dtype) == (single.xyxy.dtype, single.score.dtype)
+    assert set(double.classes) <= {"car", "dog"}
+    assert (double.xyxy >= -0.5).all()
 
 
 def test_a_torchvision_network_may_answer_in_bfloat16():
     class Halved(torch.nn.Module):
-        """The interface; torchvision's own networks have no such arithmetic on a CPU."""
+        """The interface only: torchvision's own networks do not run in bfloat16 on a CPU."""
 
         def __init__(self):
             super().__init__()
@@ -70,20 +63,13 @@ def test_a_torchvision_network_may_answer_in_bfloat16():
     assert (found.classes, found.score.tolist()) == (["car"], [0.5])
 
 
-def test_a_person_on_a_bicycle_is_a_cyclist():
-    names = ("person", "bicycle", "car")
+def test_a_person_on_a_bicycle_becomes_a_cyclist_with_both_masks():
     xyxy = np.array([[10, 10, 30, 60], [5, 35, 40, 75], [80, 10, 95, 60], [100, 0, 150, 50.0]])
-    found = merge_cyclists(Detections2D(xyxy, np.ones(4), np.array([0, 1, 0, 2]), names))
+    mask = np.zeros((4, 80, 160), bool)
+    mask[0, 10:60, 10:30], mask[1, 40:75, 5:40] = True, True
+    names = ("person", "bicycle", "car")
+    found = merge_cyclists(Detections2D(xyxy, np.ones(4), np.array([0, 1, 0, 2]), names, mask=mask))
     assert found.classes == ["cyclist", "person", "car"]
     np.testing.assert_array_equal(found.xyxy[0], [5, 10, 40, 75])
-
-
-def test_a_cyclists_mask_is_the_riders_and_the_bicycles():
-    mask = np.zeros((2, 80, 50), bool)
-    mask[0, 10:60, 10:30], mask[1, 40:75, 5:40] = True, True
-    boxes = np.array([[9.5, 9.5, 29.5, 59.5], [4.5, 39.5, 39.5, 74.5]])
-    pair = Detections2D(boxes, np.ones(2), np.array([0, 1]), ("person", "bicycle"), mask=mask)
-    found = merge_cyclists(pair)
-    assert found.classes == ["cyclist"]
-    np.testing.assert_array_equal(found.mask, mask.any(0, keepdims=True))
-    assert mask[0].sum() == 1000  # the detector's own are left as they were
+    np.testing.assert_array_equal(found.mask[0], mask[:2].any(0))
+    assert mask[0].sum() == 1000  # the detector's own masks do not change

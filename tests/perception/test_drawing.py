@@ -1,4 +1,4 @@
-"""Pictures of boxes: on the photo and from above."""
+"""Boxes drawn in the image and in a bird's-eye view."""
 
 import numpy as np
 import pytest
@@ -18,16 +18,16 @@ def test_edges_are_drawn_where_the_corners_project():
     assert rows.max() == pytest.approx(corners[:, 1].max(), abs=2)
     for column, row in np.rint(corners).astype(int):
         assert changed[row - 1 : row + 2, column - 1 : column + 2].any()
-    assert not (BLANK != 40).any()  # the picture given is left alone
+    assert not (BLANK != 40).any()  # the given image does not change
 
 
 @pytest.mark.parametrize("z", [0.5, -0.5, -20.0])
-def test_boxes_beside_and_behind_the_camera_do_no_harm(z):
+def test_boxes_beside_and_behind_the_camera_are_cut_or_left_out(z):
     drawn = draw_boxes(BLANK, boxes([0.8, 0.5, z]), CAMERA)
     assert (drawn != BLANK).any() == (z > -2)
 
 
-def test_the_front_face_is_shaded_where_it_is_known():
+def test_the_front_face_is_shaded_if_it_is_known():
     one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
     plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
     assert (shaded != plain).any(-1).sum() > 200
@@ -38,38 +38,37 @@ def test_the_front_face_is_shaded_where_it_is_known():
     assert not changed[:, :160].any()
 
 
-def test_the_view_from_above_shows_a_box_at_its_place():
-    one = boxes([3.0, 0.8, 20.0])
-    panel = draw_bev(one, CAMERA, 320, size=(412, 300), reach=40.0)
+def drawn_pixels(panel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a bird's-eye view in the color of cars."""
     color = np.array([int(0.75 * part) for part in color_of("car")])
-    rows, columns = np.nonzero(np.abs(panel.astype(int) - color).max(-1) < 8)
+    return np.nonzero(np.abs(panel.astype(int) - color).max(-1) < 8)
+
+
+def test_the_birds_eye_view_shows_a_box_at_its_place():
+    rows, columns = drawn_pixels(draw_bev(boxes([3.0, 0.8, 20.0]), CAMERA, 320, size=(412, 300), reach=40.0))
     assert (columns.mean() - 150) / 10 == pytest.approx(3.0, abs=0.15)
     assert (412 - 6 - rows.mean()) / 10 == pytest.approx(20.0, abs=0.15)
     assert draw_bev(Boxes3D.empty(("car",)), CAMERA, 320).any()
 
 
 @pytest.mark.parametrize("center", [[30.0, 0.8, 20.0], [-30.0, 0.8, 20.0], [0.0, 0.8, 70.0]])
-def test_every_box_is_in_the_view_from_above(center):
-    panel = draw_bev(boxes(center), CAMERA, 320, size=(400, 300))
-    color = np.array([int(0.75 * part) for part in color_of("car")])
-    rows, columns = np.nonzero(np.abs(panel.astype(int) - color).max(-1) < 8)
+def test_every_box_is_inside_the_birds_eye_view(center):
+    rows, columns = drawn_pixels(draw_bev(boxes(center), CAMERA, 320, size=(400, 300)))
     assert 0 < rows.min() <= rows.max() < 399
     assert 0 < columns.min() <= columns.max() < 299
 
 
-def test_detections_are_drawn():
-    found = Detections2D(np.array([[20.0, 30, 60, 80]]), np.ones(1), np.zeros(1, int), ("car",))
-    assert (draw_detections(BLANK, found)[30:80, 20] == color_of("car")).all()
+def test_a_2d_box_is_drawn_on_its_outermost_pixels():
+    def drawn(xyxy: list[float]) -> np.ndarray:
+        found = Detections2D(np.array([xyxy]), np.ones(1), np.zeros(1, int), ("car",))
+        return (draw_detections(BLANK, found) == color_of("car")).all(-1)
 
-
-def test_a_drawn_box_ends_with_the_last_pixels_that_it_holds():
+    assert drawn([20.0, 30, 60, 80])[30:80, 20].all()
     height, width = BLANK.shape[:2]
-    whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
-    drawn = draw_detections(BLANK, Detections2D(whole, np.ones(1), np.zeros(1, int), ("car",)))
-    assert (drawn[-1] == color_of("car")).all()
-    assert (drawn[:, -1] == color_of("car")).all()
-    few = Detections2D(np.array([[49.5, 51.5, 53.5, 55.5]]), np.ones(1), np.zeros(1, int), ("car",))
-    drawn = draw_detections(BLANK, few)
-    assert (drawn[52:56, 53] == color_of("car")).all()
-    assert not (drawn[52:56, 54] == color_of("car")).all(-1).any()
-    assert not (drawn[56, 50:54] == color_of("car")).all(-1).any()
+    whole = drawn([-0.5, -0.5, width - 0.5, height - 0.5])
+    assert whole[-1].all()
+    assert whole[:, -1].all()
+    few = drawn([49.5, 51.5, 53.5, 55.5])
+    assert few[52:56, 53].all()
+    assert not few[52:56, 54].any()
+    assert not few[56, 50:54].any()

@@ -1,4 +1,4 @@
-"""The ground: fitted to depth, known from calibration, and the view from above that it gives."""
+"""The ground: fitted to depth, known from calibration, and the bird's-eye view it gives."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,10 @@ from support.blocks import CAMERA, block
 
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception.ground import GroundHomography, GroundPlane, fit_ground
-from eldenet.simulation.street_views import render_street
 
 
-def test_ground_is_found_beside_walls_and_objects():
-    for index in range(4):
-        view = render_street("test", index, (192, 624))
+def test_the_ground_is_found_beside_walls_and_objects(views):
+    for view in views:
         plane = fit_ground(view.depth, view.camera)
         assert plane is not None
         assert plane.offset == pytest.approx(view.height, abs=0.05)
@@ -19,7 +17,7 @@ def test_ground_is_found_beside_walls_and_objects():
 
 
 @pytest.mark.parametrize("turn", [np.pi, np.pi / 2])
-def test_ground_is_found_whatever_way_the_camera_looks(turn):
+def test_the_ground_is_found_in_every_viewing_direction(turn):
     depth, _ = block((30.0, 0.85, 70.0))
     c, s = np.cos(turn), np.sin(turn)
     camera = PinholeCamera(CAMERA.intrinsics, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
@@ -28,7 +26,7 @@ def test_ground_is_found_whatever_way_the_camera_looks(turn):
     assert plane.offset == pytest.approx(1.6, abs=0.02)
 
 
-def test_no_ground_where_there_is_none():
+def test_walls_and_unknown_depth_show_no_ground():
     wall = np.full((100, 100), 3.0)
     assert fit_ground(wall, PinholeCamera(pinhole(90, 90, 50, 50))) is None
     assert fit_ground(np.zeros((100, 100)), CAMERA) is None
@@ -43,7 +41,7 @@ def test_the_plane_homography_is_back_projection_with_the_planes_depth():
     ground = GroundHomography(camera, plane)
     columns, rows = np.meshgrid(np.arange(0.0, 640, 40), np.arange(140.0, 240, 20))
     points = camera.back_project(columns, rows, ground.depth(columns, rows))
-    np.testing.assert_allclose(plane.below(points), 0, atol=1e-12)
+    np.testing.assert_allclose(plane.height_above(points), 0, atol=1e-12)
     np.testing.assert_allclose(ground.to_ground(columns, rows), points[..., [0, 2]], atol=1e-9)
 
 
@@ -58,20 +56,19 @@ def test_from_calibration_and_from_depth_agree():
     assert np.isnan(known.to_ground(np.array([320.0]), np.array([50.0]))).all()
 
 
-def test_the_view_from_above_puts_a_mark_where_it_lies():
-    camera = CAMERA
+def test_the_birds_eye_view_shows_a_mark_at_its_place():
     image = np.zeros((240, 640, 3), np.uint8)
-    spot = camera.project(np.array([[1.0, 1.6, 10.0]]))[0]
+    spot = CAMERA.project(np.array([[1.0, 1.6, 10.0]]))[0]
     column, row = np.rint(spot).astype(int)
     image[row - 1 : row + 2, column - 2 : column + 3] = 255
-    above = GroundHomography.from_camera(camera, 1.6).warp(image, across=(-5, 5), ahead=(5, 15), cell=0.05)
+    above = GroundHomography.from_camera(CAMERA, 1.6).warp(image, across=(-5, 5), ahead=(5, 15), cell=0.05)
     assert above.shape == (200, 200, 3)
     rows, columns = np.nonzero(above[..., 0] > 100)
     assert columns.mean() * 0.05 - 5 == pytest.approx(1.0, abs=0.1)
     assert 15 - rows.mean() * 0.05 == pytest.approx(10.0, abs=0.35)
 
 
-def test_the_ground_behind_the_camera_is_not_seen_from_above():
+def test_the_ground_behind_the_camera_is_black():
     image = np.full((240, 640, 3), 200, np.uint8)
     known = GroundHomography.from_camera(CAMERA, 1.6)
     above = known.warp(image, across=(-5, 5), ahead=(-15, 15), cell=0.1)

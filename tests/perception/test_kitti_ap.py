@@ -1,4 +1,4 @@
-"""KITTI's average precision against figures by hand, and against a slow one written down rule by rule."""
+"""KITTI's average precision against results by hand, and against a slow, literal implementation."""
 
 import numpy as np
 import pytest
@@ -10,83 +10,127 @@ from eldenet.perception.kitti_object import KittiLabels
 # --- by hand ---
 
 
-def row(
-    kind: str, score: float, place: float, *, tall: float = 60, occluded: int = 0, truncated: float = 0.0
-):
-    """One object; those of another ``place`` share nothing, in the picture or in space."""
-    return (
-        kind,
-        truncated,
-        occluded,
-        [100 * place, 100, 100 * place + 50, 100 + tall],
-        [10 * place, 1.6, 20],
-        score,
-    )
+def row(kind: str, score: float, place: float, *, tall=60.0, occluded=0, truncated=0.0, shift=0.0):
+    """One object; objects in different places do not overlap. ``shift`` [m] moves it in space."""
+    xyxy = [100 * place, 100, 100 * place + 50, 100 + tall]
+    return kind, truncated, occluded, xyxy, [10 * place + shift, 1.6, 20], score
 
 
 def frame(*rows) -> KittiLabels:
+    types, truncated, occluded, xyxy, location, score = zip(*rows, strict=True) if rows else ((),) * 6
     count = len(rows)
     return KittiLabels(
-        tuple(r[0] for r in rows), np.array([r[1] for r in rows], float), np.array([r[2] for r in rows], int),
-        np.zeros(count), np.array([r[3] for r in rows], float).reshape(-1, 4),
-        np.tile([4.0, 1.6, 1.5], (count, 1)), np.array([r[4] for r in rows], float).reshape(-1, 3),
-        np.zeros(count), np.array([r[5] for r in rows], float),
+        types, np.array(truncated, float), np.array(occluded, int), np.zeros(count),
+        np.array(xyxy, float).reshape(-1, 4), np.tile([4.0, 1.6, 1.5], (count, 1)),
+        np.array(location, float).reshape(-1, 3), np.zeros(count), np.array(score, float),
     )  # fmt: skip
 
 
+def cars(count: int, scores=(1.0, 1.0), **options) -> list:
+    """Cars in the places 0, 1, 2 ... with scores from the first to the last."""
+    return [row("Car", score, place, **options) for place, score in enumerate(np.linspace(*scores, count))]
+
+
+def ap(truth: list, found: list, **options) -> dict[str, float]:
+    return average_precision([frame(*truth)], [frame(*found)], **options)
+
+
 @pytest.mark.parametrize("metric", METRICS)
-def test_a_mistake_between_two_finds(metric):
+def test_ap_is_100_if_all_are_found_0_if_none_and_nan_without_objects(metric):
+    found = cars(60, (0.1, 0.9))
+    assert ap(cars(60), found, metric=metric) == {"R40": 100, "R11": 100}
+    assert ap(cars(60), [], metric=metric)["R40"] == 0
+    assert np.isnan(ap([], found, metric=metric)["R40"])
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_a_false_positive_between_two_finds(metric):
     """Two objects: thresholds .9 and .7; precision 1 and 2/3 at points 0 and 1, nothing beyond."""
-    truth = frame(row("Car", 1, 0), row("Car", 1, 1))
-    found = frame(row("Car", 0.9, 0), row("Car", 0.8, 7), row("Car", 0.7, 1))
-    value = average_precision([truth], [found], metric=metric)
-    assert value["R40"] == pytest.approx(100 * (2 / 3) / 40)
-    assert value["R11"] == pytest.approx(100 * 1 / 11)
+    found = [row("Car", 0.9, 0), row("Car", 0.8, 7), row("Car", 0.7, 1)]
+    value = ap(cars(2), found, metric=metric)
+    assert value == pytest.approx({"R40": 100 * (2 / 3) / 40, "R11": 100 * 1 / 11})
 
 
 def test_precision_is_made_monotone_from_the_right():
-    """Finds and mistakes of four objects: precision 1/2, 2/3, 3/4, 4/5 in raw, so 4/5 everywhere."""
-    truth = frame(*(row("Car", 1, place) for place in range(4)))
-    found = frame(row("Car", 0.95, 9), *(row("Car", 0.9 - 0.1 * place, place) for place in range(4)))
-    value = average_precision([truth], [found], metric="3d")
-    assert value["R40"] == pytest.approx(100 * 3 * 0.8 / 40)
-    assert value["R11"] == pytest.approx(100 * 0.8 / 11)
+    """Raw precisions of four objects: 1/2, 2/3, 3/4, 4/5, so 4/5 everywhere."""
+    value = ap(cars(4), [row("Car", 0.95, 9), *cars(4, (0.9, 0.6))])
+    assert value == pytest.approx({"R40": 100 * 3 * 0.8 / 40, "R11": 100 * 0.8 / 11})
 
 
-def test_half_of_eighty_found():
-    """Thresholds at the finds 1, 2, 4, 6 ... 40 of 80: points 0 to 20 hold precision 1."""
-    truth = frame(*(row("Car", 1, place) for place in range(80)))
-    found = frame(*(row("Car", 0.9 - 0.01 * place, place) for place in range(40)))
-    value = average_precision([truth], [found], metric="3d")
-    assert value["R40"] == pytest.approx(50)
-    assert value["R11"] == pytest.approx(100 * 6 / 11)  # points 0, 4, ... 20
+def test_half_of_eighty_objects_found_give_an_r40_of_50():
+    """Thresholds at the finds 1, 2, 4, 6 ... 40 of 80: precision is 1 at the points 0 to 20."""
+    assert ap(cars(80), cars(40, (0.9, 0.51))) == pytest.approx({"R40": 50, "R11": 100 * 6 / 11})
 
 
-def test_two_detections_of_one_object():
-    """The better score sets the threshold; the second is a mistake only below it."""
-    truth = frame(row("Car", 1, 0), row("Car", 1, 1))
-    found = frame(row("Car", 0.6, 0), row("Car", 0.9, 0), row("Car", 0.5, 1))
-    value = average_precision([truth], [found], metric="3d")
-    assert value["R40"] == pytest.approx(100 * (2 / 3) / 40)
+def test_four_finds_of_four_objects_reach_three_of_forty_points():
+    """A trap of the protocol: 4 finds fill 4 thresholds, of which R40 drops the first."""
+    assert ap(cars(4), cars(4, (0.9, 0.6)))["R40"] == pytest.approx(100 * 3 / 40)
 
 
-def test_a_small_detection_takes_an_object_for_nothing():
-    """24 of 25 pixels: ignored, and its object is neither found nor a cause of mistakes."""
-    truth = frame(row("Car", 1, 0, tall=26), row("Car", 1, 1))
-    found = frame(row("Car", 0.9, 0, tall=24), row("Car", 0.5, 1))
-    value = average_precision([truth], [found], metric="3d")
-    assert value["R11"] == pytest.approx(100 / 11)
-    assert value["R40"] == 0  # one threshold: point 0 alone
+def test_the_second_detection_of_an_object_is_a_false_positive():
+    """The better score sets the threshold; the second counts only below it."""
+    found = [row("Car", 0.6, 0), row("Car", 0.9, 0), row("Car", 0.5, 1)]
+    assert ap(cars(2), found)["R40"] == pytest.approx(100 * (2 / 3) / 40)
+
+
+def test_a_small_detection_takes_an_object_without_finding_it():
+    """24 of 25 pixels: ignored, and its object is neither found nor a cause of false positives."""
+    truth = [row("Car", 1, 0, tall=26), row("Car", 1, 1)]
+    value = ap(truth, [row("Car", 0.9, 0, tall=24), row("Car", 0.5, 1)])
+    assert value == pytest.approx({"R40": 0, "R11": 100 / 11})  # one threshold: point 0 only
 
 
 @pytest.mark.parametrize(("kind", "expected"), [("Van", 1.0), ("Truck", 0.5)])
-def test_a_neighbors_detection_is_no_mistake(kind, expected):
-    truth = frame(row("Car", 1, 0), row(kind, 1, 1))
-    found = frame(row("Car", 0.5, 0), row("Car", 0.9, 1))
-    assert average_precision([truth], [found], metric="3d")["R11"] == pytest.approx(100 * expected / 11)
+def test_a_detection_of_a_neighboring_class_is_no_false_positive(kind, expected):
+    found = [row("Car", 0.5, 0), row("Car", 0.9, 1)]
+    assert ap([row("Car", 1, 0), row(kind, 1, 1)], found)["R11"] == pytest.approx(100 * expected / 11)
 
 
-# --- rule by rule ---
+def test_boxes_off_by_a_meter_match_only_the_loose_overlap():
+    found = cars(60, (0.1, 0.9), shift=1.0)  # BEV IoU 3 / 5
+    assert ap(cars(60), found, metric="bev")["R40"] == 0
+    assert ap(cars(60), found, metric="bev", min_overlap=0.5)["R40"] == 100
+
+
+@pytest.mark.parametrize(
+    ("change", "counts"),
+    [
+        ({}, "easy moderate hard"),
+        ({"tall": 40.0}, "moderate hard"),  # the height must exceed the minimum
+        ({"tall": 25.0}, ""),
+        ({"occluded": 1}, "moderate hard"),
+        ({"occluded": 2}, "hard"),
+        ({"occluded": 3}, ""),
+        ({"truncated": 0.2}, "moderate hard"),
+        ({"truncated": 0.45}, "hard"),
+        ({"truncated": 0.6}, ""),
+    ],
+)
+def test_difficulties_limit_height_occlusion_and_truncation(change, counts):
+    found = cars(2, (0.1, 0.9), tall=change.get("tall", 60))
+    values = {name: ap(cars(2, **change), found, difficulty=name)["R40"] for name in DIFFICULTIES}
+    assert [name for name, value in values.items() if not np.isnan(value)] == counts.split()
+
+
+@pytest.mark.parametrize(("metric", "expected"), [("2d", 100), ("3d", 50)])
+def test_only_2d_ignores_detections_in_dont_care_areas(metric, expected):
+    area = ("DontCare", -1, -1, [20000.0, 0, 90000, 900], [-1000.0] * 3, 1)
+    found = cars(50, (0.5, 0.5)) + [row("Car", 0.95, place) for place in range(300, 350)]
+    assert ap([*cars(50), area], found, metric=metric)["R40"] == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("wrong", [{"difficulty": "medium"}, {"metric": "4d"}, {"kind": "Tram"}])
+def test_unknown_words_are_refused(wrong):
+    with pytest.raises(ValueError, match="min_overlap" if "kind" in wrong else next(iter(wrong))):
+        ap(cars(1), cars(1), **wrong)
+
+
+def test_labels_and_detections_need_as_many_frames():
+    with pytest.raises(ValueError, match="frames"):
+        average_precision([frame(*cars(1))], [])
+
+
+# --- a literal implementation, rule by rule ---
 
 
 def overlap_2d(a, b, of_first=False) -> float:
@@ -100,15 +144,9 @@ def overlap_2d(a, b, of_first=False) -> float:
 def footprint(labels: KittiLabels, i: int) -> Polygon:
     length, width, _ = labels.size[i]
     c, s = np.cos(labels.yaw[i]), np.sin(labels.yaw[i])
-    corners = [
-        (length / 2, width / 2),
-        (length / 2, -width / 2),
-        (-length / 2, -width / 2),
-        (-length / 2, width / 2),
-    ]
-    return Polygon(
-        [(labels.location[i, 0] + u * c + v * s, labels.location[i, 2] - u * s + v * c) for u, v in corners]
-    )
+    corners = [(a * length / 2, b * width / 2) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    x, _, z = labels.location[i]
+    return Polygon([(x + u * c + v * s, z - u * s + v * c) for u, v in corners])
 
 
 def overlap(truth: KittiLabels, i: int, found: KittiLabels, j: int, metric: str) -> float:
@@ -241,7 +279,7 @@ def random_frames(seed: int, count: int):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", sorted(STRICT))
-def test_the_fast_one_equals_the_slow_one(kind, seed):
+def test_ap_equals_the_literal_implementation(kind, seed):
     truths, detections = random_frames(seed, 14)
     seen = 0
     for metric in METRICS:

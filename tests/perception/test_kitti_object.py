@@ -25,7 +25,7 @@ def test_labels_are_read_and_written(tmp_path):
         np.testing.assert_allclose(getattr(again, name), getattr(read, name), atol=1e-4)
 
 
-def test_boxes_become_results_and_come_back(tmp_path):
+def test_boxes_survive_a_result_file(tmp_path):
     rng = np.random.default_rng(0)
     boxes = Boxes3D(
         rng.uniform([-5, 0, 5], [5, 2, 30], (6, 3)), rng.uniform(1, 4, (6, 3)), rng.uniform(-3, 3, 6),
@@ -40,7 +40,7 @@ def test_boxes_become_results_and_come_back(tmp_path):
 
 
 def test_results_have_the_axes_of_the_camera():
-    """Of a camera that looks down by 0.12 rad: by hand, and as the benchmark projects them."""
+    """For a camera that looks down by 0.12 rad: by hand, and as the benchmark projects them."""
     c, s = np.cos(0.12), np.sin(0.12)
     camera = PinholeCamera(
         np.array([[400.0, 0, 320], [0, 400, 100], [0, 0, 1]]), np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
@@ -58,27 +58,21 @@ def test_results_have_the_axes_of_the_camera():
     np.testing.assert_allclose(given.alpha, given.yaw - np.arctan2(*given.location[0, [0, 2]]))
 
 
-def test_the_observation_angle_is_that_of_the_labels():
-    """A label of KITTI's far to the side: alpha = rotation_y - atan2(x, z)."""
-    boxes = Boxes3D(
-        np.array([[10.0, 1.0, 10.0]]),
-        np.ones((1, 3)),
-        np.array([1.0]),
-        np.ones(1),
-        np.zeros(1, int),
-        ("car",),
-    )
+def test_the_observation_angle_is_defined_as_in_the_labels():
+    """KITTI's labels: alpha = rotation_y - atan2(x, z)."""
+    center, one = np.array([[10.0, 1.0, 10.0]]), np.ones(1)
+    boxes = Boxes3D(center, np.ones((1, 3)), one, one, np.zeros(1, int), ("car",))
     assert to_labels(boxes, np.zeros((1, 4))).alpha[0] == pytest.approx(1.0 - np.pi / 4)
 
 
 @pytest.mark.parametrize("line", ["Car 1 2 3", CAR.replace("13.22", "far"), CAR + " 1 2"])
-def test_lines_that_are_none_are_named(line, tmp_path):
+def test_wrong_lines_are_named(line, tmp_path):
     (tmp_path / "a.txt").write_text(f"{CAR}\n{line}\n")
     with pytest.raises(ValueError, match="line 2"):
         read_labels(tmp_path / "a.txt")
 
 
-def test_empty_and_missing_files(tmp_path):
+def test_empty_files_have_no_objects_and_missing_ones_are_named(tmp_path):
     (tmp_path / "a.txt").write_text("")
     assert len(read_labels(tmp_path / "a.txt")) == 0
     with pytest.raises(FileNotFoundError):
@@ -116,7 +110,20 @@ def test_a_scan_lands_where_the_calibration_says(tmp_path):
         KittiObjects(tmp_path, ["000001"])
 
 
-def test_kittis_own_frames():
+def test_kittis_classes_have_the_same_label_in_every_file(tmp_path):
+    lines = {kind: f"{kind} 0 0 0 1 1 9 9 1.5 1.6 4 0 1 9 0" for kind in ("Car", "Pedestrian", "Rickshaw")}
+    numbers = []
+    for kinds in (("Car", "Pedestrian"), ("Pedestrian", "Rickshaw", "Car")):
+        path = tmp_path / "-".join(kinds)
+        path.write_text("\n".join(lines[kind] for kind in kinds))
+        found = read_labels(path)
+        assert found.boxes.classes == found.detections.classes == list(kinds)
+        numbers.append(dict(zip(kinds, found.boxes.label.tolist(), strict=True)))
+    assert numbers[0]["Car"] == numbers[1]["Car"]
+    assert numbers[0]["Pedestrian"] == numbers[1]["Pedestrian"]
+
+
+def test_kittis_2d_labels_are_projections_of_its_3d_labels():
     import os
 
     if not os.environ.get("ELDENET_DATA") or not (Path(os.environ["ELDENET_DATA"]) / "kitti/object").is_dir():

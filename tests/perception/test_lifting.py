@@ -1,4 +1,4 @@
-"""From 2D boxes and depth to 3D boxes, in scenes whose boxes are known."""
+"""From 2D boxes and depth to 3D boxes, in scenes with known boxes."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from eldenet.perception.matching_metrics import compare
 from eldenet.perception.priors import PRIORS
 
 
-def test_refine_finds_most_boxes_and_beats_the_others(views):
+def test_refine_finds_most_boxes_and_beats_the_other_methods(views):
     pairs = {}
     for method in METHODS:
         lifter = BoxLifter(method, depth_sigma=0.02, camera_height=1.65)
@@ -34,7 +34,7 @@ def test_refine_finds_most_boxes_and_beats_the_others(views):
 
 @pytest.mark.parametrize("yaw", [-1.2, -0.4, 0.0, 0.3, 0.8, 1.5])
 @pytest.mark.parametrize("center", [(-3.0, 0.85, 9.0), (1.5, 0.85, 14.0)])
-def test_a_block_is_found_exactly(center, yaw):
+def test_the_box_of_a_block_is_found_exactly(center, yaw):
     depth, xyxy = block(center, yaw=yaw)
     priors = PRIORS | {"car": replace(PRIORS["car"], shape="box")}
     boxes = BoxLifter("refine", depth_sigma=0.01, priors=priors)(depth, detection(xyxy), CAMERA)
@@ -43,7 +43,7 @@ def test_a_block_is_found_exactly(center, yaw):
     assert boxes.quality["depth_scale"][0] == pytest.approx(1, abs=0.01)
 
 
-def test_a_wrong_depth_scale_is_seen_and_mended():
+def test_refine_corrects_a_wrong_depth_scale():
     center = (-2.0, 0.85, 12.0)
     depth, xyxy = block(center)
     priors = PRIORS | {"car": replace(PRIORS["car"], shape="box")}
@@ -58,7 +58,7 @@ def test_a_wrong_depth_scale_is_seen_and_mended():
     assert wrong["refine"].quality["depth_scale"][0] < 0.96
 
 
-def test_small_objects_trust_their_depth_less():
+def test_the_depth_of_small_objects_weighs_less_with_small_sigma():
     """30 pixels wide, its own depth a fifth too far: with ``small_sigma`` ground and size win."""
     center = (-2.0, 0.85, 45.0)
     depth, xyxy = block(center)
@@ -71,8 +71,8 @@ def test_small_objects_trust_their_depth_less():
     assert abs(careful.center[0, 2] - 45) < 0.6 * abs(trusting.center[0, 2] - 45)
 
 
-def test_the_cameras_height_mends_a_depth_map_of_wrong_scale():
-    """Ground and object are both too far by 15 %: only the height that is known tells."""
+def test_the_camera_height_corrects_a_depth_map_of_wrong_scale():
+    """Ground and object are both 15 % too far: only the known height shows it."""
     center = (-2.0, 0.85, 12.0)
     depth, xyxy = block(center)
     errors = []
@@ -82,7 +82,7 @@ def test_the_cameras_height_mends_a_depth_map_of_wrong_scale():
     assert errors[1] < 0.95 * errors[0]  # equal if the height were not used
 
 
-def test_a_mirrored_picture_gives_mirrored_boxes():
+def test_a_mirrored_image_gives_mirrored_boxes():
     center = (-2.0, 0.85, 12.0)
     depth, xyxy = block(center)
     mirrored = xyxy.copy()
@@ -104,7 +104,7 @@ def test_a_tilted_camera_in_a_level_frame_gives_the_same_box():
     assert np.linalg.norm(boxes.center[0] - center) < 0.25
 
 
-def test_paper_is_the_mean_of_the_extents():
+def test_the_paper_method_is_the_mean_of_the_extents():
     """Equations 1 to 3 by hand."""
     depth = np.zeros((60, 80))
     depth[20:40, 30:50] = 5.0

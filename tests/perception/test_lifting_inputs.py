@@ -1,4 +1,4 @@
-"""Lifting where something is missing, cut, hidden, unknown or wrong."""
+"""Lifting with missing, cut, hidden, unknown or wrong inputs."""
 
 from dataclasses import replace
 
@@ -12,10 +12,16 @@ from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import METHODS, BoxLifter, sigma_by_side
 
 
-def test_the_hidden_car_is_not_taken_for_the_one_before_it():
+def two_cars(x: float):
+    """Depth with a car and one behind it at ``x``; their boxes; the visible pixels of the second."""
     near, box_near = block((0.3, 0.85, 9.0), yaw=1.5)
-    far, box_far = block((1.6, 0.85, 17.0), yaw=1.5)
+    far, box_far = block((x, 0.85, 17.0), yaw=1.5)
     depth = np.where((near > 0) & ((near < far) | (far == 0)), near, far)
+    return depth, box_near, box_far, (depth == far) & (far < 25) & (far > 14)
+
+
+def test_a_hidden_car_is_not_mistaken_for_the_one_in_front():
+    depth, box_near, box_far, _ = two_cars(1.6)
     found = detection(np.concatenate([box_near, box_far]))
     boxes = BoxLifter(depth_sigma=0.02)(depth, found, CAMERA)
     assert boxes.center[1, 2] == pytest.approx(17, abs=1.0)
@@ -24,7 +30,7 @@ def test_the_hidden_car_is_not_taken_for_the_one_before_it():
     assert boxes.quality["occluded"][1] > 0.1 > boxes.quality["occluded"][0]
 
 
-def test_an_edge_where_a_nearer_box_begins_is_no_edge():
+def test_an_edge_at_a_nearer_box_is_not_trusted():
     """A pillar behind a car: its box ends where the roof begins, and the boxes share no pixel."""
     boxes = np.array([[300.0, 60, 312, 149], [250, 150, 380, 210]])
     found = Detections2D(boxes, np.ones(2), np.array([1, 0]), ("car", "pillar"))
@@ -48,7 +54,7 @@ def test_the_depth_error_grows_as_objects_shrink():
 
 
 @pytest.mark.parametrize("size", [(8.5, 2.5, 3.1), (5.2, 1.9, 1.9)])
-def test_a_truck_is_a_lorry_or_a_pick_up(size):
+def test_a_truck_is_fitted_as_a_lorry_or_a_pick_up(size):
     depth, xyxy = block((-2.0, 1.6 - size[2] / 2, 18.0), size=size, yaw=1.3)
     boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy, "truck"), CAMERA)
     np.testing.assert_allclose(boxes.size[0], size, rtol=0.2)
@@ -56,11 +62,10 @@ def test_a_truck_is_a_lorry_or_a_pick_up(size):
 
 
 @pytest.mark.parametrize("cut", ["left", "right", "bottom"])
-def test_a_car_cut_by_the_border(cut):
+def test_a_car_cut_by_the_image_border_keeps_its_size_and_place(cut):
     center = {"left": (-4.6, 0.85, 7.0), "right": (4.6, 0.85, 7.0), "bottom": (0.4, 0.85, 4.2)}[cut]
     depth, xyxy = block(center, yaw=1.4)
-    limit = {"left": xyxy[0, 0] <= 1, "right": xyxy[0, 2] >= 638, "bottom": xyxy[0, 3] >= 238}[cut]
-    assert limit
+    assert {"left": xyxy[0, 0] <= 1, "right": xyxy[0, 2] >= 638, "bottom": xyxy[0, 3] >= 238}[cut]
     boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy), CAMERA)
     assert boxes.quality["truncated"][0] == 1
     assert np.linalg.norm(boxes.center[0] - center) < 1.0
@@ -68,10 +73,9 @@ def test_a_car_cut_by_the_border(cut):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("fill", [0.0, np.nan, -1.0, np.inf])
-def test_without_depth_a_box_still_comes_out(method, fill):
+def test_boxes_without_known_depth_come_from_class_sizes(method):
     _, xyxy = block((-2.0, 0.85, 12.0))
-    depth = np.full((240, 640), fill)
+    depth = np.zeros((240, 640))
     with pytest.warns(UserWarning, match="no pixel of the depth is known"):
         boxes = BoxLifter(method, camera_height=1.6)(depth, detection(xyxy), CAMERA)
     assert np.isfinite(boxes.corners).all()
@@ -81,7 +85,7 @@ def test_without_depth_a_box_still_comes_out(method, fill):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_holes_in_the_depth_are_unknown_whatever_they_hold(method):
+def test_zero_nan_negative_and_infinite_depth_are_all_unknown(method):
     depth, xyxy = block((-2.0, 0.85, 12.0))
     results = []
     for fill in (0.0, np.nan, -3.0, np.inf):
@@ -104,7 +108,7 @@ def known_at(depth, xyxy, count: int, seed: int = 0):
     return sparse
 
 
-def test_the_median_depth_leaves_padding_out():
+def test_the_median_depth_ignores_padding():
     found = Foreground(np.zeros((4, 5, 3)), np.full((4, 5), 1.0), np.zeros((4, 5)))
     found.depth[0, :3], found.weight[0, :3] = [9.0, 7.0, 30.0], 1.0
     found.depth[1, :2], found.weight[1, :2] = [40.0, 42.0], 1.0
@@ -113,7 +117,7 @@ def test_the_median_depth_leaves_padding_out():
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 20, 39])
-def test_few_pixels_are_as_uncertain_as_many(count):
+def test_depth_of_few_pixels_is_weighed_like_that_of_many(count):
     """A car 40 m away, its own depth 12 % too far: height and size pull it back, few points or many."""
     depth, xyxy = block((-2.0, 0.85, 40.0))
     found = []
@@ -128,8 +132,8 @@ def test_few_pixels_are_as_uncertain_as_many(count):
     assert abs(few.center[0, 2] - 40) < 1.6
 
 
-def test_a_few_pixels_of_something_behind_do_not_carry_the_box_away():
-    """Three pixels, all of a wall at four times the distance: the size in the picture says otherwise."""
+def test_a_few_background_pixels_do_not_move_the_box_away():
+    """Three pixels, all of a wall at four times the distance: the size in the image contradicts them."""
     center = (-2.0, 0.85, 15.0)
     depth, xyxy = block(center)
     left, top, right, bottom = np.round(xyxy[0]).astype(int)
@@ -141,7 +145,7 @@ def test_a_few_pixels_of_something_behind_do_not_carry_the_box_away():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_boxes_five_hundred_boxes_and_tiny_ones(method):
+def test_no_boxes_many_boxes_and_tiny_boxes_are_lifted(method):
     depth, _ = block((-2.0, 0.85, 12.0))
     lifter = BoxLifter(method)
     none = lifter(depth, Detections2D.empty(("car",)), CAMERA)
@@ -165,7 +169,7 @@ def test_an_unknown_class_keeps_the_extents_of_its_points():
     assert np.linalg.norm(boxes.center[0] - (-2.0, 0.85, 12.0)) < 0.9
 
 
-def test_what_hangs_is_not_stretched_down_to_the_ground():
+def test_a_hanging_object_is_not_stretched_to_the_ground():
     depth, xyxy = block((-2.0, -1.0, 12.0), size=(0.5, 0.5, 1.0), height=1.6)
     boxes = BoxLifter(camera_height=1.6)(depth, detection(xyxy, "traffic light"), CAMERA)
     assert boxes.size[0, 2] == pytest.approx(1.0, abs=0.2)
@@ -173,10 +177,8 @@ def test_what_hangs_is_not_stretched_down_to_the_ground():
 
 
 def test_masks_are_used_instead_of_boxes():
-    near, _ = block((0.3, 0.85, 9.0), yaw=1.5)
-    far, box_far = block((1.2, 0.85, 17.0), yaw=1.5)
-    depth = np.where((near > 0) & ((near < far) | (far == 0)), near, far)
-    hidden = replace(detection(box_far), mask=(depth == far)[None] & (far < 25)[None] & (far > 14)[None])
+    depth, _, box_far, visible = two_cars(1.2)
+    hidden = replace(detection(box_far), mask=visible[None])
     boxes = BoxLifter(depth_sigma=0.02)(depth, hidden, CAMERA)
     assert boxes.center[0, 2] == pytest.approx(17, abs=1.2)
 
@@ -196,18 +198,19 @@ def test_settings_out_of_range_are_refused(options, message):
         BoxLifter(**options)
 
 
-def test_boxes_of_a_larger_picture_are_refused():
-    _, xyxy = block((-2.0, 0.85, 12.0))
-    with pytest.raises(ValueError, match="one picture"):
-        BoxLifter()(np.ones((60, 160)), detection(xyxy), CAMERA)
-    with pytest.raises(ValueError, match="shape"):
-        BoxLifter()(np.ones((1, 60, 160)), detection(xyxy), CAMERA)
-
-
-def test_masks_of_another_size_are_refused_and_millimeters_noticed():
+def test_depth_boxes_and_masks_of_different_images_are_refused():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
-    with pytest.raises(ValueError, match="masks"):
-        BoxLifter()(depth, masked, CAMERA)
+    for wrong, found, message in (
+        (np.ones((60, 160)), detection(xyxy), "boxes reach .* of one image"),
+        (np.ones((1, 60, 160)), detection(xyxy), "shape"),
+        (depth, masked, "masks"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            BoxLifter()(wrong, found, CAMERA)
+
+
+def test_depth_in_millimeters_warns():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
     with pytest.warns(UserWarning, match="millimeters"):
         BoxLifter()(depth * 1000, detection(xyxy), CAMERA)

@@ -1,4 +1,4 @@
-"""Tracks over time: numbers, speeds, births and deaths."""
+"""Tracks over time: identities, velocities, begin and end."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from eldenet.boxes import Boxes3D
 from eldenet.perception.tracking import BoxTracker
 
 
-def test_two_cars_keep_their_numbers_and_get_their_speeds():
+def test_two_cars_keep_their_identities_and_get_their_velocities():
     rng = np.random.default_rng(0)
     tracker = BoxTracker(still_camera=True)
     start, speed = np.array([[-4.0, 0.8, 15], [4.0, 0.8, 30]]), np.array([[0, 0, 3.0], [0, 0, -6.0]])
@@ -40,7 +40,7 @@ def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
     assert found.quality["heading"][0] == still_camera
 
 
-def test_a_filter_is_calmer_than_its_measurements():
+def test_tracks_are_closer_to_the_truth_than_measurements():
     rng = np.random.default_rng(1)
     tracker, raw, smooth = BoxTracker(), [], []
     for frame in range(60):
@@ -52,8 +52,8 @@ def test_a_filter_is_calmer_than_its_measurements():
     assert np.mean(smooth[20:]) < 0.8 * np.mean(raw[20:])
 
 
-def test_births_deaths_gaps_and_classes():
-    tracker = BoxTracker(births=3, deaths=3)
+def test_tracks_begin_survive_gaps_keep_their_class_and_end():
+    tracker = BoxTracker(min_hits=3, max_age=3)
     here = [0.0, 0.8, 10.0]
     for _ in range(3):
         tracker(Boxes3D.empty(("car", "person")), 0.1)
@@ -68,12 +68,12 @@ def test_births_deaths_gaps_and_classes():
     assert not tracker.tracks
     with pytest.raises(ValueError, match="seconds"):
         tracker(boxes(here), 0.0)
-    with pytest.raises(ValueError, match="gate"):
-        BoxTracker(gate=0)
+    with pytest.raises(ValueError, match="max_distance"):
+        BoxTracker(max_distance=0)
 
 
 def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
-    tracker = BoxTracker(births=1, report_unseen=True)
+    tracker = BoxTracker(min_hits=1, report_unseen=True)
     for frame in range(6):
         # a person and a car beside it are seen in turn, each as class 0 of its frame
         name, x = ("car", 0.0) if frame % 2 else ("person", 0.5)

@@ -1,7 +1,6 @@
-"""Arenas: the same on every machine, crossable, and one geometry for maps, contacts and rays."""
+"""Arenas: the same on every machine, passable, and one geometry for maps, contacts and rays."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,13 +18,12 @@ from eldenet.simulation.arenas import (
     Obstacle,
     arenas_hash,
     clearance_map,
-    crossable,
     generate_arena,
     triangle_course,
 )
 from eldenet.simulation.robot import ROBOT
 
-# The first five test arenas of every density: a change here is another test set.
+# The first five test arenas of every density: if one changes, it is another test set.
 FROZEN = {
     5: "ad03ed89d278e610dfee55fd76bc9873f20fa2ce291a860497e4b9d5f4a0ffc3",
     20: "41f55481d11a14f1db86411a907d12454b65b588429b5124f4db81efef5b93c6",
@@ -35,7 +33,7 @@ FROZEN = {
 
 
 def outline(obstacle: Obstacle, count: int = 400) -> np.ndarray:
-    """Points on the footprint's edge: a reference that shares no formula with the code."""
+    """Points on the footprint's edge: an independent reference."""
     turn = np.linspace(0, 2 * math.pi, count, endpoint=False)
     if obstacle.round:
         local = obstacle.half[0] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -55,17 +53,13 @@ def test_the_test_arenas_are_frozen(density):
     assert arenas_hash(arenas[:4]) != FROZEN[density]
 
 
-def test_splits_share_no_arena():
-    texts = {
-        arena_mjcf(generate_arena(split, 20, index))
-        for split in ("train", "val", "test")
-        for index in range(3)
-    }
-    assert len(texts) == 9
+def test_no_arena_is_in_two_splits():
+    arenas = [generate_arena(split, 20, index) for split in ("train", "val", "test") for index in range(3)]
+    assert len({arena_mjcf(arena) for arena in arenas}) == 9
 
 
 @pytest.mark.parametrize("density", [5, 80])
-def test_an_arena_can_be_crossed(density):
+def test_the_goal_is_far_from_obstacles_and_reachable(density):
     for index in range(3):
         arena = generate_arena("val", density, index)
         points = [outline(obstacle) for obstacle in arena.obstacles]
@@ -99,29 +93,23 @@ def test_clearance_is_the_distance_to_the_shapes():
     assert compared > 100
 
 
-def test_a_closed_arena_is_refused():
+def test_there_is_no_path_through_a_closed_fence():
     fence = [Obstacle("box", 0.0, y, 0.0, (0.2, 0.5), 1.0) for y in np.arange(-9.5, 10.0, 1.0)]
-    assert not crossable(clearance_map(fence), (-5.0, 0.0), (5.0, 0.0))
-    assert crossable(clearance_map(fence[:-2]), (-5.0, 0.0), (5.0, 0.0))
-    path = shortest_path(inflated_cost(clearance_map(fence[:-2])), (-5.0, 0.0), (5.0, 0.0))
-    # over the gap at the upper end
-    assert path_length(path) > 2 * math.hypot(5.0, 8.0)
     assert shortest_path(inflated_cost(clearance_map(fence)), (-5.0, 0.0), (5.0, 0.0)) is None
+    path = shortest_path(inflated_cost(clearance_map(fence[:-2])), (-5.0, 0.0), (5.0, 0.0))
+    assert path_length(path) > 2 * math.hypot(5.0, 8.0)  # through the gap at the upper end
 
 
-def touches(arena: Arena, pose: tuple[float, float, float]) -> float:
-    """How deep [m] outlines reach into the robot's footprint, by points alone; negative: the gap."""
+def gap_to_obstacles(arena: Arena, pose: tuple[float, float, float]) -> float:
+    """Gap [m] between the robot's footprint and outlines and walls, by points alone; negative: overlap."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    gap = np.inf
     corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (ROBOT.length / 2, ROBOT.width / 2)
     world = corners @ np.array([[c, s], [-s, c]]) + pose[:2]
-    gap = min(gap, 10.0 - np.abs(world).max())
+    gap = 10.0 - np.abs(world).max()
     for obstacle in arena.obstacles:
         d = outline(obstacle, 600) - pose[:2]
-        x, y = (
-            np.abs(c * d[:, 0] + s * d[:, 1]) - ROBOT.length / 2,
-            np.abs(c * d[:, 1] - s * d[:, 0]) - ROBOT.width / 2,
-        )
+        x = np.abs(c * d[:, 0] + s * d[:, 1]) - ROBOT.length / 2
+        y = np.abs(c * d[:, 1] - s * d[:, 0]) - ROBOT.width / 2
         outside = np.hypot(np.maximum(x, 0), np.maximum(y, 0)) + np.minimum(np.maximum(x, y), 0)
         gap = min(gap, outside.min())
         middle = np.array([[c, s], [-s, c]]) @ (np.array([obstacle.x, obstacle.y]) - pose[:2])
@@ -137,7 +125,7 @@ def test_contacts_are_where_the_shapes_meet():
     verdicts = []
     for _ in range(150):
         pose = (*rng.uniform(-9.8, 9.8, 2), rng.uniform(-math.pi, math.pi))
-        gap = touches(arena, pose)
+        gap = gap_to_obstacles(arena, pose)
         if abs(gap) < 0.01:
             continue
         world.place(pose)
@@ -149,17 +137,10 @@ def test_contacts_are_where_the_shapes_meet():
 def test_ranges_are_where_rays_meet_the_shapes():
     arena = generate_arena("val", 40, 3)
     world = ArenaWorld(arena)
-    edges = np.concatenate([outline(obstacle, 4000) for obstacle in arena.obstacles])
-    walls = np.linspace(-10, 10, 8001)
-    edges = np.concatenate(
-        [
-            edges,
-            *(
-                np.stack(np.broadcast_arrays(*p), axis=1)
-                for p in ((walls, 10.0), (walls, -10.0), (10.0, walls), (-10.0, walls))
-            ),
-        ]
-    )
+    span = np.linspace(-10, 10, 8001)
+    walls = [(span, 10.0), (span, -10.0), (10.0, span), (-10.0, span)]
+    edges = [outline(obstacle, 4000) for obstacle in arena.obstacles]
+    edges = np.concatenate([*edges, *(np.stack(np.broadcast_arrays(*wall), axis=1) for wall in walls)])
     x, y, yaw = arena.start
     eye = np.array([x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw)])
     away = np.hypot(*(edges - eye).T)
@@ -172,7 +153,7 @@ def test_ranges_are_where_rays_meet_the_shapes():
     assert agree >= ROBOT.columns - 2  # a ray may graze an edge
 
 
-def test_too_near_reads_as_near_and_nothing_as_far():
+def test_ranges_are_clipped_to_near_and_far():
     box = Obstacle("box", 1.0, 0.0, 0.0, (0.3, 3.0), 1.0)
     arena = Arena("", 1, 0, (box,), (0.30, 0.0, 0.0), ((5.0, 0.0),))
     assert ArenaWorld(arena).ranges()[20] == pytest.approx(ROBOT.near)
@@ -180,7 +161,7 @@ def test_too_near_reads_as_near_and_nothing_as_far():
     assert ArenaWorld(empty).ranges()[20] == ROBOT.far
 
 
-def test_arcs_are_those_of_many_small_steps():
+def test_an_arc_equals_many_small_steps():
     pose = (1.0, 2.0, 0.5)
     x, y, yaw = pose
     for _ in range(10000):
@@ -189,7 +170,7 @@ def test_arcs_are_those_of_many_small_steps():
     assert arc(*pose, 1.0, 0.0, 1.0) == pytest.approx((1 + math.cos(0.5), 2 + math.sin(0.5), 0.5))
 
 
-def test_wheels_carry_the_robot_as_told_and_keep_it_upright():
+def test_on_wheels_the_robot_follows_commands_and_stays_upright():
     arena = Arena("", 0, 0, (), (-6.0, -6.0, 0.6), ((5.0, 0.0),))
     for speed, turn in ((1.0, 0.0), (0.5, 0.5), (0.35, -1.2), (0.0, 1.2)):
         worlds = ArenaWorld(arena, "wheels"), ArenaWorld(arena)
@@ -211,7 +192,7 @@ def test_wheels_carry_the_robot_as_told_and_keep_it_upright():
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "wheels"])
-def test_driving_into_something_is_a_collision(physics):
+def test_driving_into_an_obstacle_is_a_collision(physics):
     box = Obstacle("box", 2.0, 0.0, 0.3, (0.3, 0.3), 1.0)
     arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
     world = ArenaWorld(arena, physics)
@@ -221,28 +202,27 @@ def test_driving_into_something_is_a_collision(physics):
     assert hit > 20
 
 
-def test_walkers_walk_and_can_be_hit():
-    arena = generate_arena("val", 5, 0, movers=3)
-    assert len(arena.movers) == 3
-    assert generate_arena("val", 5, 0, movers=3) == arena
-    for walker in arena.movers:
-        step = math.dist(walker.position(3.0), walker.position(3.1))
-        assert step <= walker.speed * 0.1 + 1e-9
-        length = sum(
-            math.dist(a, b) for a, b in zip(walker.path, (*walker.path[1:], walker.path[0]), strict=True)
+def test_pedestrians_walk_their_path_and_can_be_hit():
+    arena = generate_arena("val", 5, 0, pedestrians=3)
+    assert len(arena.pedestrians) == 3
+    assert generate_arena("val", 5, 0, pedestrians=3) == arena
+    for pedestrian in arena.pedestrians:
+        step = math.dist(pedestrian.position(3.0), pedestrian.position(3.1))
+        assert step <= pedestrian.speed * 0.1 + 1e-9
+        corners = pedestrian.path
+        length = sum(math.dist(a, b) for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
+        assert pedestrian.position(length / pedestrian.speed) == pytest.approx(
+            pedestrian.position(0.0), abs=1e-6
         )
-        assert walker.position(length / walker.speed) == pytest.approx(walker.position(0.0), abs=1e-6)
     person = Obstacle("person", 3.0, 0.0, 0.0, (0.25, 0.25), 1.7, ((3.0, 0.0), (-3.0, 0.0)), 0.5)
     world = ArenaWorld(Arena("", 0, 0, (person,), (0.0, 0.0, 0.0), ((5.0, 0.0),)))
-    # it walks into the robot that stands: 3 m less half a person and half a robot, at 0.5 m/s
+    # the person walks into the standing robot: 3 m minus half a person and half a robot, at 0.5 m/s
     steps = next(step for step in range(100) if world.advance(0.0, 0.0, 0.1))
     assert steps * 0.1 == pytest.approx((3.0 - 0.25 - 0.30) / 0.5, abs=0.3)
 
 
-def test_the_triangle_has_three_way_points():
-    arena = triangle_course()
-    assert len(arena.waypoints) == 3
-    assert replace(arena, waypoints=arena.waypoints[:1]) != arena
+def test_the_triangle_course_has_three_waypoints():
+    assert len(triangle_course().waypoints) == 3
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -250,7 +230,7 @@ def test_the_triangle_has_three_way_points():
     (("test", 500, 0), "density=500"),
     (("test", 5, -1), "index=-1"),
 ])  # fmt: skip
-def test_a_wrong_arena_is_refused(arguments, message):
+def test_arguments_out_of_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         generate_arena(*arguments)
     with pytest.raises(ValueError, match="physics='magic'"):

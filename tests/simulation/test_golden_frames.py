@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from eldenet.data.arenas import Arenas
+from eldenet.data.rendering import encode_depth
 from eldenet.data.rooms import Rooms
-from eldenet.data.shards import encode_depth
-from eldenet.simulation.arena_frames import render_arena
+from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room
-from eldenet.simulation.object_views import render_objects
-from eldenet.simulation.street_views import STREETS_VERSION, render_street
+from eldenet.simulation.street_views import STREETS_VERSION, render_objects, render_street
 
 GOLDEN = Path(__file__).parent / "golden"
 SIZE = (96, 128)  # (height, width)

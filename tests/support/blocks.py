@@ -1,4 +1,4 @@
-"""What tests lift boxes from: a block on flat ground by no renderer of ours; clear objects of a street."""
+"""Scenes for lifting boxes: a block on flat ground without a renderer; the clear objects of a street."""
 
 import numpy as np
 
@@ -6,11 +6,10 @@ from eldenet.boxes import Detections2D
 from eldenet.geometry import PinholeCamera, pinhole
 
 CAMERA = PinholeCamera(pinhole(400.0, 400.0, 320.0, 100.0))
-CENTER = (-2.0, 0.85, 12.0)
 
 
 def block(center, size=(3.9, 1.6, 1.5), yaw=0.4, camera=CAMERA, shape=(240, 640), height=1.6):
-    """Depth and 2D box of one block on flat ground, by slabs: no renderer of ours."""
+    """Depth and 2D box of one block on flat ground, by the slab method."""
     rows, columns = np.indices(shape)
     rays = camera.back_project(columns, rows, np.ones(shape)) - camera.translation
     with np.errstate(divide="ignore"):
@@ -34,6 +33,6 @@ def detection(xyxy, name="car", style="projected") -> Detections2D:
 
 
 def clear(view) -> np.ndarray:
-    """Numbers of a rendered view's objects that are seen well."""
+    """Indices of the well visible objects of a rendered view."""
     tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
     return np.nonzero((view.visible > 0.6) & ~view.truncated & (tall > 15))[0]

@@ -1,7 +1,7 @@
-"""``python -m eldenet.<command>`` in a process of its own, without its six seconds of imports each time.
+"""Run ``python -m eldenet.<command>`` in a process of its own without seconds of imports each time.
 
-A server holds the imports and forks for every command: a folder, an environment and an exit code of its own,
-nothing shared with the tests. ``python tests/commands.py`` is that server.
+A server (``python tests/support/commands.py``) holds the imports and forks for every command, which has its
+own folder, environment and exit code and shares nothing with the tests.
 """
 
 import atexit
@@ -26,10 +26,10 @@ PRELOADED = (
 
 
 class CommandServer:
-    """Runs commands one after the other; ``close`` ends it.
+    """Runs commands one after another.
 
     Args:
-        environment: of the server; the commands have it too.
+        environment: of the server and its commands.
     """
 
     def __init__(self, environment: dict[str, str]) -> None:
@@ -50,9 +50,9 @@ class CommandServer:
         timeout: float,
         interrupt_at: str | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """Like :func:`subprocess.run` with its output captured; a command that takes too long is killed.
+        """Like :func:`subprocess.run` with captured output; a command that takes too long is killed.
 
-        Ctrl-C comes as soon as the file ``interrupt_at`` is there.
+        Ctrl-C is sent once the file ``interrupt_at`` exists.
         """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
@@ -81,10 +81,10 @@ class CommandServer:
 
 
 def serve() -> None:
-    """Fork for every line of standard input, answer with the exit code; null: it took too long."""
+    """Fork for every line of standard input and answer with the exit code, null after a timeout."""
     for name in PRELOADED:
         __import__(name)
-    gc.freeze()  # a child that collects would copy every page it looks at
+    gc.freeze()  # so that children do not copy every page when they collect
     for line in sys.stdin:
         job = json.loads(line)
         child = os.fork()
@@ -106,6 +106,7 @@ def serve() -> None:
 def _become(job: dict[str, Any]) -> None:
     """Turn this process into the command; never returns."""
     os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's ``&`` has it ignored
     for number, path in enumerate(("/dev/null", *job["outputs"])):
         os.dup2(os.open(path, os.O_RDWR | os.O_CREAT), number)
     os.chdir(job["cwd"])
@@ -123,7 +124,7 @@ def _become(job: dict[str, Any]) -> None:
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code if isinstance(code, int) else 0 if code is None else 1)  # without taking the imports apart
+    os._exit(code if isinstance(code, int) else 0 if code is None else 1)  # skips the imports' clean-up
 
 
 if __name__ == "__main__":

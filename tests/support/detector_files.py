@@ -1,4 +1,4 @@
-"""ONNX files of every detector layout, with known boxes, and what they are tried on: shared by the tests."""
+"""ONNX files of every detector layout with known boxes, and a frame for them."""
 
 import json
 from pathlib import Path
@@ -18,9 +18,9 @@ def save(
     path: Path, output: np.ndarray, metadata: dict[str, str], size=SIZE, *,
     by_first_channel=False, kind=TensorProto.FLOAT,
 ) -> Path:  # fmt: skip
-    """A graph that answers every picture with ``output``; 0 times the picture keeps it a function of it.
+    """Save a graph that returns ``output`` for every image.
 
-    ``by_first_channel``: with zeros, where the first channel is dark. ``kind``: of the picture's numbers.
+    ``by_first_channel``: it returns zeros if the first channel is dark. ``kind``: data type of the image.
     """
     constant = numpy_helper.from_array(output.astype(np.float32), "boxes")
     zero = numpy_helper.from_array(np.zeros(1, np.float32), "zero")
@@ -63,10 +63,7 @@ def yolov8(corners: bool = False) -> np.ndarray:
         boxes = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]], 1)
     for place, (box, label) in enumerate(zip(boxes, (1, 2), strict=True)):
         out[0, :4, 7 + place], out[0, 4 + label, 7 + place] = box, 0.9 - 0.2 * place
-        out[0, :4, 20 + place], out[0, 4 + label, 20 + place] = (
-            box + 0.5,
-            0.6 - 0.2 * place,
-        )  # NMS's
+        out[0, :4, 20 + place], out[0, 4 + label, 20 + place] = box + 0.5, 0.6 - 0.2 * place  # for NMS
     return out
 
 

@@ -1,7 +1,8 @@
-"""Small videos of every container that OpenCV writes, and what happens to videos on their way."""
+"""Small videos in every container that OpenCV writes, and damage to them."""
 
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ CODECS = {
 
 
 def write_video(path: Path, frames: int = 5, rate: float = 12.0) -> Path:
-    """Frames of 48 x 64 that move, every one different."""
+    """Frames of 48 x 64, all different."""
     path.parent.mkdir(parents=True, exist_ok=True)
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix])
     writer = cv2.VideoWriter(str(path), codec, rate, (64, 48))
@@ -28,7 +29,7 @@ def write_video(path: Path, frames: int = 5, rate: float = 12.0) -> Path:
 
 
 def read_video(path: Path) -> tuple[list[np.ndarray], float]:
-    """Its frames ``(h, w, 3)`` uint8 BGR and its rate [1/s]."""
+    """Frames ``(h, w, 3)`` uint8 BGR, and the rate [1/s]."""
     capture, frames = cv2.VideoCapture(str(path)), []
     while True:
         complete, frame = capture.read()
@@ -38,13 +39,13 @@ def read_video(path: Path) -> tuple[list[np.ndarray], float]:
 
 
 def cut(path: Path, share: float) -> Path:
-    """What a broken download or a card that was pulled out leaves."""
+    """Cut a file, as a broken download or a card that is pulled out does."""
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     return path
 
 
 def trim(path: Path, seconds: float) -> Path:
-    """Take the beginning off an MP4 as phones and ``ffmpeg -c copy`` do: it stays there, and is not shown."""
+    """Trim the beginning of an MP4 as phones do: its frames stay in the file and are not shown."""
     content = bytearray(path.read_bytes())
 
     def number(at: int) -> int:
@@ -63,26 +64,14 @@ def trim(path: Path, seconds: float) -> Path:
     return path
 
 
-def turn(path: Path) -> Path:
-    """Say in an MP4 that it is shown a quarter turn to the right, as a phone held upright does."""
-    content = bytearray(path.read_bytes())
-    at = content.index(b"tkhd") + 44
-    one, minus = (1 << 16).to_bytes(4, "big"), (-1 << 16).to_bytes(4, "big", signed=True)
-    nothing, last = bytes(4), (1 << 30).to_bytes(4, "big")
-    content[at : at + 36] = b"".join([nothing, one, nothing, minus, nothing, nothing, nothing, nothing, last])
-    path.write_bytes(content)
-    return path
-
-
-def index_first(path: Path) -> Path:
-    """Move an MP4's index before its frames, as for streaming."""
-    content = path.read_bytes()
-    start = content.index(b"moov") - 4
-    index = bytearray(content[start:])
-    at = index.index(b"stco") + 12
-    first = content.index(b"mdat") - 4
-    for place in range(at, at + 4 * int.from_bytes(index[at - 4 : at], "big"), 4):
-        moved = int.from_bytes(index[place : place + 4], "big") + len(index)
-        index[place : place + 4] = moved.to_bytes(4, "big")
-    path.write_bytes(content[:first] + index + content[first:start])
-    return path
+def copy_packets(path: Path, rotation: int = 0, **options: str) -> Path:
+    """Write the same packets anew, as ``ffmpeg -c copy`` does, to be shown turned by ``rotation`` degrees."""
+    new = path.with_name(f"new{path.suffix}")
+    with av.open(str(path)) as source, av.open(str(new), "w", options=options) as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        stream.set_display_rotation(rotation)
+        for packet in source.demux(video=0):
+            if packet.dts is not None:  # not the last, which is empty
+                packet.stream = stream
+                target.mux(packet)
+    return new.replace(path)

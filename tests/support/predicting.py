@@ -1,15 +1,17 @@
-"""A small trained network and pictures for it: what the tests of ``predict`` share."""
+"""A small trained network and pictures for it, shared by the tests of ``predict``."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 import torch
 
 import eldenet
-from eldenet.config import compose
+from eldenet.config import build_prediction, compose
 from eldenet.deploy.outputs import Results
-from eldenet.predict import predict
+from eldenet.deploy.prediction import PredictionSetup, predict
+from eldenet.model import DepthNet
 
 
 def photo(height: int = 48, width: int = 64) -> np.ndarray:
@@ -24,7 +26,7 @@ def save(path: Path, picture: np.ndarray) -> Path:
 
 
 def listed(folder: Path) -> list[str]:
-    """Names of what people see in a folder."""
+    """Names of the files that a person sees in a folder."""
     return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
 
@@ -34,9 +36,21 @@ def small_model(folder: Path) -> Path:
     return folder
 
 
-def run(model_folder: Path, source: Path, output: Path, *overrides: str) -> Results:
-    quoted = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{output}'"]
-    return predict(compose("predict", [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]))
+def exported(model: DepthNet, path: Path) -> Path:
+    from eldenet.deploy.files import describe, write_onnx
+
+    pytest.importorskip("onnxruntime")
+    return write_onnx(model, path, (32, 64), batch=1, opset=17, metadata=describe(model, "small", (32, 64)))
+
+
+def setup(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> PredictionSetup:
+    quoted = [f"checkpoint='{checkpoint}'", f"source='{source}'", f"output='{output}'"]
+    words = [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]
+    return build_prediction(compose("predict", words))
+
+
+def run(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> Results:
+    return predict(setup(checkpoint, source, output, *overrides))
 
 
 def read_ply(path: Path) -> np.ndarray:

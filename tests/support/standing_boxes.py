@@ -1,4 +1,4 @@
-"""A camera, an empty picture for it and boxes before it: what the tests of perception share."""
+"""A camera, an empty image and boxes for the tests of perception."""
 
 import numpy as np
 

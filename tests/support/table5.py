@@ -23,7 +23,7 @@ def given(tmp_path: Path, **options) -> Namespace:
     settings = {
         "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
         "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged",
-        "goal": "known", "any_sources": False, "recheck": 0, "out": None, "runs": tmp_path / "runs",
+        "goal": "known", "out": None, "runs": tmp_path / "runs",
         "rows": tmp_path / "rows",
     }  # fmt: skip
     return Namespace(**(settings | options))

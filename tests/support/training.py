@@ -13,7 +13,7 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.optim import cosine
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 from support.synthetic import SyntheticDepth
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
@@ -50,7 +50,13 @@ def fit(
     trainer = trainer or make_trainer(**options)
     val = SyntheticDepth(val_frames)
     progress = trainer.fit(
-        model, train, val, loss, protocol, folder, resources, ckpt_path=ckpt_path, sources=sources
+        model,
+        loss,
+        TrainingData(train, val, protocol),
+        folder,
+        resources,
+        ckpt_path=ckpt_path,
+        sources=sources,
     )
     return trainer, model, progress
 

@@ -1,4 +1,4 @@
-"""Distillation: the teacher is frozen, unseen in checkpoints and checked on resuming; no label is needed."""
+"""Distillation: the teacher is frozen, absent from checkpoints, checked on resuming; it needs no labels."""
 
 import json
 from functools import partial
@@ -7,24 +7,23 @@ from pathlib import Path
 import pytest
 import torch
 from support.synthetic import SyntheticDepth
+from support.training import ONE_THREAD, PROTOCOL
 
 import eldenet
 from eldenet import zoo
-from eldenet.config import compose, instantiate
-from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.config import build_training, compose, instantiate
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
-from eldenet.system.resources import Resources, seed_everything
-from eldenet.train import train
+from eldenet.system.resources import seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import cosine
-from eldenet.training.trainer import Trainer
+from eldenet.training.run import train
+from eldenet.training.trainer import Trainer, TrainingData
 
-PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
-ONE_THREAD = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
 SHAPE = (2, 1, 64, 96)
+NOTHING_KNOWN = torch.zeros(SHAPE, dtype=torch.bool)
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def networks() -> tuple[torch.nn.Module, torch.nn.Module]:
     return eldenet.load("eldenet_s").train(), eldenet.load("eldenet")
 
 
-def test_outputs_are_compared_where_no_label_is(networks):
+def test_the_outputs_are_compared_without_labels(networks):
     student, network = networks
     teacher = Teacher(network)
     loss = WeightedSum(
@@ -44,9 +43,9 @@ def test_outputs_are_compared_where_no_label_is(networks):
             "distilled": DistilledTerm(L1Loss(), teacher, weight=0.5),
         }
     )
-    image, nothing = torch.rand(2, 3, 64, 96), torch.zeros(SHAPE, dtype=torch.bool)
+    image = torch.rand(2, 3, 64, 96)
     prediction = student(image)
-    total, terms = loss(prediction, torch.full(SHAPE, float("nan")), nothing, image)
+    total, terms = loss(prediction, torch.full(SHAPE, float("nan")), NOTHING_KNOWN, image)
     with torch.no_grad():
         expected = (prediction - network(image)).abs().mean()
     assert terms["ssim"] == terms["l1"] == 0
@@ -54,22 +53,22 @@ def test_outputs_are_compared_where_no_label_is(networks):
     torch.testing.assert_close(total, 0.5 * expected)
     total.backward()
     assert all(torch.isfinite(parameter.grad).all() for parameter in student.parameters())
-    # a labelled image beside an unlabelled one counts as it would alone
-    depth, half = torch.rand(SHAPE) + 1, nothing.clone()
+    # a labeled image counts the same beside an unlabeled one as alone
+    depth, half = torch.rand(SHAPE) + 1, NOTHING_KNOWN.clone()
     half[0] = True
     alone = loss(prediction[:1].detach(), depth[:1], half[:1], image[:1])[1]["l1"]
     torch.testing.assert_close(loss(prediction.detach(), depth, half, image)[1]["l1"], alone)
 
 
-def test_the_gradient_reaches_the_student_alone(networks):
+def test_gradients_reach_the_student_only(networks):
     student, network = networks
     before = {name: value.clone() for name, value in network.state_dict().items()}
     term = DistilledTerm(L1Loss(), Teacher(network.train()), feature_weight=1.0, feature_strides=(8, 16))
-    term.attach(student)
+    term.setup(student)
     loss = WeightedSum({"distilled": term})
     loss.train()
     image = torch.rand(2, 3, 64, 96)
-    loss(student(image), torch.zeros(SHAPE), torch.zeros(SHAPE, dtype=torch.bool), image)[0].backward()
+    loss(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image)[0].backward()
     assert not network.training
     assert all(parameter.grad is None for parameter in network.parameters())
     after = network.state_dict()  # BatchNorm's statistics too
@@ -81,35 +80,33 @@ def test_the_gradient_reaches_the_student_alone(networks):
     assert all(parameter.grad.abs().sum() > 0 for parameter in loss.parameters())
 
 
-def test_features_of_twins_agree(networks):
+def test_equal_networks_have_no_feature_loss(networks):
     student, _ = networks
     twin = eldenet.load("eldenet_s")
     twin.load_state_dict(student.state_dict())
     term = DistilledTerm(L1Loss(), Teacher(twin), feature_weight=1.0)
-    term.attach(student.eval())
+    term.setup(student.eval())
     image = torch.rand(2, 3, 64, 96)
     assert list(term.parameters()) == []  # equal channels need no projection
-    value = term(student(image), torch.zeros(SHAPE), torch.zeros(SHAPE, dtype=torch.bool), image)
+    value = term(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image)
     torch.testing.assert_close(value, torch.zeros(()))
 
 
-def test_the_teacher_may_see_another_size(networks):
+def test_the_teacher_can_see_images_of_another_size(networks):
     student, network = networks
     seen = []
     network.register_forward_pre_hook(lambda part, inputs: seen.append(tuple(inputs[0].shape[-2:])))
     term = DistilledTerm(L1Loss(), Teacher(network, input_size=[96, 128]), feature_weight=0.1)
-    term.attach(student)
+    term.setup(student)
     image = torch.rand(2, 3, 64, 96)
-    value = term(student(image), torch.zeros(SHAPE), torch.zeros(SHAPE, dtype=torch.bool), image)
+    value = term(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image)
     assert seen == [(96, 128)]
     assert torch.isfinite(value)
 
 
-def test_a_teacher_says_at_which_size_it_sees(networks):
+def test_a_teacher_describes_its_image_sizes(networks):
     network = networks[1]
-    unknown = (
-        "teacher big: sees the student's pictures as they are, was trained at a size that it does not state"
-    )
+    unknown = "teacher big: sees the student's images at their own size, was trained at an unknown size"
     assert Teacher(network, source="big").describe(None) == unknown
     network.info = {"input_size": [64, 96]}
     assert Teacher(network, source="big", input_size=[96, 128]).describe([32, 40]) == (
@@ -117,33 +114,46 @@ def test_a_teacher_says_at_which_size_it_sees(networks):
     )
 
 
-def test_what_cannot_be_distilled_is_refused(networks):
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda student, teacher: DistilledTerm(
+                L1Loss(), teacher, feature_weight=1.0, feature_strides=(64,)
+            ).setup(student),
+            r"feature_strides=\[64\].*features of \[2, 4, 8, 16, 32\]",
+        ),
+        (
+            lambda student, _: DistilledTerm(
+                L1Loss(), Teacher(torch.nn.Conv2d(3, 1, 1)), feature_weight=1.0
+            ).setup(student),
+            r"teacher has no network\.backbone",
+        ),
+        (lambda _, teacher: DistilledTerm(L1Loss(), teacher, feature_weight=-1), "feature_weight=-1"),
+        (
+            lambda _, teacher: DistilledTerm(L1Loss(), teacher)(*[torch.ones(SHAPE)] * 2, ~NOTHING_KNOWN),
+            "needs the images",
+        ),
+        (lambda *_: instantiate(compose("train", ["loss=ssim_l1_distill"]).loss), "give teacher="),
+        (lambda *_: zoo.build_teacher("eldenet"), "without trained weights"),
+    ],
+)
+def test_a_teacher_or_features_that_are_missing_are_named(make, message: str, networks):
     student, network = networks
-    with pytest.raises(ValueError, match=r"feature_strides=\[64\].*features of \[2, 4, 8, 16, 32\]"):
-        DistilledTerm(L1Loss(), Teacher(network), feature_weight=1.0, feature_strides=(64,)).attach(student)
-    with pytest.raises(ValueError, match=r"teacher has no network\.backbone"):
-        DistilledTerm(L1Loss(), Teacher(torch.nn.Conv2d(3, 1, 1)), feature_weight=1.0).attach(student)
-    with pytest.raises(ValueError, match="feature_weight=-1"):
-        DistilledTerm(L1Loss(), Teacher(network), feature_weight=-1)
-    with pytest.raises(ValueError, match="needs the images"):
-        DistilledTerm(L1Loss(), Teacher(network))(*[torch.ones(SHAPE)] * 2, torch.ones(SHAPE).bool())
-    with pytest.raises(ValueError, match="give teacher="):
-        instantiate(compose("train", ["loss=ssim_l1_distill"]).loss)
-    with pytest.raises(ValueError, match="without trained weights"):
-        zoo.build_teacher("eldenet")
+    with pytest.raises(ValueError, match=message):
+        make(student, Teacher(network))
 
 
-def test_a_teacher_that_nobody_asks_is_refused(tmp_path):
-    """Its name in run.json would say that the network was taught."""
+def test_a_teacher_without_a_distilled_term_is_refused(tmp_path):
     config = compose(
         "train", ["teacher=runs/big", "model_name=a", f"run_dir={tmp_path}", "runtime.threads=1"]
     )
     with pytest.raises(ValueError, match="teacher=runs/big: no term of this loss"):
-        train(config, tmp_path)
+        train(build_training(config, tmp_path))
 
 
-def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | None = None, ckpt_path=None):
-    """Train a student against ``network``, outputs and features."""
+def fit(folder: Path, network: torch.nn.Module, *, stop: int | None = None, ckpt_path=None):
+    """Train a student against ``network``, with outputs and features."""
 
     class Stopped(Exception):
         pass
@@ -161,20 +171,14 @@ def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | 
     student = eldenet.load("eldenet_s").train()
     distilled = DistilledTerm(L1Loss(), Teacher(network, source="there"), feature_weight=0.5)
     loss = WeightedSum({"l1": WeightedTerm(L1Loss()), "distilled": distilled})
-    trainer = Stopping(
-        optimizer=partial(torch.optim.Adam, lr=3e-3),
-        scheduler=cosine,
-        epochs=epochs,
-        batch_size=4,
-        checkpoint_every=1,
-    )
+    optimizer = partial(torch.optim.Adam, lr=3e-3)
+    trainer = Stopping(optimizer=optimizer, scheduler=cosine, epochs=2, batch_size=4, checkpoint_every=1)
+    sets = SyntheticDepth(12), SyntheticDepth(4)
     try:
         trainer.fit(
             student,
-            SyntheticDepth(12),
-            SyntheticDepth(4),
             loss,
-            PROTOCOL,
+            TrainingData(*sets, PROTOCOL),
             folder,
             ONE_THREAD,
             ckpt_path=ckpt_path,
@@ -184,7 +188,7 @@ def fit(folder: Path, network: torch.nn.Module, *, epochs: int = 2, stop: int | 
     return student
 
 
-def test_a_distillation_resumes_to_the_same_weights_and_knows_its_teacher(tmp_path, networks):
+def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tmp_path, networks):
     network = networks[1]
     fit(tmp_path / "whole", network)
     fit(tmp_path / "part", network, stop=5)
@@ -202,19 +206,17 @@ def test_a_distillation_resumes_to_the_same_weights_and_knows_its_teacher(tmp_pa
         fit(tmp_path / "part", network, ckpt_path=tmp_path / "part")
 
 
-def test_a_student_learns_from_its_teacher_without_labels(networks):
+def test_a_student_learns_without_labels(networks):
     student, network = networks
     seed_everything(0)
     teacher = Teacher(network)
     loss = WeightedSum({"distilled": DistilledTerm(L1Loss(), teacher)})
-    image = SyntheticDepth(2)
-    image = torch.stack([image[index]["image"] for index in range(2)])
-    shape = (2, 1, *image.shape[-2:])
-    nothing = torch.zeros(shape, dtype=torch.bool)
+    frames = SyntheticDepth(2, size=SHAPE[-2:])
+    image = torch.stack([frames[index]["image"] for index in range(2)])
     optimizer = torch.optim.Adam(student.parameters(), lr=1e-3)
     values = []
     for _ in range(40):
-        total, _ = loss(student(image), torch.zeros(shape), nothing, image)
+        total, _ = loss(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image)
         optimizer.zero_grad()
         total.backward()
         optimizer.step()
@@ -228,7 +230,7 @@ TINY = (
 )
 
 
-def test_the_command_distils_from_any_run(run_command, tmp_path, networks):
+def test_the_train_command_distills_from_a_saved_model(run_command, tmp_path, networks):
     networks[1].save_pretrained(tmp_path / "big", info={"input_size": [64, 96]})
     finished = run_command(
         *("train", *TINY, "loss=ssim_l1_distill", "teacher=big", "run_dir=student"),
@@ -239,5 +241,5 @@ def test_the_command_distils_from_any_run(run_command, tmp_path, networks):
     run = json.loads((tmp_path / "student" / "run.json").read_text())
     teacher = run["teacher"]["distilled"]
     assert teacher["source"] == "big"
-    assert teacher["weights"] == Teacher(eldenet.load(tmp_path / "big")).identity["weights"]
+    assert teacher["weights"] == Teacher(eldenet.load(tmp_path / "big")).signature["weights"]
     assert run["training"]["history"][0]["train_distilled"] > 0

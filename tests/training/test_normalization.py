@@ -10,12 +10,12 @@ import torch
 from support import layouts
 from support.networks import same_model
 
-from eldenet.config import build_model, compose, plain
+from eldenet.config import build_model, build_training, compose, plain
 from eldenet.data.folder import FolderDataset
-from eldenet.data.statistics import channel_statistics
+from eldenet.data.inspection import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
-from eldenet.train import build_seeded_model
+from eldenet.training.initialization import initial_model
 from eldenet.training.normalization import normalization, write_normalization
 
 
@@ -93,14 +93,16 @@ def test_what_cannot_be_is_refused(choice: Any, message: str, frames: FolderData
 
 def test_pictures_of_one_color_are_refused(tmp_path: Path) -> None:
     layouts.folder(tmp_path, layouts.SMALL._replace(rgb=np.full((48, 64, 3), 90, np.uint8)), count=2)
-    with pytest.raises(ValueError, match="never changes in 2 frames"):
+    with pytest.raises(ValueError, match="is constant over 2 frames"):
         normalization("dataset", FolderDataset(tmp_path, max_depth=10.0))
 
 
 def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
     source = tmp_path / "start"
-    config = compose("train", ["model=eldenet_s", f"weights={source}", "model.head.max_depth=10", *words])
-    return build_seeded_model(config, RunLog(tmp_path), **arguments)
+    config = compose(
+        "train", ["model=eldenet_s", "model_name=s", f"weights={source}", "model.head.max_depth=10", *words]
+    )
+    return initial_model(build_training(config, tmp_path), RunLog(tmp_path), **arguments)
 
 
 def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
@@ -110,7 +112,7 @@ def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
     start.save_pretrained(tmp_path / "start")
     model, image = seeded(tmp_path), torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(0))
     assert same_model(model, start)
-    assert "their normalization is taken over, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
+    assert "images are normalized as in their training, mean [0.3, 0.31, 0.32]" in capsys.readouterr().out
     model.save_pretrained(tmp_path / "saved")
     assert same_model(DepthNet.from_pretrained(tmp_path / "saved"), start)
     mine = {"mean": [0.5] * 3, "std": [0.25] * 3}
@@ -119,7 +121,7 @@ def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
         model = seeded(tmp_path, *overrides, **arguments)
         assert model.config["mean"] == mine["mean"]
         assert model.std.flatten().tolist() == mine["std"]
-        assert "the chosen mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25] stays" in capsys.readouterr().out
+        assert "you chose mean [0.5, 0.5, 0.5], std [0.25, 0.25, 0.25]" in capsys.readouterr().out
         with torch.inference_mode():
             assert not torch.equal(model.eval()(image), start.eval()(image))
 
@@ -159,4 +161,4 @@ def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Pat
     assert json.loads((tmp_path / "run/normalization.json").read_text()) == kept
     both = run_command("train", *arguments[:-1], "run_dir=other", "+model.mean=[0.5,0.5,0.5]")
     assert both.returncode == 1
-    assert "take one of them" in both.stderr
+    assert "use one of them" in both.stderr

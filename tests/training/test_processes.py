@@ -21,7 +21,7 @@ from eldenet.results.fingerprints import differences
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import constant
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 
 FRAMES, TOGETHER = 24, 8
 
@@ -58,15 +58,22 @@ def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
     )
     trainer.fit(
         model,
-        SyntheticDepth(FRAMES, transform=Augmentation(affine=0.0)),  # every pixel known: equal shares
-        SyntheticDepth(5),
         WeightedSum({"l1": WeightedTerm(L1Loss()), "distilled": distilled}),
-        EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense"),
+        TrainingData(
+            SyntheticDepth(FRAMES, transform=Augmentation(affine=0.0)),  # every pixel known: equal shares
+            SyntheticDepth(5),
+            EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense"),
+        ),
         folder,
         Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2),
     )
     trainer.accelerator.wait_for_everyone()
     return trainer
+
+
+SEARCH_PATH = os.pathsep.join(
+    [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+)  # has support
 
 
 def torchrun(*command: str, timeout: int = 240, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -75,7 +82,7 @@ def torchrun(*command: str, timeout: int = 240, **environment: str) -> subproces
             *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
             *command,
         ],
-        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": SEARCH_PATH, **environment},
         capture_output=True,
         text=True,
         check=False,

@@ -1,4 +1,4 @@
-"""Published weights of other papers find their place, and know what they learnt."""
+"""METER's published weights load completely and predict depth."""
 
 import os
 from pathlib import Path
@@ -41,7 +41,7 @@ def published(folder: Path, which: str) -> DepthNet:
 
 
 @pytest.mark.parametrize("which", ["nyu", "kitti"])
-def test_every_published_tensor_finds_its_place(which: str, weights_dir: Path, tmp_path: Path) -> None:
+def test_every_published_tensor_is_loaded_once(which: str, weights_dir: Path, tmp_path: Path) -> None:
     path = weights_dir / f"meter_xxs_{which}.pth"
     theirs = torch.load(path, map_location="cpu", weights_only=True)
     network = METER("xxs")
@@ -64,7 +64,7 @@ def test_every_published_tensor_finds_its_place(which: str, weights_dir: Path, t
         METER("xs", weights=str(path))
 
 
-def test_the_file_is_not_written_down(weights_dir: Path, tmp_path: Path) -> None:
+def test_a_saved_model_does_not_name_the_weights_file(weights_dir: Path, tmp_path: Path) -> None:
     model = published(weights_dir, "kitti")
     model.save_pretrained(tmp_path, info={"input_size": [192, 636]})
     assert "meter_xxs_kitti" not in (tmp_path / "config.json").read_text()
@@ -73,11 +73,11 @@ def test_the_file_is_not_written_down(weights_dir: Path, tmp_path: Path) -> None
         assert torch.equal(back(picture(64, 96)), model(picture(64, 96)))
 
 
-def test_meter_knows_nyu(weights_dir: Path) -> None:
+def test_meter_predicts_nyu(weights_dir: Path) -> None:
     """AbsRel under 0.07 on every tenth validation frame (0.060 on all 130); the best constant's is above 0.3.
 
     These frames belong to NYU's training split, which METER was most likely trained on, so this is no test
-    result: it says that every tensor sits where it belongs.
+    result: it shows that every tensor is in its place.
     """
     from eldenet.config import build_protocol, build_split, compose
 
@@ -102,7 +102,7 @@ def test_meter_knows_nyu(weights_dir: Path) -> None:
     assert best > 0.3
 
 
-def test_meter_knows_kitti(weights_dir: Path) -> None:
+def test_meter_predicts_kitti(weights_dir: Path) -> None:
     """AbsRel 0.07 on two frames: images without normalization in, decimeters out."""
     root = real_folder("kitti", "depth")
     model, errors = published(weights_dir, "kitti"), []

@@ -17,13 +17,13 @@ from omegaconf import OmegaConf
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, digest, fit, make_trainer
 
-from eldenet.config import compose, plain
+from eldenet.config import build_training, compose, plain
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.pointwise import L1Loss
-from eldenet.results.run_record import write_json
-from eldenet.train import train
+from eldenet.system.files import write_json
 from eldenet.training.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.training.optim import cosine
+from eldenet.training.run import train
 from eldenet.training.trainer import Trainer
 
 
@@ -39,8 +39,8 @@ class NoisyLoss(L1Loss):
     [
         ({}, L1Loss),
         ({"ema_decay": 0.9}, NoisyLoss),
-        ({"accumulate": 2, "gradient_clip": 1.0}, L1Loss),
-        ({"accumulate": 3, "evaluate_every": 2}, L1Loss),
+        ({"accumulate_grad_batches": 2, "max_grad_norm": 1.0}, L1Loss),
+        ({"accumulate_grad_batches": 3, "evaluate_every": 2}, L1Loss),
     ],
 )
 def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options, loss):
@@ -150,7 +150,7 @@ def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
     for given in ("auto", tmp_path, last):
         other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
         with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
-            train(other, tmp_path)
+            train(build_training(other, tmp_path))
 
 
 def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
@@ -158,10 +158,10 @@ def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeyp
     record = {"metrics": {}, "config": plain(config), "training": None}
     write_json(tmp_path / "run.json", record)
     with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
-        train(config, tmp_path)
+        train(build_training(config, tmp_path))
     write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
-    monkeypatch.setattr("eldenet.config.build_split", lambda *_: SyntheticDepth(2))
-    assert math.isnan(train(config, tmp_path))
+    monkeypatch.setattr("eldenet.config.build_split", lambda *_, **__: SyntheticDepth(2))
+    assert math.isnan(train(build_training(config, tmp_path)))
 
 
 def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):

@@ -11,8 +11,8 @@ from eldenet.training.optim import build_optimizer, constant, cosine, epoch_deca
 
 def test_the_backbone_learns_at_its_own_rate():
     model, adam = eldenet.load("eldenet_s"), partial(torch.optim.Adam, lr=1e-3)
-    optimizer = build_optimizer(adam, model, torch.nn.L1Loss(), backbone_lr=0.1)
-    scheduler = one_cycle(optimizer, 100, 10, peak=10.0, warmup=0.1)
+    optimizer = build_optimizer(adam, model, torch.nn.L1Loss(), backbone_lr_factor=0.1)
+    scheduler = one_cycle(optimizer, 100, 10, max_lr_factor=10.0, warmup_fraction=0.1)
     rest, backbone = optimizer.param_groups
     assert [group["lr"] for group in (rest, backbone)] == pytest.approx([1e-3, 1e-4])
     for _ in range(10):
@@ -25,10 +25,10 @@ def test_the_backbone_learns_at_its_own_rate():
     assert len(build_optimizer(adam, model, torch.nn.L1Loss()).param_groups) == 1
     for wrong, network, message in (
         (-0.1, model, "0 \\(frozen"),
-        (0.1, eldenet.load("guidedepth"), "has no backbone"),
+        (0.1, eldenet.load("guidedepth"), "has no separate backbone"),
     ):
         with pytest.raises(ValueError, match=message):
-            build_optimizer(adam, network, torch.nn.L1Loss(), backbone_lr=wrong)
+            build_optimizer(adam, network, torch.nn.L1Loss(), backbone_lr_factor=wrong)
 
 
 def test_schedules():
@@ -44,12 +44,12 @@ def test_schedules():
 
     assert rates(constant) == [1.0] * 10
     assert rates(partial(epoch_decay, decay=0.9)) == pytest.approx([1.0] * 5 + [0.9] * 5)
-    values = rates(partial(cosine, warmup=0.2, final=0.1))
+    values = rates(partial(cosine, warmup_fraction=0.2, final=0.1))
     assert values[:2] == pytest.approx([1 / 3, 2 / 3])
     assert values[2] == 1.0
     assert values == sorted(values[:3]) + sorted(values[3:], reverse=True)
     assert values[-1] > 0.1
-    values = rates(partial(one_cycle, peak=10, warmup=0.2))
+    values = rates(partial(one_cycle, max_lr_factor=10, warmup_fraction=0.2))
     assert values[:3] == pytest.approx([1.0, 5.5, 10.0])
     assert values[2:] == sorted(values[2:], reverse=True)
     assert values[-1] < 1.0

@@ -1,4 +1,4 @@
-"""Ctrl-C and ``systemctl stop`` end a prediction in order: films play, no file is half, the status tells."""
+"""After Ctrl-C or ``systemctl stop`` videos play, no file is half written, and the exit status tells."""
 
 import json
 import signal
@@ -9,12 +9,23 @@ from support.films import read_video, write_video
 from support.predicting import listed, photo, run, save
 
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.system.signals import stop_wish
+from eldenet.system.signals import GracefulStop
+
+
+@pytest.fixture(autouse=True)
+def default_signals():
+    """Restore the signals' default actions: a suite that a shell starts with ``&`` ignores Ctrl-C."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for number in before:
+        signal.signal(number, signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
 def third_picture(monkeypatch: pytest.MonkeyPatch):
-    """Give a function that lets a signal come in the middle of the third picture."""
+    """Return a function that arranges for a signal during the third prediction."""
 
     def arrange(number: signal.Signals) -> None:
         predict, seen = DepthPredictor.__call__, []
@@ -33,7 +44,7 @@ def third_picture(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ("number", "called"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")]
 )
-def test_a_video_that_is_stopped_keeps_its_film(
+def test_a_stopped_video_is_playable_up_to_there(
     model_folder: Path, tmp_path: Path, third_picture, capsys, number, called
 ) -> None:
     third_picture(number)
@@ -53,7 +64,7 @@ def test_a_video_that_is_stopped_keeps_its_film(
     assert lines[-1] == {"ended": called, "images": 3}
 
 
-def test_a_folder_that_is_stopped_says_how_far_it_came(
+def test_a_stopped_folder_reports_how_many_images_are_done(
     model_folder: Path, tmp_path: Path, third_picture, capsys
 ) -> None:
     third_picture(signal.SIGINT)
@@ -65,25 +76,25 @@ def test_a_folder_that_is_stopped_says_how_far_it_came(
     assert "stopped by Ctrl-C: 3 of 5 pictures: depth + color in" in capsys.readouterr().out
 
 
-def test_a_camera_ends_so(model_folder: Path, tmp_path: Path, third_picture) -> None:
-    """It has no other end, so that is none to complain of."""
+def test_stopping_a_camera_is_success(model_folder: Path, tmp_path: Path, third_picture) -> None:
+    """A camera has no other end."""
     third_picture(signal.SIGTERM)
-    # as from a camera, frames that come too fast are dropped: enough of them for three on a busy machine
+    # frames that arrive too fast are dropped: enough for three predictions on a busy machine
     source = write_video(tmp_path / "walk.ts", 4000)
     results = run(model_folder, f"file://{source}", tmp_path / "out")  # type: ignore[arg-type]
     assert results.images == 3
 
 
-def test_a_second_ctrl_c_waits_for_nothing() -> None:
-    with stop_wish() as wish:
+def test_a_second_ctrl_c_interrupts_at_once() -> None:
+    with GracefulStop() as stop:
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGTERM)
-        assert str(wish) == "SIGTERM"
+        assert str(stop) == "SIGTERM"
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
 
-def test_ctrl_c_ends_the_command_with_130(model_folder: Path, tmp_path: Path, run_command) -> None:
+def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: Path, run_command) -> None:
     write_video(tmp_path / "walk.mp4", 4000)
     begun = "out/.walk_depth.part.mp4"
     done = run_command(

@@ -15,9 +15,9 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
-from eldenet.training.loss_meter import LOOK_EVERY, LossMeter
+from eldenet.training.loss_meter import READ_EVERY, LossMeter
 from eldenet.training.optim import constant, cosine
-from eldenet.training.trainer import Trainer
+from eldenet.training.trainer import Trainer, TrainingData
 
 
 def test_training_learns_one_batch_by_heart(tmp_path):
@@ -68,16 +68,16 @@ def test_a_nan_loss_stops_with_its_step_and_keeps_the_last_good_checkpoint(tmp_p
 def test_a_meter_of_an_accelerator_looks_now_and_then_and_loses_nothing():
     eager, patient = ({}, {})
     meters = [LossMeter(eager, eager=True), LossMeter(patient, eager=False)]
-    for step in range(LOOK_EVERY + 3):
+    for step in range(READ_EVERY + 3):
         for meter in meters:
             meter.add(step, {"total": torch.tensor(float(step))})
-    assert patient["total"] < eager["total"] == sum(range(LOOK_EVERY + 3))
-    meters[1].look()  # as before every checkpoint
+    assert patient["total"] < eager["total"] == sum(range(READ_EVERY + 3))
+    meters[1].read()  # as before every checkpoint
     assert patient == eager
     meters[1].add(20, {"total": torch.tensor(1.0)})
     meters[1].add(21, {"total": torch.tensor(float("inf"))})
     with pytest.raises(FloatingPointError, match="'total' is inf at step 21"):
-        meters[1].look()
+        meters[1].read()
 
 
 def test_weights_that_are_not_finite_replace_no_checkpoint(tmp_path):
@@ -110,24 +110,28 @@ def test_the_gradients_norm_is_clipped(tmp_path, clip):
     seed_everything(0)
     start = {name: value.clone() for name, value in eldenet.load("eldenet_s").named_parameters()}
     plain = partial(torch.optim.SGD, lr=1.0)  # so that a step is the gradient
-    options = {"optimizer": plain, "scheduler": constant, "gradient_clip": clip}
+    options = {"optimizer": plain, "scheduler": constant, "max_grad_norm": clip}
     _, model, progress = fit(tmp_path, frames=4, epochs=1, **options)
     assert progress.step == 1
     moved = torch.cat([(value - start[name]).flatten() for name, value in model.named_parameters()])
     assert (moved.norm() < 1.01e-4) == (clip == 1e-4)
 
 
-@pytest.mark.parametrize("name", ["epochs", "checkpoint_every", "evaluate_every", "gradient_clip"])
+@pytest.mark.parametrize("name", ["epochs", "checkpoint_every", "evaluate_every", "max_grad_norm"])
 def test_settings_that_make_no_sense_are_refused(name):
     with pytest.raises(ValueError, match=f"{name}=0"):
         make_trainer(**{name: 0})
 
 
 def test_an_epochs_last_update_averages_the_batches_it_has(tmp_path):
-    def weights(accumulate):
+    def weights(accumulate_grad_batches):
         plain = partial(torch.optim.SGD, lr=1e-2)
         return fit(
-            tmp_path / str(accumulate), epochs=1, accumulate=accumulate, optimizer=plain, scheduler=constant
+            tmp_path / str(accumulate_grad_batches),
+            epochs=1,
+            accumulate_grad_batches=accumulate_grad_batches,
+            optimizer=plain,
+            scheduler=constant,
         )[1].state_dict()
 
     whole, cut = weights(4), weights(8)  # an epoch has four batches
@@ -143,7 +147,7 @@ def test_validation_is_in_fp32_whatever_the_training(tmp_path, options):
     seen = set()
     model.network.register_forward_hook(lambda part, args, raw: seen.add((part.training, raw.dtype)))
     trainer = make_trainer(epochs=1, monitor="abs_rel", **options)
-    progress = trainer.fit(model, SyntheticDepth(8), data, loss, PROTOCOL, tmp_path, resources)
+    progress = trainer.fit(model, loss, TrainingData(SyntheticDepth(8), data, PROTOCOL), tmp_path, resources)
     assert (True, torch.bfloat16) in seen
     saved = evaluate(eldenet.load(tmp_path), data, PROTOCOL).metrics["abs_rel"]
     assert progress.best_value == pytest.approx(saved, rel=1e-6)

@@ -1,11 +1,10 @@
-"""Latency of many networks on many runtimes, measured so that the ratios can be believed."""
+"""Latency of many networks under many runtimes, in interleaved rounds, so that ratios can be trusted."""
 
-import hashlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ import numpy as np
 import torch
 
 from eldenet.deploy import runtimes
-from eldenet.evaluation.cost import median_ms, percentile_ms, time_interleaved
-from eldenet.model import DepthNet
+from eldenet.system.timing import median_ms, percentile_ms, time_interleaved
 
 COLUMNS = (
     *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
@@ -25,12 +23,11 @@ COLUMNS = (
 KEY = COLUMNS[:8]
 PEAK_SIDE = 1024  # of the square matrices whose product gives the peak
 PEAK_DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
-ROWS_FILE = "rows.jsonl"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One row to measure: what identifies it."""
+    """One row to measure, by what identifies it."""
 
     model: str
     height: int
@@ -43,25 +40,25 @@ class Case:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """The columns that name a row."""
+        """Columns that identify a row."""
         return tuple(asdict(self).values())
 
     @property
     def group(self) -> tuple[Any, ...]:
-        """Cases of one group are measured in turns; ratios are taken within it."""
+        """Group whose cases are measured in turns; ratios are taken within it."""
         return (self.height, self.width, self.batch, self.runtime, self.threads, self.device)
 
 
 @dataclass(frozen=True)
 class Network:
-    """What a case runs, and what is known of it without running.
+    """What a case runs, and what is known without running it.
 
     Attributes:
-        source: file or folder for :func:`eldenet.deploy.runtimes.load`; None: it could not be made.
+        source: file or folder for :func:`eldenet.deploy.runtimes.load`; None: the export failed.
         params: number of parameters.
-        macs: multiply-adds of one image, of the network as it is defined.
-        run_macs: of its inference form, which is what runs: the FLOP/s reached are counted in these.
-        failed: why there is no source.
+        macs: multiply-adds of one image by the network as defined.
+        run_macs: multiply-adds of its folded form, which runs; the FLOP/s are counted in these.
+        failed: why the export failed.
     """
 
     source: Path | None
@@ -81,13 +78,13 @@ def measure_group(
     memory: bool = True,
     trusted_modules: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
-    """Measure the cases of one group in interleaved rounds, with the machine's matrix product among them.
+    """Measure the cases of one group in interleaved rounds, along with the machine's matrix product.
 
     Args:
-        cases: of one runtime, thread count and device; a study's may have several inputs, each model one.
+        cases: of one runtime, thread count and device; in a study each model may have its own input.
         networks: of every case.
         reference: model whose fp32 row has ``ratio_latency`` 1.
-        rounds: turns that each case gets.
+        rounds: turns of each case.
         seconds: of each turn.
         memory: measure each case's memory, in a process of its own.
         trusted_modules: packages whose classes a model folder's config may name.
@@ -103,7 +100,7 @@ def measure_group(
         if network.source is not None:
             try:
                 ready[case] = call_of(case, network.source, rows[case], trusted_modules)
-            except Exception as error:  # a runtime's failure is the row's result
+            except Exception as error:  # a failure is the row's result
                 rows[case]["failed"] = reason_of(error)
     if not ready:
         return list(rows.values())
@@ -126,13 +123,13 @@ def measure_group(
 
 
 def reason_of(error: Exception) -> str:
-    """One line for the table."""
+    """One line about an error, for the table."""
     lines = str(error).splitlines() or [""]
     return lines[0] if isinstance(error, ValueError | ImportError) else f"{type(error).__name__}: {lines[0]}"
 
 
 def static_columns(network: Network) -> dict[str, Any]:
-    """What is known without running."""
+    """Columns that are known without running."""
     macs = network.macs
     return {
         "params": network.params,
@@ -143,7 +140,7 @@ def static_columns(network: Network) -> dict[str, Any]:
 
 
 def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[str, Any]:
-    """From the times of one call [s]. ``fps`` counts calls, ``throughput_img_s`` images."""
+    """Columns from the times of one call [s]; ``fps`` counts calls, ``throughput_img_s`` images."""
     median = median_ms(times)
     return {
         "latency_ms_p50": median,
@@ -155,7 +152,7 @@ def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[
 
 
 def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequence[str] = ()) -> Any:
-    """The call to time; run once, so that it works and whatever is compiled is compiled."""
+    """The call to time, after a first run that shows that it works and compiles what is compiled."""
     network = _load(case, source, trusted_modules)
     images = network.prepared(_images(case))
     row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"
@@ -185,7 +182,7 @@ def _images(case: Case) -> np.ndarray:
 
 
 def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
-    """Precisions whose peak torch can measure: none on a device that torch does not run on."""
+    """Precisions whose peak torch can measure; none on devices that torch does not support."""
     device = next(iter(cases)).device
     if device != "cpu" and not (device in ("cuda", "tensorrt") and torch.cuda.is_available()):
         return []
@@ -193,7 +190,7 @@ def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
 
 
 def peak_call(case: Case, precision: str) -> Any:
-    """A product of two square matrices with the threads and on the device of ``case``."""
+    """A product of two square matrices on the device and with the threads of ``case``."""
     target = torch.device("cuda" if case.device in ("cuda", "tensorrt") else "cpu")
     left, right = (torch.rand(PEAK_SIDE, PEAK_SIDE).to(target, PEAK_DTYPES[precision]) for _ in range(2))
 
@@ -218,9 +215,9 @@ def _megabytes(source: Path) -> float:
 
 
 def memory_of(case: Case, source: Path, trusted_modules: Sequence[str] = ()) -> float | None:
-    """What loading and running a case adds to a fresh process [MB]: at its peak, torch imported before.
+    """Peak memory that loading and running a case adds to a fresh process that has imported torch [MB].
 
-    On CUDA: what it takes of the device. None where that cannot be measured (Linux alone counts so).
+    On CUDA the device's memory. None where it cannot be measured (it needs Linux).
     """
     module = "eldenet.deploy.benchmarking.measure"
     code = f"import sys; from {module} import print_memory; print_memory(*sys.argv[1:])"
@@ -235,7 +232,7 @@ def memory_of(case: Case, source: Path, trusted_modules: Sequence[str] = ()) -> 
 
 
 def print_memory(case: str, source: str, *trusted_modules: str) -> None:
-    """Measure in this process; :func:`memory_of` starts it."""
+    """Print the memory of this process, which :func:`memory_of` has started."""
     this = Case(**json.loads(case))
     cuda = this.device in ("cuda", "tensorrt")
     images = _images(this)
@@ -250,47 +247,9 @@ def print_memory(case: str, source: str, *trusted_modules: str) -> None:
 
 
 def _resident_kib(kind: str) -> int:
-    """Memory of this process now ("VmRSS") or at its peak ("VmHWM"), as Linux counts.
+    """Memory of this process now ("VmRSS") or at its peak ("VmHWM") on Linux.
 
-    ``ru_maxrss`` would not do: a process inherits its parent's.
+    A child process inherits its parent's ``ru_maxrss``, so that is no use here.
     """
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(kind))
-
-
-# --- rows on disk -------------------------------------------------------------------------------------------
-
-
-def fingerprint(model: DepthNet) -> str:
-    """What tells two networks of one name apart: 8 hex digits of the SHA-256 of config and weights."""
-    digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
-    for name, value in sorted(model.state_dict().items()):
-        digest.update(name.encode())
-        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:8]
-
-
-def read_rows(
-    folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
-) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Rows measured so far by key, the newest wanted of each; a line that a kill cut short is left out."""
-    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
-    if (folder / ROWS_FILE).is_file():
-        for line in (folder / ROWS_FILE).read_text().splitlines():
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:
-                continue
-            if wanted(row):
-                rows[tuple(row["key"])] = row
-    return rows
-
-
-def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Add rows at the end of the file; what a kill cut short stays a line of its own."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / ROWS_FILE
-    cut_short = path.is_file() and not path.read_text().endswith("\n")
-    with path.open("a") as file:
-        file.write("\n" * cut_short)
-        file.writelines(json.dumps(row) + "\n" for row in rows)

@@ -1,29 +1,56 @@
-"""Which rows of earlier benchmarks count: those of the same weights, settings and machine."""
+"""Rows on disk: what was measured, of which weights and on which machine."""
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
+    from eldenet.model import DepthNet
 
+ROWS_FILE = "rows.jsonl"
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
-def measured_alike(row: Mapping[str, Any], config: "DictConfig", fingerprint: str | None) -> bool:
-    """Whether a stored row is of the same weights, reference, rounds and seconds as now asked for."""
-    asked = (fingerprint, str(config.reference), config.rounds, config.seconds)
-    if row.get("precision") == "int8" and row.get("calibrated") != calibrated(config):
-        return False
-    return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
+def fingerprint(model: "DepthNet") -> str:
+    """8 hex digits of the SHA-256 of config and weights: identifies a network."""
+    digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
+    for name, value in sorted(model.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:8]
 
 
-def calibrated(config: "DictConfig") -> str:
-    """What the scales of int8 come from."""
-    return f"{config.pictures} {config.calibration}"
+def read_rows(
+    folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
+) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped."""
+    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
+    if (folder / ROWS_FILE).is_file():
+        for line in (folder / ROWS_FILE).read_text().splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            if wanted(row):
+                rows[tuple(row["key"])] = row
+    return rows
+
+
+def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Append rows to the file; a line that a kill cut short stays a line of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ROWS_FILE
+    cut_short = path.is_file() and not path.read_text().endswith("\n")
+    with path.open("a") as file:
+        file.write("\n" * cut_short)
+        file.writelines(json.dumps(row) + "\n" for row in rows)
 
 
 def machine() -> tuple[dict[str, Any], str]:
-    """What latencies of one table share: versions, processor, its cores, accelerator; and the command."""
+    """Versions, processor, cores and accelerator that all rows of a table share; and the command."""
     from eldenet.results.run_record import environment
 
     facts = environment()
@@ -32,9 +59,9 @@ def machine() -> tuple[dict[str, Any], str]:
 
 
 def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """What tells the machine of a stored row from this one, in words; "" for the same.
+    """Differences between the machine of a stored row and this one, in words; "" for the same machine.
 
-    The accelerator counts for rows that may have run on it.
+    The accelerator counts unless the row ran on the CPU.
     """
     names = ["processor", "cores"] if row["device"] == "cpu" else ["processor", "cores", "accelerator"]
     pairs = [(name, row.get(name), here[name]) for name in names]
@@ -44,9 +71,7 @@ def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 
 def version_of(package: str) -> str | None:
-    """Version of an installed package, or None."""
-    from importlib.metadata import PackageNotFoundError, version
-
+    """Version of an installed package; None if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

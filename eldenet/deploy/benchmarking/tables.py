@@ -1,32 +1,31 @@
-"""What ``python -m eldenet.benchmark`` writes: tables, their notes, and the picture."""
+"""Tables, notes and picture that ``python -m eldenet.benchmark`` writes."""
 
 import statistics
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet import config as cfg
-
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from eldenet.results.run_log import RunLog
 
 
+Accuracies = tuple[Mapping[str, float], str]  # by model, and the title of the axis
+
+
 def write_results(
-    config: "DictConfig", rows: Sequence[Mapping[str, Any]], output: Path, log: "RunLog"
+    rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, output: Path, log: "RunLog"
 ) -> None:
-    """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded), ``.png``, and the terminal."""
+    """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded) and ``.png``; print the table."""
     from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
-    from eldenet.results.run_record import write_rows
     from eldenet.results.tables import to_latex, to_markdown
+    from eldenet.system.files import write_rows
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
     notes = notes_of(rows)
     (output / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
     (output / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
-    # a terminal is narrow: what all rows share is said once
+    # a terminal is narrow: the title shows what all rows share
     same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
     shown = [position for position, name in enumerate(COLUMNS) if name not in same]
     log.table(
@@ -36,12 +35,12 @@ def write_results(
     )
     for note in notes:
         log.say(note)
-    drawn = draw(config, rows, output / "results.png")
+    drawn = draw(rows, accuracies, output / "results.png")
     log.say(f"written to {output}: results.md, .csv, .tex{', .png' if drawn else ''}, rows.jsonl")
 
 
 def text_of(name: str, value: Any) -> str:
-    """A figure as a table shows it."""
+    """A figure as text for a table."""
     if value is None:
         return "-"
     if not isinstance(value, float):
@@ -52,7 +51,7 @@ def text_of(name: str, value: Any) -> str:
 
 
 def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What makes the figures believable: machine, versions, how they were measured, and what failed."""
+    """Notes below a table: machine, versions, how it was measured, and what failed."""
     notes = []
     for row in rows:
         versions = ", ".join(f"{name} {version}" for name, version in row["versions"].items() if version)
@@ -75,37 +74,38 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(notes + failed))
 
 
-def read_accuracies(config: "DictConfig", models: Collection[str]) -> tuple[dict[str, float], str]:
-    """Accuracy of the models whose runs ``accuracies`` holds, mean over their seeds, and what it is.
+def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]) -> Accuracies | None:
+    """Mean accuracy of each model over the seeds of its runs, and the title of the axis; None without runs.
+
+    Args:
+        folders: ``run.json`` files, or folders that hold some; runs of other models are left out.
+        metric: of the records.
+        models: that are measured.
 
     Raises:
         FileNotFoundError: there is no run.
-        ValueError: ``accuracy`` is no metric; the runs do not compare (other frames, another protocol); or
-            runs of one name differ in more than their seed.
+        ValueError: the runs do not compare (other frames, another protocol), or runs of one name differ in
+            more than their seed.
     """
-    from eldenet.data.paths import one_of
-    from eldenet.evaluation.metrics import METRICS
     from eldenet.results.comparison import find_runs, group_rows, refuse_mixtures
     from eldenet.results.tables import heading
 
-    if not config.accuracies:
-        return {}, ""
-    name = str(config.accuracy)
-    one_of("accuracy", name, METRICS)
-    runs = [run for run in find_runs(cfg.plain(config.accuracies)) if str(run["model"]) in models]
+    if not folders:
+        return None
+    runs = [run for run in find_runs(list(folders)) if str(run["model"]) in models]
     if not runs:
         return {}, ""
     try:
         refuse_mixtures(runs, costs=False)
-        rows = {row.model: row.values("metrics", name) for row in group_rows(runs)}
+        rows = {row.model: row.values("metrics", metric) for row in group_rows(runs)}
     except ValueError as error:
-        raise ValueError(f"accuracies={cfg.plain(config.accuracies)}: {error}") from error
-    title = f"{heading(name, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
+        raise ValueError(f"accuracies={list(folders)}: {error}") from error
+    title = f"{heading(metric, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
     return {model: statistics.fmean(values) for model, values in rows.items() if values}, title
 
 
-def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) -> bool:
-    """Accuracy over latency where accuracies are given, else parameters over latency."""
+def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path: Path) -> bool:
+    """Draw accuracy (None: parameters) over latency; return whether there was a point to draw."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -113,8 +113,8 @@ def draw(config: "DictConfig", rows: Sequence[Mapping[str, Any]], path: Path) ->
 
     from eldenet.results.plots import name_points
 
-    accuracy, title = read_accuracies(config, {row["model"] for row in rows})
-    given = bool(config.accuracies)
+    given = accuracies is not None
+    accuracy, title = accuracies or ({}, "")
     shown = [row for row in rows if row["latency_ms_p50"] and (not given or row["model"] in accuracy)]
     if not shown:
         return False

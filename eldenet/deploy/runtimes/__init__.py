@@ -1,22 +1,23 @@
-"""The same network under every runtime that a user would deploy, behind one call.
+"""A network under every runtime that a user would deploy, behind one call.
 
-``depth = eldenet.deploy.runtimes.load("eldenet.onnx", "openvino", "bf16", threads=2)(images)``
+``depth = eldenet.runtimes.load("eldenet.onnx", "openvino", "bf16", threads=2)(images)``
 """
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldenet.deploy.files import describe, write_onnx
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.stream import DepthStream
-from eldenet.evaluation.cost import median_ms, time_interleaved
-from eldenet.model import DepthNet, size_of_frames
 from eldenet.system.resources import available_cores
-from eldenet.zoo import located
+from eldenet.system.timing import median_ms, time_interleaved
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
 
 __all__ = ["PRECISIONS", "RUNTIMES", "DepthStream", "Runtime", "fastest", "load"]
 
@@ -26,7 +27,7 @@ READS = {".onnx": ("onnxruntime", "openvino"), ".xml": ("openvino",)}
 
 
 def load(
-    source: str | Path | DepthNet,
+    source: "str | Path | DepthNet",
     runtime: str = "auto",
     precision: str | None = None,
     *,
@@ -35,31 +36,31 @@ def load(
     size: tuple[int, int] | None = None,
     trusted_modules: Sequence[str] = (),
 ) -> Runtime:
-    """A network ready to run: ``load(...)(images) -> meters``.
+    """Load a network ready to run: ``load(...)(images) -> meters``. A file loads without torch.
 
     Args:
-        source: an ``.onnx`` or ``.xml`` file, a folder that ``save_pretrained`` or a training wrote, the name
-            of the package's own weights ("eldenet_rooms"), or a :class:`~eldenet.model.DepthNet`.
+        source: an ``.onnx`` or ``.xml`` file, a :class:`~eldenet.model.DepthNet`, or anything that
+            :func:`eldenet.load` takes.
         runtime: "torch", "torch_channels_last", "torch_compile", "onnxruntime" or "openvino"; "auto": torch
-            for a model, and for a file the fastest that is installed (:func:`fastest`).
+            for a model, the fastest installed one for a file (:func:`fastest`).
         precision: "fp32", "bf16", "fp16" or "int8"; None: the file's own, or fp32.
         threads: on a CPU; None: all cores that this process may use.
         device: "cpu", "cuda", "tensorrt" (ONNX Runtime), "gpu", "npu" (OpenVINO), or an ONNX Runtime
             provider's name.
-        size: ``(height, width)`` [px] for a model under ONNX Runtime or OpenVINO, which is exported on the
-            way; None: that of whole frames in its training (:func:`eldenet.model.size_of_frames`).
+        size: ``(height, width)`` [px] at which a model is exported for ONNX Runtime or OpenVINO; None: as for
+            whole frames in its training (:func:`eldenet.model.size_of_frames`).
         trusted_modules: packages whose classes a folder's config may name.
 
     Raises:
-        ValueError: what was asked for is not to be had here; says what is.
+        ValueError: the runtime, precision or device is not available; the message lists those that are.
         FileNotFoundError: no such file or folder.
         ImportError: the runtime is not installed.
     """
     threads = available_cores() if threads is None else threads
     if runtime not in ("auto", *RUNTIMES):
         raise ValueError(f"runtime={runtime!r}: choose auto, {', '.join(RUNTIMES)}")
-    if not isinstance(source, DepthNet) and Path(source).suffix in READS:
-        path = Path(source).expanduser()
+    if is_exported(source):
+        path = Path(source).expanduser()  # type: ignore[arg-type]
         if not path.is_file():
             raise FileNotFoundError(f"{path} does not exist: python -m eldenet.export writes such files")
         if runtime == "auto":
@@ -70,19 +71,20 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    model = (
-        source
-        if isinstance(source, DepthNet)
-        else DepthNet.from_pretrained(located(source), trusted_modules=trusted_modules)
-    )
+    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.model import DepthNet, size_of_frames
+    from eldenet.zoo import load as load_model
+
+    model = source if isinstance(source, DepthNet) else load_model(source, trusted_modules=trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
     size = size or size_of_frames(model.info)
+    name = str(model.info.get("model_name", "unnamed"))
+    metadata = {"model": name} if size is None else describe(model, name, (int(size[0]), int(size[1])))
     if runtime in TORCH:
         from eldenet.deploy.runtimes.pytorch import TorchRuntime
 
-        facts = _facts(model, size)
         return TorchRuntime(
-            model, runtime, precision=precision or "fp32", threads=threads, device=device, metadata=facts
+            model, runtime, precision=precision or "fp32", threads=threads, device=device, metadata=metadata
         )
     if size is None:
         raise ValueError(
@@ -90,21 +92,24 @@ def load(
             "line input_size=[height,width]"
         )
     if precision == "int8":
-        raise ValueError("int8 needs calibration frames: export a file (python -m eldenet.export)")
+        raise ValueError("int8 needs calibration pictures: export a file (python -m eldenet.export)")
     with tempfile.TemporaryDirectory() as folder:
-        path = write_onnx(
-            model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=_facts(model, size)
-        )
+        path = write_onnx(model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=metadata)
         return _open(path, runtime, precision, threads, device)
+
+
+def is_exported(source: object) -> bool:
+    """Return whether a source is an exported file, by its ending."""
+    return isinstance(source, str | Path) and Path(source).suffix in READS
 
 
 def fastest(
     path: str | Path, precision: str | None = None, *, threads: int | None = None, device: str = "cpu"
 ) -> Runtime:
-    """The runtime that runs this file fastest here, found by running each for a moment.
+    """Run a file under each installed runtime for a moment and return the fastest.
 
     Raises:
-        ValueError: none can; says why for each.
+        ValueError: no runtime can run it; the message gives each one's reason.
     """
     threads = available_cores() if threads is None else threads
     able, reasons = {}, {}
@@ -115,13 +120,13 @@ def fastest(
             reasons[name] = str(error)
     if not able:
         raise ValueError("; ".join(f"{name}: {reason}" for name, reason in reasons.items()))
+    first = next(iter(able.values()))
     if len(able) == 1:
-        return next(iter(able.values()))
-    some = next(iter(able.values()))
-    height, width = some.camera_size or some.info.get("input_size", (224, 224))
-    batch = some.fixed_batch or 1
-    shape = (batch, height, width, 3) if some.takes_frames else (batch, 3, height, width)
-    image = np.zeros(shape, np.uint8 if some.takes_frames else np.float32)
+        return first
+    height, width = first.camera_size or first.info.get("input_size", (224, 224))
+    batch = first.fixed_batch or 1
+    shape = (batch, height, width, 3) if first.takes_frames else (batch, 3, height, width)
+    image = np.zeros(shape, np.uint8 if first.takes_frames else np.float32)
     times = time_interleaved(
         {name: lambda network=network: network.run(image) for name, network in able.items()},  # type: ignore[misc]
         rounds=3,
@@ -131,7 +136,7 @@ def fastest(
 
 
 def installed(runtime: str) -> bool:
-    """Whether the library behind ``runtime`` is there."""
+    """Return whether the library of ``runtime`` is installed."""
     return find_spec("torch" if runtime in TORCH else runtime) is not None
 
 
@@ -145,8 +150,3 @@ def _open(path: Path, runtime: str, precision: str | None, threads: int, device:
     from eldenet.deploy.runtimes.openvino import OpenvinoRuntime
 
     return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
-
-
-def _facts(model: DepthNet, size: tuple[int, int] | None) -> Mapping[str, str]:
-    name = str(model.info.get("model_name", "unnamed"))
-    return {"model": name} if size is None else describe(model, name, (int(size[0]), int(size[1])))

@@ -1,12 +1,13 @@
-"""What every runtime is: images in, meters out, and a record of how."""
+"""The base class of all runtimes: images in, meters out."""
 
 import json
 from collections.abc import Mapping
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 PRECISIONS = ("fp32", "bf16", "fp16", "int8")
 
@@ -21,7 +22,7 @@ class Runtime:
         precision: "fp32", "bf16", "fp16" or "int8".
         threads: on a CPU.
         device: "cpu" or the accelerator's name.
-        metadata: what the file says of itself (:func:`eldenet.deploy.files.describe`).
+        metadata: of the file (:func:`eldenet.deploy.files.describe`).
         takes_frames: whether it takes uint8 frames.
     """
 
@@ -38,13 +39,13 @@ class Runtime:
 
     @property
     def info(self) -> dict[str, Any]:
-        """As ``DepthNet.info``: the size that the network sees [px], and the model's name."""
+        """Like ``DepthNet.info``: the size that the network sees [px], and the model's name."""
         known = {"input_size": self._sizes("input_size"), "model_name": self.metadata.get("model")}
         return {key: value for key, value in known.items() if value is not None}
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
-        """``(height, width)`` of the frames it takes [px], or None."""
+        """``(height, width)`` of the frames that it takes [px], or None."""
         return self._sizes("camera_size")
 
     @property
@@ -54,24 +55,24 @@ class Runtime:
 
     @property
     def fixed_size(self) -> tuple[int, int] | None:
-        """``(height, width)`` that the network sees [px] where it can see no other, else None."""
+        """The only ``(height, width)`` that the network can see [px]; None: any."""
         return self._sizes("input_size")
 
     @property
     def fixed_batch(self) -> int | None:
-        """Images that it takes at once where it can take no other number, else None."""
+        """The only number of images that it takes at once; None: any."""
         return None
 
     def run(self, images: np.ndarray) -> np.ndarray:
-        """Arrays in, arrays out; what :meth:`__call__` checks and wraps."""
+        """Run arrays that :meth:`__call__` has checked."""
         raise NotImplementedError
 
     def prepared(self, images: np.ndarray) -> Any:
-        """The input as this runtime likes it best, for timing: on its device, in its layout."""
+        """Input on this runtime's device and in its layout, for timing."""
         return images
 
     def run_prepared(self, images: Any) -> Any:
-        """Run what :meth:`prepared` gave; for timing."""
+        """Run the result of :meth:`prepared`, for timing."""
         return self.run(images)
 
     def synchronise(self) -> None:
@@ -80,14 +81,14 @@ class Runtime:
     @overload
     def __call__(self, images: np.ndarray) -> np.ndarray: ...
     @overload
-    def __call__(self, images: Tensor) -> Tensor: ...
-    def __call__(self, images: np.ndarray | Tensor) -> np.ndarray | Tensor:
-        """Images -> meters, of the kind (array or tensor, on its device) that was given.
+    def __call__(self, images: "Tensor") -> "Tensor": ...
+    def __call__(self, images: "np.ndarray | Tensor") -> "np.ndarray | Tensor":
+        """Return meters as an array for an array, and as a tensor on its device for a tensor.
 
         Raises:
-            ValueError: images of another shape or type than this network takes.
+            ValueError: this network takes images of another shape or type.
         """
-        given = images.detach().cpu().numpy() if isinstance(images, Tensor) else images
+        given = images if isinstance(images, np.ndarray) else images.detach().cpu().numpy()
         wanted, channels = (np.uint8, 3) if self.takes_frames else (np.float32, 1)
         if given.ndim != 4 or given.shape[channels] != 3 or given.dtype != wanted:
             raise ValueError(
@@ -95,11 +96,15 @@ class Runtime:
                 + ("(B, H, W, 3) uint8 RGB frames" if self.takes_frames else "(B, 3, H, W) float32 in [0, 1]")
             )
         depth = self.run(np.ascontiguousarray(given))
-        return torch.from_numpy(depth).to(images.device) if isinstance(images, Tensor) else depth
+        if isinstance(images, np.ndarray):
+            return depth
+        import torch
+
+        return torch.from_numpy(depth).to(images.device)
 
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
-    """Raise ValueError for a precision that a runtime does not have."""
+    """Raise ValueError if a runtime does not offer a precision."""
     if precision not in PRECISIONS:
         raise ValueError(f"precision={precision!r}: choose {', '.join(PRECISIONS)}")
     if precision not in allowed:

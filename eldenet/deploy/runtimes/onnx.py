@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.deploy.files import without_prefix
 from eldenet.deploy.runtimes.base import Runtime, refuse
 
 PROVIDERS = {
@@ -11,7 +12,7 @@ PROVIDERS = {
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
 }
-# CUDA's would round the factors of fp32 convolutions and products to TF32's ten bits
+# by default CUDA rounds the factors of fp32 convolutions and products to the ten bits of TF32
 OPTIONS = {PROVIDERS["cuda"]: {"use_tf32": "0"}}
 PACKAGES = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu and TensorRT"}
 
@@ -21,13 +22,12 @@ class OnnxRuntime(Runtime):
 
     Args:
         path: of the file.
-        precision: None: the file's own.
-        threads: on a CPU; they do not spin while they wait, so that other work can have the core.
+        precision: must be the file's own; None accepts any.
+        threads: on a CPU; they do not spin while they wait, so that other work can use the core.
         device: "cpu", "cuda", "tensorrt", or a provider's own name ("OpenVINOExecutionProvider").
 
     Raises:
-        ValueError: a provider that this installation does not have or cannot start, or another precision
-            than the file's.
+        ValueError: the provider is missing or cannot start, or the file has another precision.
     """
 
     runtime = "onnxruntime"
@@ -48,15 +48,11 @@ class OnnxRuntime(Runtime):
             self.session = onnxruntime.InferenceSession(
                 str(path), options, providers=[(name, OPTIONS.get(name, {})) for name in wanted]
             )
-        except Exception as error:  # its own exception classes share no base but this
+        except Exception as error:  # the only common base of its exception classes
             raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
-        if self.session.get_providers()[0] != provider:  # it falls back without a word
+        if self.session.get_providers()[0] != provider:  # it falls back silently
             raise ValueError(f"ONNX Runtime has {provider} but cannot start it: is its driver installed?")
-        metadata = {
-            key.removeprefix("eldenet."): value
-            for key, value in self.session.get_modelmeta().custom_metadata_map.items()
-            if key.startswith("eldenet.")
-        }
+        metadata = without_prefix(self.session.get_modelmeta().custom_metadata_map)
         own = metadata.get("precision", "fp32")
         refuse(
             precision or own,
@@ -71,12 +67,12 @@ class OnnxRuntime(Runtime):
 
     @property
     def fixed_batch(self) -> int | None:
-        """From the input's shape, whose free sizes have names."""
+        """Batch of the input's shape, where it is a number."""
         batch = self.session.get_inputs()[0].shape[0]
         return batch if isinstance(batch, int) else None
 
     def run(self, images: np.ndarray) -> np.ndarray:
-        """Arrays in, arrays out."""
+        """Run arrays."""
         try:
             return self.session.run(None, {self.input: images})[0]
         except Exception as error:
@@ -87,10 +83,10 @@ class OnnxRuntime(Runtime):
 
 
 def provider_for(device: str, available: list[str]) -> str:
-    """ONNX Runtime's name of the provider for ``device``.
+    """ONNX Runtime's provider for ``device``.
 
     Raises:
-        ValueError: this installation does not have it.
+        ValueError: it is not installed.
     """
     provider = PROVIDERS.get(device, device)
     if provider not in available:
@@ -103,6 +99,6 @@ def provider_for(device: str, available: list[str]) -> str:
 
 
 def providers_behind(provider: str, available: list[str]) -> list[str]:
-    """``provider``, and those that take what it leaves, in their order."""
+    """``provider``, followed by those that run what it cannot."""
     cuda = [PROVIDERS["cuda"]] if provider == PROVIDERS["tensorrt"] and PROVIDERS["cuda"] in available else []
     return list(dict.fromkeys([provider, *cuda, PROVIDERS["cpu"]]))

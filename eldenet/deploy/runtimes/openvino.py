@@ -7,7 +7,7 @@ import numpy as np
 from eldenet.deploy.files import read_metadata
 from eldenet.deploy.runtimes.base import Runtime, refuse
 
-HINTS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16", "int8": "f32"}  # int8: of what is between
+HINTS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16", "int8": "f32"}  # int8: of the layers between
 
 
 class OpenvinoRuntime(Runtime):
@@ -15,12 +15,12 @@ class OpenvinoRuntime(Runtime):
 
     Args:
         path: of the file.
-        precision: None: the file's own. An fp32 file runs as bf16 on CPUs that have it.
+        precision: None: the file's own. An fp32 file also runs as bf16 on CPUs that multiply it.
         threads: on a CPU.
         device: "cpu", "gpu", "npu" or OpenVINO's own name.
 
     Raises:
-        ValueError: a device or precision that is not to be had here.
+        ValueError: the device or precision is not available.
     """
 
     runtime = "openvino"
@@ -40,16 +40,16 @@ class OpenvinoRuntime(Runtime):
         own = metadata.get("precision", "fp32")
         precision = precision or own
         capable = core.get_property(name, "OPTIMIZATION_CAPABILITIES")
-        stored = "int8" if own == "int8" else "fp32"  # bf16 and fp16 are how fp32 weights are run
+        stored = "int8" if own == "int8" else "fp32"  # bf16 and fp16 are ways to run fp32 weights
         allowed = [stored]
         if stored == "fp32":
             allowed += ["bf16"] * ("BF16" in capable)
-            allowed += ["fp16"] * ("FP16" in capable and name != "CPU")  # CPUs accept it, and compute fp32
+            allowed += ["fp16"] * ("FP16" in capable and name != "CPU")  # CPUs accept fp16 but compute fp32
         refuse(
             precision,
             tuple(allowed),
             f"{Path(path).name} under OpenVINO",
-            "export it with precision=int8" if precision == "int8" else "this processor has none",
+            "export it with precision=int8" if precision == "int8" else "this processor cannot multiply it",
         )
         hint = "bf16" if precision == "int8" and "BF16" in capable else HINTS[precision]
         settings: dict[str, str | int] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": hint}
@@ -64,16 +64,16 @@ class OpenvinoRuntime(Runtime):
 
     @property
     def fixed_batch(self) -> int | None:
-        """From the input's shape."""
+        """Batch of the input's shape, where it is a number."""
         batch = self.compiled.input(0).partial_shape[0]
         return int(batch.get_length()) if batch.is_static else None
 
     def run(self, images: np.ndarray) -> np.ndarray:
-        """Arrays in, arrays out."""
+        """Run arrays."""
         from openvino import PartialShape
 
         expected = self.compiled.input(0).partial_shape
         if not expected.compatible(PartialShape(list(images.shape))):
             raise ValueError(f"images are {images.shape}, this file takes {expected}: export another")
         depth = self.request.infer([images], share_inputs=True, share_outputs=True)[0]
-        return depth.copy()  # the request writes the next one into the same place
+        return depth.copy()  # the request reuses the memory

@@ -18,18 +18,18 @@ DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
 class TorchRuntime(Runtime):
     """A folded copy of a :class:`~eldenet.model.DepthNet`.
 
-    Lower precisions hold for the network; normalization and the head stay in fp32, which is not TF32.
+    A lower precision applies to the network; normalization and head stay in fp32 (never TF32).
 
     Args:
-        model: stays as it is.
+        model: stays unchanged.
         layout: "torch" (contiguous), "torch_channels_last" or "torch_compile" (channels_last, compiled).
         precision: "fp32", "bf16", or on CUDA "fp16".
         threads: of torch, process-wide, while this runs.
         device: "cpu" or "cuda".
-        metadata: what is known of the model.
+        metadata: of the model.
 
     Raises:
-        ValueError: a precision or device that torch does not have here.
+        ValueError: torch does not offer this precision or device here.
     """
 
     def __init__(
@@ -60,27 +60,27 @@ class TorchRuntime(Runtime):
             network.network = _Cast(network.network, DTYPES[precision])
         self.network: Any = network.to(self.target).to(memory_format=self.layout)
         if layout == "torch_compile":
-            # weights are constants from here on: the compiler lays them out once, for the fastest kernels
+            # frozen weights: the compiler lays them out once, for the fastest kernels
             self.network = torch.compile(self.network, dynamic=False, options={"freezing": device == "cpu"})
 
     @property
     def fixed_size(self) -> None:
-        """None: torch takes any size."""
+        """Torch takes any size."""
         return None
 
     def prepared(self, images: np.ndarray) -> Tensor:
-        """On the device, in the layout."""
+        """Tensor on the device, in the layout."""
         return torch.from_numpy(images).to(self.target).contiguous(memory_format=self.layout)
 
     @torch.no_grad()
     def run_prepared(self, images: Tensor) -> Tensor:
-        """Tensors in, tensors out."""
+        """Run a tensor."""
         if self.target.type == "cpu" and torch.get_num_threads() != self.threads:
             torch.set_num_threads(self.threads)
         return self.network(images)
 
     def run(self, images: np.ndarray) -> np.ndarray:
-        """Arrays in, arrays out."""
+        """Run arrays."""
         return self.run_prepared(self.prepared(images)).cpu().numpy()
 
     def synchronise(self) -> None:
@@ -90,7 +90,7 @@ class TorchRuntime(Runtime):
 
 
 class _Cast(nn.Module):
-    """A network of lower precision: its input is brought to it; the head casts the raw map back."""
+    """A network of lower precision that casts its input; the head casts the raw map back."""
 
     def __init__(self, network: nn.Module, dtype: torch.dtype) -> None:
         super().__init__()

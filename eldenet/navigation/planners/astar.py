@@ -1,8 +1,7 @@
-"""A* on a grid, followed by the dynamic window: with the true map, or with one that is built on the way.
+"""A* on a grid with the dynamic window: with the true map, or with a map built while driving.
 
 Hart, Nilsson, Raphael, "A formal basis for the heuristic determination of minimum cost paths", 1968. The
-search is scikit-image's ``MCP_Geometric``, which settles cells in the order of their cost alone: the path
-costs what A*'s costs.
+search is scikit-image's ``MCP_Geometric`` (Dijkstra): its path has the same cost as A*'s.
 """
 
 import math
@@ -16,10 +15,10 @@ from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.simulation.arenas import INFLATION, RESOLUTION, SIDE, Arena, clearance_map
 from eldenet.simulation.robot import ROBOT
 
-CARROT = 1.3  # how far ahead on the path the target lies [m]; nearer is safer and slower
-REPLAN_EVERY = 5  # control periods, on a map that grows
-TIGHT = 0.30  # inflation where nothing is free at the full one [m]
-_MARGIN = 2.0  # of a map that is built: odometry may drift out of the arena [m]
+CARROT = 1.3  # distance to the target along the path [m]; nearer is safer and slower
+REPLAN_EVERY = 5  # control periods, on a map built while driving
+TIGHT = 0.30  # inflation if no path exists at the full one [m]
+_MARGIN = 2.0  # around the built map: odometry may drift out of the arena [m]
 
 
 def shortest_path(
@@ -30,14 +29,14 @@ def shortest_path(
     *,
     corner: tuple[int, int] = (0, 0),
 ) -> np.ndarray | None:
-    """Way points ``(n, 2)`` [m] of the cheapest path over a grid, eight neighbors; None where there is none.
+    """Return way-points ``(n, 2)`` [m] of the cheapest path on an 8-connected grid; None without path.
 
     Args:
-        cost: of every cell ``(n, m)``, 0.1 m wide, rows along y; infinite where a robot must not be.
+        cost: of each cell ``(n, m)``, 0.1 m wide, rows along y; infinite where the robot must not be.
         start: x, y [m].
         goal: x, y [m].
-        side: of the whole grid [m]; its middle is the origin.
-        corner: row and column of the whole grid at which the costs begin.
+        side: of the whole grid [m]; its center is the origin.
+        corner: row and column of the whole grid where ``cost`` starts.
     """
     from skimage.graph import MCP_Geometric
 
@@ -56,17 +55,17 @@ def shortest_path(
 
 
 def path_length(path: np.ndarray) -> float:
-    """[m]."""
+    """Length of a path [m]."""
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def inflated_cost(clearance: np.ndarray) -> np.ndarray:
-    """1 where a robot may be, infinite where it may not."""
+    """1 where the robot may be, infinite elsewhere."""
     return np.where(clearance >= INFLATION, 1.0, np.inf)
 
 
 def optimal_length(arena: Arena) -> float:
-    """Shortest way from the start over all way-points on the inflated grid [m]; nan where there is none."""
+    """Length of the shortest path through all way-points on the inflated grid [m]; nan without path."""
     cost = inflated_cost(clearance_map(arena.obstacles, arena.side))
     points = [arena.start[:2], *arena.waypoints]
     length = 0.0
@@ -76,35 +75,51 @@ def optimal_length(arena: Arena) -> float:
     return length
 
 
-class AStarDWA:
-    """A* once on the full map and from the true pose, then the dynamic window along the path.
-
-    The map holds what stands; people who walk are in neither map nor points, but in view.
+class _PathFollower:
+    """The dynamic window along a path of each robot.
 
     Args:
-        carrot: how far ahead on the path the target lies [m].
-        robots: how many.
+        carrot: distance to the target along the path [m].
+        robots: number of robots.
     """
-
-    name = "astar_dwa"
 
     def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
         self.carrot = carrot
         self.window = DynamicWindow()
         self.last = np.zeros((robots, 2))
-        self._worlds: list[Any] = [None] * robots
         self._paths: list[np.ndarray | None] = [None] * robots
+
+    def _follow(self, robot: int, pose: np.ndarray, goal: tuple[float, float], points: np.ndarray) -> None:
+        """Choose the next command, among points in the robot's frame."""
+        path = self._paths[robot]
+        target = goal if path is None else carrot(path, pose, self.carrot)
+        self.last[robot] = self.window.choose(
+            points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
+        )
+
+
+class AStarDWA(_PathFollower):
+    """A* once on the full map from the true pose, then the dynamic window along the path.
+
+    The map has the standing obstacles; pedestrians are only visible in the ranges.
+    """
+
+    name = "astar_dwa"
+
+    def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
+        super().__init__(carrot=carrot, robots=robots)
+        self._worlds: list[Any] = [None] * robots
         self._points: list[np.ndarray] = [np.empty((0, 2))] * robots
         self._goals: list[tuple[float, float] | None] = [None] * robots
 
     def reset(self, robot: int, world: Any = None) -> None:
-        """Take the map of a new crossing; ``world`` is its :class:`ArenaWorld`."""
+        """Start an episode with the map of ``world``, its :class:`ArenaWorld`."""
         self.last[robot] = 0.0
         self._worlds[robot] = world
         self._goals[robot] = None
         fine = 0.05
         clearance = clearance_map(world.arena.obstacles, world.arena.side, fine)
-        # a wall's cells lie half a cell from it, give or take rounding
+        # cells next to a wall are half a cell from it, give or take rounding
         edge = np.argwhere(clearance <= fine / 2 + 1e-6)
         self._points[robot] = (edge[:, ::-1] + 0.5) * fine - world.arena.side / 2
 
@@ -119,81 +134,63 @@ class AStarDWA:
                 self._goals[robot] = goal
                 cost = inflated_cost(clearance_map(world.arena.obstacles, world.arena.side))
                 self._paths[robot] = shortest_path(cost, tuple(pose[:2]), goal, world.arena.side)
-            points = _to_robot(self._points[robot], pose)
-            points = np.concatenate([points, seen_points(senses.ranges[robot])])
-            path = self._paths[robot]
-            target = goal if path is None else carrot(path, pose, self.carrot)
-            self.last[robot] = self.window.choose(
-                points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
-            )
+            points = [_to_robot(self._points[robot], pose), seen_points(senses.ranges[robot])]
+            self._follow(robot, pose, goal, np.concatenate(points))
         return self.last.copy()
 
 
-class AStarOnlineDWA:
-    """A* on a map that is built from the robot's own ranges and odometry, then the dynamic window.
+class AStarOnlineDWA(_PathFollower):
+    """A* on a map built from the robot's own ranges and odometry, then the dynamic window.
 
-    A cell is taken where more rays ended than passed, of late; what nobody has seen counts as free. The path
-    is searched anew every second. Where nothing is free at full inflation, the search may pass closer by.
-
-    Args:
-        carrot: how far ahead on the path the target lies [m].
-        robots: how many.
+    A cell is occupied if more rays ended in it than passed through it recently; unseen cells are free. The
+    path is searched anew every second; without one at full inflation, it may pass closer to obstacles.
     """
 
     name = "astar_online_dwa"
 
     def __init__(self, *, carrot: float = CARROT, robots: int = 1) -> None:
-        self.carrot = carrot
-        self.window = DynamicWindow()
-        self.side = 2 * SIDE + _MARGIN  # the start is its middle, the goal up to a side away
+        super().__init__(carrot=carrot, robots=robots)
+        self.side = 2 * SIDE + _MARGIN  # the start is the center, the goal up to a side away
         self.cells = round(self.side / RESOLUTION)
-        self.last = np.zeros((robots, 2))
         self._evidence = np.zeros((robots, self.cells, self.cells), np.int8)
         self._origin = np.zeros((robots, 2))
-        self._paths: list[np.ndarray | None] = [None] * robots
-        self._looks = np.zeros(robots, np.intp)
+        self._scans = np.zeros(robots, np.intp)
 
     def reset(self, robot: int, world: Any = None) -> None:
         """Forget the map."""
         self.last[robot] = 0.0
         self._evidence[robot] = 0
         self._paths[robot] = None
-        self._looks[robot] = 0
+        self._scans[robot] = 0
 
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         for robot in range(len(self.last)) if robots is None else robots:
-            if self._looks[robot] == 0:
+            if self._scans[robot] == 0:
                 self._origin[robot] = senses.odometry[robot, :2]
             pose = senses.odometry[robot].copy()
             pose[:2] -= self._origin[robot]
             self._map(robot, pose, senses.ranges[robot])
             goal = _goal_in_world(pose, senses.goal[robot])
-            if self._looks[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
+            if self._scans[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
                 self._paths[robot] = self._plan(robot, pose, goal)
-            self._looks[robot] += 1
-            path = self._paths[robot]
-            target = goal if path is None else carrot(path, pose, self.carrot)
-            points = np.concatenate(
-                [_to_robot(self._walls_near(robot, pose), pose), seen_points(senses.ranges[robot])]
-            )
-            self.last[robot] = self.window.choose(
-                points, tuple(_to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
-            )
+            self._scans[robot] += 1
+            points = [_to_robot(self._walls_near(robot, pose), pose), seen_points(senses.ranges[robot])]
+            self._follow(robot, pose, goal, np.concatenate(points))
         return self.last.copy()
 
     def _map(self, robot: int, pose: np.ndarray, ranges: np.ndarray) -> None:
-        """Count rays: those that end in a cell for it, those that pass through against it."""
+        """Update the evidence: up where rays end, down where they pass."""
         angles = np.array(ROBOT.column_angles) + pose[2]
-        eye = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         grid = self._evidence[robot]
         steps = np.arange(0.0, ROBOT.far, RESOLUTION)
         passed = steps[None, :] < ranges[:, None] - 0.15
-        cells = self._cells((eye + steps[None, :, None] * rays[:, None])[passed])
+        cells = self._cells((camera + steps[None, :, None] * rays[:, None])[passed])
         grid[cells] = np.maximum(grid[cells] - 1, -2)
         ends = ranges < ROBOT.far
-        cells = self._cells(eye + ranges[ends, None] * rays[ends])
+        cells = self._cells(camera + ranges[ends, None] * rays[ends])
         grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
 
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +198,7 @@ class AStarOnlineDWA:
         return numbers[:, 1], numbers[:, 0]
 
     def _walls_near(self, robot: int, pose: np.ndarray) -> np.ndarray:
-        """Middles of taken cells within 3 m ``(M, 2)`` [m]."""
+        """Centers of occupied cells within 3 m ``(M, 2)`` [m]."""
         low, high = (
             np.clip((pose[:2] + self.side / 2 + reach) / RESOLUTION, 0, self.cells).astype(int)
             for reach in (-3.2, 3.2)
@@ -226,9 +223,9 @@ class AStarOnlineDWA:
     def _window(
         self, taken: np.ndarray, start: tuple[float, float], goal: tuple[float, float]
     ) -> tuple[slice, slice]:
-        """Rows and columns that hold start, goal and all that is taken, with free cells round about.
+        """Rows and columns with start, goal, all occupied cells and free cells around them.
 
-        No path outside is cheaper: clamped to the window it is no longer, and its border is free.
+        No path outside is cheaper: clamped to the window it is no longer, and the border is free.
         """
         (y0, y1), (x0, x1) = self._cells(np.array([start, goal]))
         margin = math.ceil(INFLATION / RESOLUTION) + 1
@@ -240,19 +237,19 @@ class AStarOnlineDWA:
 
 
 def _within(taken: np.ndarray, reach: float) -> np.ndarray:
-    """Which cells' middles lie nearer than ``reach`` [m] to that of a taken one ``(n, m)`` bool."""
+    """Mask of the cells within ``reach`` [m] of an occupied one, between centers ``(n, m)`` bool."""
     import cv2
 
     count = math.ceil(reach / RESOLUTION)
     offset = np.arange(-count, count + 1)
-    # as a distance transform would say it, to the last digit
+    # equal to a distance transform, to the last digit
     disc = np.sqrt(offset[:, None] ** 2 + offset**2) * RESOLUTION < reach
     grown = cv2.dilate(taken, disc.astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(grown > 0)
 
 
 def seen_points(ranges: np.ndarray) -> np.ndarray:
-    """What is in view, in the robot's frame ``(M, 2)`` [m]."""
+    """Points in view in the robot's frame ``(M, 2)`` [m]."""
     seen = ranges < ROBOT.far
     angles = np.array(ROBOT.column_angles)[seen]
     return np.stack(
@@ -261,7 +258,7 @@ def seen_points(ranges: np.ndarray) -> np.ndarray:
 
 
 def carrot(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, float]:
-    """The point of a path that lies ``ahead`` [m] beyond the point nearest to the robot."""
+    """Point of a path ``ahead`` [m] after the one nearest to the robot."""
     nearest = int(np.hypot(*(path - pose[:2]).T).argmin())
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[nearest:], axis=0).T))])
     index = nearest + int(np.searchsorted(along, ahead).clip(0, len(along) - 1))

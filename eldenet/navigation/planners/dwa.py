@@ -1,4 +1,4 @@
-"""The dynamic window approach: of the arcs that can be driven next, the best that hits nothing.
+"""The dynamic window approach: the best collision-free arc among those that can be driven next.
 
 Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997. The arcs' collision
 times and clearances come from one table (:mod:`eldenet.navigation.collision_arcs`).
@@ -16,21 +16,21 @@ SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
 COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
-TURNING_GAP = 0.03  # between corners and points while it turns on the spot [m]
-STOPPING_TIME = 0.6  # that an arc must stay free, and longer the faster it is [s]
+TURNING_GAP = 0.03  # between corners and points while turning on the spot [m]
+STOPPING_TIME = 0.6  # for which an arc must be free; longer at higher speeds [s]
 
 
 class DynamicWindow:
-    """Chooses a command towards a target among points, for one robot.
+    """Chooses a command towards a target among obstacle points, for one robot.
 
     Args:
-        clearance: weight of the distance kept from obstacles, against progress to the target [1/m].
-        room: clearance that every arc keeps [m]; with 0.10 the robot can turn on the spot wherever it gets to
-            (its corners stick out).
+        clearance: weight of the clearance, relative to progress towards the target [1/m].
+        room: least clearance of an arc [m]; with 0.10 the robot can turn on the spot anywhere (its corners
+            stick out).
         margin: added to the footprint on all sides [m].
-        enough: clearance beyond which more is worth nothing [m].
-        acceleration: bounds of the window [m/s2].
-        turn_acceleration: bounds of the window [rad/s2].
+        enough: clearance above which more adds no score [m].
+        acceleration: bound of the window [m/s2].
+        turn_acceleration: bound of the window [rad/s2].
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class DynamicWindow:
     def choose(
         self, points: np.ndarray, target: tuple[float, float], last: tuple[float, float]
     ) -> tuple[float, float]:
-        """Speed [m/s] and turn rate [rad/s].
+        """Return speed [m/s] and turn rate [rad/s].
 
         Args:
             points: ``(M, 2)`` obstacle points in the robot's frame [m].
             target: x ahead, y left [m].
-            last: the command that is being driven.
+            last: the current command.
         """
         near = (np.abs(points) < REACH).all(axis=1)
         cells = self.table.cells(points[near, 0], points[near, 1])
@@ -80,12 +80,12 @@ class DynamicWindow:
         reached = np.hypot(x - self.end[:, 0], y - self.end[:, 1])
         bearing = np.arctan2(y - self.end[:, 1], x - self.end[:, 0]) - self.end[:, 2]
         turned = np.abs(np.arctan2(np.sin(bearing), np.cos(bearing)))
-        # near the target its bearing means nothing
+        # close to the target its bearing is meaningless
         turned *= np.clip(reached / 0.5, 0, 1)
         score = (before - reached) - 0.35 * turned + self.clearance * np.minimum(gap, self.enough)
         score += 0.15 * self.speed
         safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
-        # where it has less room already, no arc may take any more of it
+        # with less room already, no arc may reduce it
         room = min(self.room, float(gap[self._standing]))
         allowed = safe & window & (self.speed > 0) & (gap >= room)
         if allowed.any():
@@ -94,7 +94,7 @@ class DynamicWindow:
         return 0.0, self._turn_on_the_spot(gap, y, last)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
-        """No way ahead is safe: turn, towards the target at first, and then on the same way round."""
+        """Without a safe arc: turn towards the target first, then keep turning the same way."""
         side = np.sign(last[1]) if last[0] == 0 and last[1] != 0 else (1.0 if y >= 0 else -1.0)
         for turn in (0.8 * side, -0.8 * side):
             command = int(np.flatnonzero((self.speed == 0) & (np.abs(self.turn - turn) < 1e-6))[0])
@@ -104,12 +104,12 @@ class DynamicWindow:
 
 
 class LocalDWA:
-    """The dynamic window with what the learnt driver has: sectors and remembered points; no map.
+    """The dynamic window with the inputs of the learned driver: ranges and remembered points, no map.
 
     Args:
-        sight: "sectors" (the nearest point of each of the five), "columns" (all of them).
-        memory: control periods that are remembered; 0: what is in view.
-        robots: how many.
+        sight: "columns", or "sectors" for the nearest point of each of the five only.
+        memory: control periods to remember; 0: the current view only.
+        robots: number of robots.
     """
 
     name = "dwa"
@@ -130,7 +130,7 @@ class LocalDWA:
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         who = np.arange(len(self.last)) if robots is None else robots
-        if self.sight == "sectors":  # all but the nearest column of each sector see nothing
+        if self.sight == "sectors":  # only the nearest column of each sector is kept
             parts = senses.ranges.reshape(len(senses.ranges), SECTORS, -1)
             nearest = parts.argmin(axis=2)[..., None]
             kept = np.full_like(parts, ROBOT.far)

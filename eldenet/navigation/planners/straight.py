@@ -1,4 +1,4 @@
-"""Drive at the goal and look at nothing: the floor that any driver must beat."""
+"""Drive straight to the goal without looking: the baseline for every driver."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from eldenet.simulation.robot import ROBOT
 
 
 class Straight:
-    """Turns to the goal and drives there, slower while it turns."""
+    """Turns to the goal and drives there, more slowly while turning."""
 
     name = "straight"
 
@@ -17,7 +17,7 @@ class Straight:
         self.robots = robots
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
-        """Nothing is remembered."""
+        """Do nothing: there is no memory."""
 
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.results.fingerprints import differences
-from eldenet.results.run_record import write_rows
 from eldenet.results.studies.matching import resolve, run_overrides
 from eldenet.results.studies.plan import Study, StudyRow
+from eldenet.system.files import write_rows
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from eldenet import config as cfg
 from eldenet.evaluation.metrics import METRICS
+from eldenet.system.files import read_yaml
 
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
@@ -141,7 +141,7 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
         raise FileNotFoundError(
             f"no {PLAN} in {folder}: give a study's folder, such as study=experiments/ablations"
         )
-    content = cfg.read_yaml(path)
+    content = read_yaml(path)
     if not isinstance(content, dict) or not isinstance(content.get("rows"), dict) or not content["rows"]:
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
     described = content.pop("rows")

@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eldenet.results.fingerprints import fingerprints
+from eldenet.results.fingerprints import fingerprints, run_differences
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, read_record, read_run, write_json
+from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.matching import refuse_missing, resolve, run_overrides, search_differences
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow, read_study
+from eldenet.system.files import write_json
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
@@ -201,8 +202,11 @@ class _RowRun:
             return False
         note = ""
         try:
+            different = run_differences(resolve(overrides), read_run(stored))
+            if different:
+                raise ValueError(f"{stored} holds a run of other settings: {'; '.join(different[:5])}")
             self.training.check_finished(overrides, stored)
-        except FileNotFoundError as error:  # the settings were compared before
+        except FileNotFoundError as error:
             note = f"; its frames are not here to be compared ({str(error).splitlines()[0]})"
         except ValueError as error:
             raise ValueError(

@@ -1,16 +1,15 @@
-"""Kinds of rooms: how big, how often, and what stands in them."""
+"""Kinds of rooms: frequency, size and furniture."""
 
 from typing import NamedTuple
 
 from eldenet.simulation.furnished_rooms import furniture as f
 from eldenet.simulation.furnished_rooms import household as h
-from eldenet.simulation.furnished_rooms import seating as s
 
 Range = tuple[float, float]
 
 
 class Item(NamedTuple):
-    """A piece of furniture: maker, ranges of its footprint [m], usual height [m], does it hide the wall."""
+    """Furniture: maker, ranges of its footprint [m], usual height [m], whether it hides the wall."""
 
     maker: f.Maker
     width: Range
@@ -20,7 +19,16 @@ class Item(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of room: share of all rooms, ranges of side and height [m], items, groups in the middle."""
+    """A kind of room.
+
+    Attributes:
+        share: weight among all rooms.
+        side: range of both sides [m].
+        height: range of the ceiling [m].
+        along: items along the walls.
+        middle: items in the open.
+        groups: range of the number of those.
+    """
 
     share: int
     side: Range
@@ -33,11 +41,11 @@ class Kind(NamedTuple):
 TABLE = Item(f.table, (0.8, 1.8), (0.6, 1.0), 0.75)
 ROUND = Item(f.round_table, (0.6, 1.3), (0.6, 1.3), 0.7)
 COFFEE = Item(f.coffee_table, (0.6, 1.2), (0.4, 0.7), 0.45)
-CHAIR = Item(s.chair, (0.4, 0.52), (0.4, 0.52), 0.9)
-SWIVEL = Item(s.office_chair, (0.45, 0.55), (0.45, 0.55), 1.0)
-STOOL = Item(s.stool, (0.32, 0.45), (0.32, 0.45), 0.6)
-SOFA = Item(s.sofa, (1.4, 2.4), (0.8, 1.0), 0.85)
-ARMCHAIR = Item(s.sofa, (0.8, 1.0), (0.75, 0.95), 0.85)
+CHAIR = Item(f.chair, (0.4, 0.52), (0.4, 0.52), 0.9)
+SWIVEL = Item(f.office_chair, (0.45, 0.55), (0.45, 0.55), 1.0)
+STOOL = Item(f.stool, (0.32, 0.45), (0.32, 0.45), 0.6)
+SOFA = Item(f.sofa, (1.4, 2.4), (0.8, 1.0), 0.85)
+ARMCHAIR = Item(f.sofa, (0.8, 1.0), (0.75, 0.95), 0.85)
 BED = Item(f.bed, (1.4, 2.0), (1.95, 2.2), 0.7)
 SINGLE = Item(f.bed, (0.85, 1.1), (1.9, 2.1), 0.7)
 CHEST = Item(f.cabinet, (0.7, 1.6), (0.38, 0.6), 1.0)

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 
 from eldenet.geometry import pinhole
-from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room, generate_room
+from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
 from eldenet.simulation.rendering.camera_noise import develop
 from eldenet.simulation.rendering.mjcf import Draw
-from eldenet.simulation.rendering.shading import Surfaces, shade
+from eldenet.simulation.rendering.shading import CompiledRoom
 
 
 class Views(NamedTuple):
@@ -33,21 +33,14 @@ class Views(NamedTuple):
 
 def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px]."""
-    import mujoco
-
     cv2.setNumThreads(0)
-    room = generate_room(split, index)
-    model = mujoco.MjModel.from_xml_string(room.text)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    surfaces = Surfaces(model, data)
+    room = CompiledRoom(generate_room(split, index))
     draw = Draw((SPLITS[split], index, 1))
     frames = []
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size))
-        position, rotation = choose_pose(room, model, data, camera.intrinsics, size, draw)
-        hits = camera.cast(model, data, position, rotation)
-        linear = shade(room, model, data, surfaces, hits, size, position, float(camera.intrinsics[0, 0]))
+        position, rotation = choose_pose(room, camera, draw)
+        linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
         image = develop(linear, Draw(seed), (*seed, 1))
         depth = hits.depth.astype(np.float32).reshape(size)
@@ -56,7 +49,7 @@ def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), view
 
 
 def draw_intrinsics(draw: Draw, size: tuple[int, int]) -> np.ndarray:
-    """Around the Kinect's 63 degrees: focal length 0.76-0.88 of the width, pixels nearly square."""
+    """Draw a camera with about the Kinect's 63 degrees and nearly square pixels."""
     height, width = size
     fx = width * draw.uniform(0.76, 0.88)
     fy = fx * draw.uniform(0.98, 1.07)
@@ -65,42 +58,40 @@ def draw_intrinsics(draw: Draw, size: tuple[int, int]) -> np.ndarray:
     return pinhole(fx, fy, cx, cy)
 
 
-def choose_pose(
-    room: Room, model: object, data: object, intrinsics: np.ndarray, size: tuple[int, int], draw: Draw
-) -> tuple[np.ndarray, np.ndarray]:
-    """A camera that a robot (0.25-1.0 m) or a hand (1.2-1.8 m) would hold, with something to see.
+def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the position and rotation of a camera on a robot (0.25-1.0 m) or in a hand (1.2-1.8 m).
 
-    Candidates are probed with a handful of rays; the first that is neither nose to wall nor empty is taken.
+    Each candidate casts a handful of rays; the first that is neither too close to a wall nor faces an empty
+    room is taken.
     """
-    height, width = size
+    height, width = camera.size
     probe_size = (9, 12)
     scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
-    probe = RayCamera(probe_size, scale @ intrinsics)
-    sx, sy, h = room.size
+    probe = RayCamera(probe_size, scale @ camera.intrinsics)
+    sx, sy, h = room.room.size
     nearest = draw.uniform(0.4, 1.0)
     wanted = draw.uniform(0.7, 3.2)
-    things = draw.integer(3, 14)  # geoms in view: few frames show a bare wall
+    geoms_wanted = draw.integer(3, 14)  # in view: few frames show a bare wall
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for _ in range(12):
         z = draw.uniform(0.25, 1.0) if draw.chance(0.3) else draw.uniform(1.2, min(1.8, h - 0.2))
         x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
         yaw = draw.uniform(-np.pi, np.pi)
-        if draw.chance(0.65):  # look across the room rather than at the next wall
+        if draw.chance(0.65):  # look across the room rather than at the nearest wall
             yaw = float(np.arctan2(-y, -x)) + draw.uniform(-0.7, 0.7)
         pitch = draw.uniform(-0.55, 0.04) if z > 1.1 else draw.uniform(-0.15, 0.25)
         roll = draw.uniform(-0.06, 0.06) if draw.chance(0.7) else draw.uniform(-0.2, 0.2)
         if any(
-            a - 0.2 < x < c + 0.2 and b - 0.2 < y < e + 0.2 and z < top + 0.2
-            for a, b, c, e, top in room.obstacles
+            x0 - 0.2 < x < x1 + 0.2 and y0 - 0.2 < y < y1 + 0.2 and z < top + 0.2
+            for x0, y0, x1, y1, top in room.room.obstacles
         ):
             continue
         position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
-        depth, geoms = probe.probe(model, data, position, rotation)
+        depth, geoms = probe.probe(room.model, room.data, position, rotation)
         low, middle = np.partition(depth, (4, len(depth) // 2))[[4, len(depth) // 2]]
-        miss = (
-            max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle)) + max(0.0, float(middle) - 7.0)
-        )
-        miss += 0.15 * max(0, things - len(np.unique(geoms)))
+        miss = max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle))
+        miss += max(0.0, float(middle) - 7.0)
+        miss += 0.15 * max(0, geoms_wanted - len(np.unique(geoms)))
         if best is None or miss < best[0]:
             best = (miss, position, rotation)
         if miss == 0.0:

@@ -1,50 +1,19 @@
-"""One furnished room from one seed: walls with doors and windows, furniture along them, clutter on top.
+"""Furnished rooms: walls with doors and windows, furniture along them, clutter on top.
 
-The text of a room depends on ``(split, index)`` alone and is the same on every machine
-(:class:`~.rendering.mjcf.Draw`, four decimals). Seed streams: room ``index`` of a split comes from
-``(SPLITS[split], index, 0)``, its cameras from ``(SPLITS[split], index, 1)``, a frame's sensor from
-``(SPLITS[split], index, 2, view)``; the splits share no stream, so no room is in two of them.
+A room depends on ``(split, index)`` alone and is the same on every machine (:class:`~.rendering.mjcf.Draw`,
+four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras and
+``(..., 2, view)`` for a frame's noise; the splits share none, so no room is in two of them.
 """
 
-import hashlib
-from dataclasses import dataclass, field
-
-from eldenet.simulation.furnished_rooms import furniture, household, seating
+from eldenet.simulation.furnished_rooms import furniture, household
 from eldenet.simulation.furnished_rooms.kinds import KINDS, Item, Kind
 from eldenet.simulation.furnished_rooms.walls import Wall, overlaps
 from eldenet.simulation.rendering.materials import Materials
 from eldenet.simulation.rendering.mjcf import Body, Draw
+from eldenet.simulation.rendering.shading import Room
 
-#: First number of the seed of every split.
+#: First number of every split's seeds.
 SPLITS = {"train": 0, "val": 1, "test": 2}
-
-
-@dataclass
-class Room:
-    """A room ready to compile.
-
-    Attributes:
-        kind: bedroom, kitchen, ...
-        size: extents in x and y and ceiling height [m]; the origin is the middle of the floor.
-        text: MJCF.
-        lights: rows of x, y, z [m], r, g, b, reach [m].
-        obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
-        pieces: maker ("chair", "person", ...) of what stands in the room, by its body's number in the model.
-        ambient: share of the light that comes from everywhere.
-    """
-
-    kind: str
-    size: tuple[float, float, float]
-    text: str = ""
-    lights: list[tuple[float, ...]] = field(default_factory=list)
-    obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    pieces: dict[int, str] = field(default_factory=dict)
-    ambient: float = 0.5
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the MJCF text."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
 
 
 def generate_room(split: str, index: int) -> Room:
@@ -62,7 +31,7 @@ def generate_room(split: str, index: int) -> Room:
 
 
 class _Builder:
-    """Puts one room together; the order of the draws is the room, so new features go at the end."""
+    """Builds one room. The order of the random draws defines it, so new features belong at the end."""
 
     def __init__(self, draw: Draw) -> None:
         d = self.d = draw
@@ -97,18 +66,18 @@ class _Builder:
         return self.room
 
     def _wall(self, wall: Wall) -> None:
-        """One wall with furniture along it and pictures above."""
+        """Add a wall with furniture along it and pictures above."""
         wall.build(self.shell)
         if wall.doorway is not None:  # nothing stands where a door swings
             x, width = wall.doorway
-            self._note(*wall.to_world(x, 0.35), *_turned(width + 0.2, 0.7, wall.side % 2 == 1), 0.0)
+            self._block(*wall.to_world(x, 0.35), *_turned(width + 0.2, 0.7, wall.side % 2 == 1), 0.0)
         self._furnish(wall)
         wall.decorate()
         self.bodies.append(wall.body)
         self.room.lights += wall.lights
 
     def _furnish(self, wall: Wall) -> None:
-        """Walk along the wall and set pieces side by side."""
+        """Set pieces side by side along a wall."""
         d = self.d
         x = -wall.length / 2 + d.uniform(0.0, 0.5)
         density = d.uniform(0.65, 1.0)
@@ -130,21 +99,21 @@ class _Builder:
             x += width + d.pick((0.02, 0.1, 0.3, 0.6))
 
     def _make(self, item: Item, x: float, y: float, width: float, depth: float, yaw: float) -> None:
-        """Build a piece with its clutter and note where it stands."""
+        """Add a piece with clutter on it and block its place."""
         body = Body((x, y, 0), yaw)
         for surface in item.maker(self.d, self.m, body, width, depth):
             household.clutter(self.d, self.m, body, surface, self.clutter)
         self.bodies.append(body)
         self.room.pieces[len(self.bodies)] = item.maker.__name__  # body 0 is the world
-        self._note(x, y, *_turned(width, depth, round(yaw / 90) % 2 == 1), 2.2 if item.tall else item.height)
+        self._block(x, y, *_turned(width, depth, round(yaw / 90) % 2 == 1), 2.2 if item.tall else item.height)
         if item.maker is household.lamp:
             self.room.lights.append((x, y, 1.5, 0.5, 0.42, 0.3, 1.2))
 
-    def _note(self, x: float, y: float, wx: float, wy: float, height: float) -> None:
+    def _block(self, x: float, y: float, wx: float, wy: float, height: float) -> None:
         self.room.obstacles.append((x - wx / 2, y - wy / 2, x + wx / 2, y + wy / 2, height))
 
     def _free(self, x: float, y: float, wx: float, wy: float, margin: float = 0.0) -> bool:
-        """Whether a rectangle lies inside the room and on nothing."""
+        """Whether a rectangle lies inside the room and is free."""
         sx, sy, _ = self.room.size
         x0, y0, x1, y1 = x - wx / 2 - margin, y - wy / 2 - margin, x + wx / 2 + margin, y + wy / 2 + margin
         if x0 < -sx / 2 or x1 > sx / 2 or y0 < -sy / 2 or y1 > sy / 2:
@@ -152,7 +121,7 @@ class _Builder:
         return all(x1 <= a or x0 >= c or y1 <= b or y0 >= e for a, b, c, e, _ in self.room.obstacles)
 
     def _columns(self) -> None:
-        """Chimney breasts, closets in a corner, pillars."""
+        """Add chimney breasts, corner closets and pillars."""
         d, (sx, sy, h) = self.d, self.room.size
         for _ in range(d.integer(0, 2) if d.chance(0.45) else 0):
             width, depth = d.uniform(0.25, 1.4), d.uniform(0.25, 0.9)
@@ -160,12 +129,12 @@ class _Builder:
             y = d.sign() * (sy - depth) / 2 if d.chance(0.5) else d.uniform(-0.4, 0.4) * sy
             if self._free(x, y, width, depth):
                 body = Body((x, y, 0))
-                body.box(0, 0, 0, width, depth, h, d.pick(self.m.walls))
+                body.box((0, 0, 0), (width, depth, h), d.pick(self.m.walls))
                 self.bodies.append(body)
-                self.room.obstacles.append((x - width / 2, y - depth / 2, x + width / 2, y + depth / 2, h))
+                self._block(x, y, width, depth, h)
 
     def _group(self) -> None:
-        """Something in the open: a table with chairs, a sofa, a shelf as divider."""
+        """Add something away from the walls: a table with chairs, a sofa, a shelf as divider."""
         d, (sx, sy, _) = self.d, self.room.size
         item = d.pick(self.kind.middle)
         for _ in range(6):
@@ -179,16 +148,16 @@ class _Builder:
         yaw = (90.0 if turned else 0.0) + d.pick((0.0, 180.0)) + d.pick((0.0, d.uniform(-15, 15)))
         if d.chance(0.3):
             rug = Body((x, y, 0), yaw)
-            rug.box(0, 0, 0, width + d.uniform(0.2, 1.2), depth + d.uniform(0.2, 1.0), 0.012, self.m.rug)
+            rug.box((0, 0, 0), (width + d.uniform(0.2, 1.2), depth + d.uniform(0.2, 1.0), 0.012), self.m.rug)
             self.bodies.append(rug)
         self._make(item, x, y, width, depth, yaw)
         if item.maker in (furniture.table, furniture.round_table):
             self._chairs(x, y, *room)
 
     def _chairs(self, x: float, y: float, wx: float, wy: float) -> None:
-        """Chairs around a table, some pulled out or turned."""
+        """Add chairs around a table, some pulled out or turned."""
         d = self.d
-        chair = Item(seating.chair, (0.4, 0.5), (0.4, 0.5), 0.9)
+        chair = Item(furniture.chair, (0.4, 0.5), (0.4, 0.5), 0.9)
         seats = [(0.0, -1.0, 0.0), (0.0, 1.0, 180.0), (-1.0, 0.0, 270.0), (1.0, 0.0, 90.0)]
         for sx, sy, yaw in seats:
             along = wx if sx == 0 else wy
@@ -204,7 +173,7 @@ class _Builder:
                     self._make(chair, cx, cy, width, depth, yaw + d.uniform(-25, 25))
 
     def _ceiling(self) -> None:
-        """Lamps on or under the ceiling; without any, daylight and ambient have to do."""
+        """Add lamps on or under the ceiling, not always lit if there is daylight."""
         d, m, (sx, sy, h) = self.d, self.m, self.room.size
         lit = d.chance(0.75) or not self.room.lights
         tone = d.pick(((1.0, 0.96, 0.9), (1.0, 0.85, 0.65), (0.92, 0.97, 1.0)))
@@ -217,13 +186,13 @@ class _Builder:
                 y = ((j + 0.5) / ny - 0.5) * sy + d.uniform(-0.2, 0.2)
                 drop = 0.05
                 if style == 0:
-                    body.box(x, y, h - 0.04, 1.2, 0.3, 0.04, m.lamp if lit else m.white)
+                    body.box((x, y, h - 0.04), (1.2, 0.3, 0.04), m.lamp if lit else m.white)
                 elif style == 1:
-                    body.ellipsoid(x, y, h - 0.05, 0.2, 0.2, 0.1, m.lamp if lit else m.white)
+                    body.ellipsoid((x, y, h - 0.05), (0.2, 0.2, 0.1), m.lamp if lit else m.white)
                 elif style == 2 and h > 2.3:
                     drop = d.uniform(0.4, 0.8)
-                    body.cylinder(x, y, h - drop, 0.008, drop, m.dark)
-                    body.ellipsoid(x, y, h - drop, 0.2, 0.2, 0.14, m.lamp if lit else m.shade)
+                    body.cylinder((x, y, h - drop), 0.008, drop, m.dark)
+                    body.ellipsoid((x, y, h - drop), (0.2, 0.2, 0.14), m.lamp if lit else m.shade)
                 if lit and len(self.room.lights) < 6:
                     self.room.lights.append((x, y, h - drop - 0.25, *(power * t for t in tone), 2.2))
         if body.geoms:
@@ -231,7 +200,7 @@ class _Builder:
         self.room.ambient = d.uniform(0.1, 0.4)
 
     def _people(self) -> None:
-        """Now and then somebody."""
+        """Add up to two people, mostly none."""
         d, (sx, sy, _) = self.d, self.room.size
         for _ in range(d.pick((0, 0, 0, 0, 0, 0, 1, 1, 2))):
             x, y = d.uniform(-0.4, 0.4) * sx, d.uniform(-0.4, 0.4) * sy
@@ -240,7 +209,7 @@ class _Builder:
                 self._make(person, x, y, 0.5, 0.4, d.uniform(0, 360))
 
     def _on_floor(self) -> None:
-        """Baskets, cartons, clothes and small things that lie about."""
+        """Add a basket, a carton, clothes or a small object on the floor."""
         d, (sx, sy, _) = self.d, self.room.size
         width = d.uniform(0.2, 0.45)
         x, y = d.uniform(-0.45, 0.45) * sx, d.uniform(-0.45, 0.45) * sy
@@ -251,10 +220,10 @@ class _Builder:
             self._make(basket, x, y, width, width, d.uniform(0, 360))
         else:
             body = Body((x, y, 0), d.uniform(0, 360))
-            household.thing(d, self.m, body, 0, 0, 0)
+            household.small_object(d, self.m, body, 0, 0, 0)
             self.bodies.append(body)
 
 
 def _turned(width: float, depth: float, sideways: bool) -> tuple[float, float]:
-    """Extents in the room's x and y of a footprint that stands straight or sideways."""
+    """Return a footprint's extents in the room's x and y."""
     return (depth, width) if sideways else (width, depth)

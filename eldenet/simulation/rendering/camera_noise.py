@@ -1,4 +1,4 @@
-"""What a cheap camera makes of light: exposure, color cast, tone curve, blur, vignette, noise."""
+"""From light to the image of a cheap camera: exposure, color cast, tone curve, blur, vignette, noise."""
 
 import cv2
 import numpy as np
@@ -11,12 +11,12 @@ def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray
 
     Args:
         linear: light; changed in place.
-        draw: settings of this frame.
+        draw: of exposure, tone and blur.
         seed: of the pixel noise.
     """
     height, width, _ = linear.shape
     level = float(cv2.mean(cv2.resize(linear, (16, 12), interpolation=cv2.INTER_AREA))[1])
-    gain = draw.uniform(0.08, 0.30) / max(level, 0.02)  # automatic exposure, more or less right
+    gain = draw.uniform(0.08, 0.30) / max(level, 0.02)  # imperfect automatic exposure
     cast = [gain * draw.uniform(0.9, 1.35), gain, gain * draw.uniform(0.65, 1.15)]
     linear *= np.array(cast, dtype=np.float32)
     if draw.chance(0.6):
@@ -25,23 +25,20 @@ def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray
     linear += np.float32(bleed * 0.3)
     # a shoulder that lets windows and lamps burn out softly, then the display's gamma
     shoulder = np.float32(draw.uniform(0.6, 1.6))
-    np.divide(
-        linear * (1 + shoulder * np.float32(0.35)), 1 + shoulder * np.float32(0.35) * linear, out=linear
-    )
+    bend = shoulder * np.float32(0.35)
+    np.divide(linear * (1 + bend), 1 + bend * linear, out=linear)
     np.clip(linear, 0, 1, out=linear)
     image = cv2.pow(linear, 1 / draw.uniform(1.8, 2.4))
-    # one filter for both: a soft lens below zero, the camera's own sharpening above
+    # a soft lens below zero, sharpening above
     edge = draw.uniform(-0.8, 0.8)
     image = cv2.addWeighted(image, 1 + edge, cv2.GaussianBlur(image, (0, 0), 0.7 * width / 160), -edge, 0)
     contrast, saturation = draw.uniform(1.2, 2.1), draw.uniform(0.6, 1.35)
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
-    image = (gray + (image - gray) * np.float32(saturation) - np.float32(0.45)) * np.float32(
-        contrast
-    ) + np.float32(0.45)
+    middle = np.float32(0.45)
+    image = (gray + (image - gray) * np.float32(saturation) - middle) * np.float32(contrast) + middle
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
-    noise = rng.integers(
-        0, 256, (2, *image.shape), dtype=np.uint8
-    )  # two dice: close to a Gaussian, and the same everywhere
+    # the sum of two uniform numbers is close to a Gaussian, and the same on every machine
+    noise = rng.integers(0, 256, (2, *image.shape), dtype=np.uint8)
     strength = np.float32(draw.pick((0.004, 0.008, 0.012, 0.02, 0.03)) / 104.0)
     image += (noise[0].astype(np.float32) + noise[1] - np.float32(255)) * strength
     return np.clip(image * 255 + np.float32(0.5), 0, 255).astype(np.uint8)

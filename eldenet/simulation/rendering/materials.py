@@ -1,9 +1,9 @@
-"""What a room is made of: colors as they occur indoors, one set of materials per room."""
+"""Materials of one room, in colors that occur indoors."""
 
 import colorsys
 
 from eldenet.simulation.rendering.mjcf import Color, Draw, Palette
-from eldenet.simulation.rendering.patterns import variants
+from eldenet.simulation.rendering.textures import variants
 
 WALLS: tuple[Color, ...] = (
     (0.80, 0.78, 0.73), (0.76, 0.72, 0.63), (0.72, 0.72, 0.71), (0.70, 0.64, 0.52), (0.80, 0.74, 0.58),
@@ -13,43 +13,40 @@ WOODS: tuple[Color, ...] = (
     (0.55, 0.37, 0.20), (0.42, 0.25, 0.13), (0.28, 0.15, 0.08), (0.66, 0.50, 0.32), (0.72, 0.60, 0.43),
     (0.20, 0.12, 0.08), (0.48, 0.30, 0.20), (0.60, 0.42, 0.22), (0.35, 0.30, 0.26),
 )  # fmt: skip
+WHITE = WALLS[-1]
 SKINS: tuple[Color, ...] = ((0.80, 0.60, 0.48), (0.66, 0.45, 0.33), (0.45, 0.29, 0.20), (0.30, 0.19, 0.13))
 
 
 def shade(color: Color, factor: float) -> Color:
-    """A lighter or darker tone, kept below full white."""
+    """Return a lighter or darker tone, below full white."""
     return (min(0.95, color[0] * factor), min(0.95, color[1] * factor), min(0.95, color[2] * factor))
 
 
 def jitter(draw: Draw, color: Color, amount: float = 0.06) -> Color:
-    """The color, a little off."""
+    """Return the color with a small random change."""
     r, g, b = (min(0.95, max(0.02, c + draw.uniform(-amount, amount))) for c in color)
     return (r, g, b)
 
 
 def any_color(draw: Draw, saturation: float = 0.8) -> Color:
-    """Any color; grays, darks and muted ones more often than loud ones."""
+    """Draw any color, gray, dark and muted ones more often than bright ones."""
     value = draw.uniform(0.2, 0.97) ** 1.7 + 0.02
     color = colorsys.hsv_to_rgb(draw.unit(), saturation * draw.unit() ** 1.5 + 0.08 * draw.unit(), value)
     return (color[0], color[1], color[2])
 
 
 class Materials:
-    """The material numbers of one room, by role. Lists hold several to choose from."""
+    """Material numbers of one room, by role; lists hold several to choose from."""
 
     def __init__(self, draw: Draw) -> None:
         self.draw, self.palette = draw, Palette()
         self.wood_colors = [jitter(draw, draw.pick(WOODS)) for _ in range(3)]
         self.walls = [self._wall() for _ in range(2)]
         self.floor = self._floor()
-        self.ceiling = self._add(
-            shade(jitter(draw, WALLS[9], 0.04), draw.uniform(0.8, 1.05)),
-            draw.pick(("plain", "tiles", "plaster")),
-            2.4,
-        )
-        self.trim = self._add(
-            jitter(draw, draw.pick((WALLS[9], WALLS[0], *self.wood_colors[:1]))), "plain", 1.0, gloss=0.2
-        )
+        ceiling = shade(jitter(draw, WHITE, 0.04), draw.uniform(0.8, 1.05))
+        self.ceiling = self._add(ceiling, draw.pick(("plain", "tiles", "plaster")), 2.4)
+        trim = jitter(draw, draw.pick((WHITE, WALLS[0], self.wood_colors[0])))
+        self.trim = self._add(trim, "plain", 1.0, gloss=0.2)
         self.woods = [self._wood(i) for i in range(3)]
         self.fronts = [self._front(i) for i in range(3)]
         self.doors = [self._door(i) for i in range(2)]
@@ -64,43 +61,17 @@ class Materials:
         self.skin = self._add(draw.pick(SKINS), "plain", 1.0)
         self.hair = self._add(jitter(draw, (0.12, 0.09, 0.07), 0.05), "carpet", 0.2)
         self.clothes = [self.fabric(scale=0.5) for _ in range(3)]
-        self.colors = [
-            self._add(
-                any_color(draw, 1.0),
-                draw.pick(("plain", "plain", "poster", "text", "stripes", "blobs")),
-                0.0,
-                gloss=draw.uniform(0, 0.4),
-            )
-            for _ in range(14)
-        ]
+        self.colors = [self._goods() for _ in range(14)]
         self.books = [self._fit("books", 1.2) for _ in range(4)]
         self.pictures = [self._fit("poster", 1.1) for _ in range(5)]
-        self.papers = [
-            self._add3((WALLS[9], (0.2, 0.2, 0.25), any_color(draw)), "text", 0.0) for _ in range(2)
-        ]
-        self.appliances = [
-            self._add3(
-                (
-                    jitter(draw, draw.pick(((0.8, 0.8, 0.8), (0.15, 0.15, 0.16), (0.5, 0.5, 0.52)))),
-                    (0.04, 0.04, 0.05),
-                    (0.6, 0.6, 0.6),
-                ),
-                "appliance",
-                0.0,
-                gloss=0.4,
-            )
-            for _ in range(2)
-        ]
-        self.blind = self._add3((jitter(draw, WALLS[9]), shade(jitter(draw, WALLS[9]), 0.5)), "blinds", 0.0)
+        self.papers = [self._add3((WHITE, (0.2, 0.2, 0.25), any_color(draw)), "text", 0.0) for _ in range(2)]
+        self.appliances = [self._appliance() for _ in range(2)]
+        self.blind = self._add3((jitter(draw, WHITE), shade(jitter(draw, WHITE), 0.5)), "blinds", 0.0)
         self.leaves = self._add3(((0.12, 0.25, 0.08), (0.25, 0.42, 0.15), (0.4, 0.45, 0.2)), "foliage", 0.4)
         self.screen = self._fit("poster", 1.0, emission=draw.pick((0.0, 0.0, 0.5, 0.9)))
         self.lamp = self.palette.add([(1.0, 0.95, 0.82)], variants("plain")[0], 1.0, emission=3.0)
-        self.shade = self.palette.add(
-            [jitter(draw, (0.9, 0.82, 0.65), 0.08)],
-            variants("folds")[0],
-            0.5,
-            emission=draw.pick((0.0, 0.8, 2.0)),
-        )
+        parchment, glow = jitter(draw, (0.9, 0.82, 0.65), 0.08), draw.pick((0.0, 0.8, 2.0))
+        self.shade = self.palette.add([parchment], variants("folds")[0], 0.5, emission=glow)
         day = draw.pick((0.0, 0.9, 1.8, 3.0, 5.0))  # night to glaring noon
         glass = [((0.02, 0.03, 0.05), (0.03, 0.03, 0.04)), ((0.8, 0.9, 1.0), (0.25, 0.35, 0.2))][day > 0]
         self.window = self.palette.add(
@@ -116,40 +87,32 @@ class Materials:
         self, colors: tuple[Color, ...], family: str, period: float, gloss: float = 0.0, emission: float = 0.0
     ) -> int:
         pattern = self.draw.pick(variants(family))
-        return self.palette.add(
-            colors, pattern, period, gloss=gloss, emission=emission, offset=self.draw.unit()
-        )
+        offset = self.draw.unit()
+        return self.palette.add(colors, pattern, period, gloss=gloss, emission=emission, offset=offset)
 
     def _fit(self, family: str, saturation: float, emission: float = 0.0) -> int:
         colors = tuple(any_color(self.draw, saturation) for _ in range(3))
         return self._add3(colors, family, 0.0, 0.1, emission)
 
+    def _goods(self) -> int:
+        """Small objects: boxes, bottles, bags, plain or printed."""
+        color = any_color(self.draw, 1.0)
+        family = self.draw.pick(("plain", "plain", "poster", "text", "stripes", "blobs"))
+        return self._add(color, family, 0.0, gloss=self.draw.uniform(0, 0.4))
+
+    def _appliance(self) -> int:
+        """White, black or steel, with a dark window."""
+        body = jitter(self.draw, self.draw.pick(((0.8, 0.8, 0.8), (0.15, 0.15, 0.16), (0.5, 0.5, 0.52))))
+        return self._add3((body, (0.04, 0.04, 0.05), (0.6, 0.6, 0.6)), "appliance", 0.0, gloss=0.4)
+
     def _wall(self) -> int:
         d = self.draw
         color = jitter(d, d.pick(WALLS)) if d.chance(0.85) else any_color(d, 0.9)
         color = shade(color, d.uniform(0.75, 1.1))
-        family = d.pick(
-            (
-                "plain",
-                "plain",
-                "plain",
-                "plain",
-                "plaster",
-                "plaster",
-                "tiles",
-                "bricks",
-                "stripes",
-                "blobs",
-                "grain",
-            )
-        )
-        if family in (
-            "stripes",
-            "blobs",
-            "plaster",
-            "plain",
-            "grain",
-        ):  # quiet: the colors lie close together
+        quiet = ("stripes", "blobs", "plaster", "plain", "grain")  # their colors lie close together
+        others = ("tiles", "bricks", "stripes", "blobs", "grain")
+        family = d.pick(("plain",) * 4 + ("plaster",) * 2 + others)
+        if family in quiet:
             tones = (color, shade(color, d.uniform(0.82, 1.05)), jitter(d, shade(color, 0.9), 0.05))
             return self._add3(tones, family, d.uniform(0.5, 3.0))
         tones = (color, jitter(d, shade(color, 0.8)), shade(jitter(d, WALLS[2]), d.uniform(0.5, 1.1)))
@@ -157,9 +120,7 @@ class Materials:
 
     def _floor(self) -> int:
         d = self.draw
-        family = d.pick(
-            ("planks", "planks", "planks", "tiles", "tiles", "carpet", "carpet", "speckle", "plaster")
-        )
+        family = d.pick(("planks",) * 3 + ("tiles",) * 2 + ("carpet",) * 2 + ("speckle", "plaster"))
         if family == "planks":
             color = shade(self.wood_colors[0], d.uniform(0.9, 1.4))
             tones = (color, shade(color, d.uniform(0.55, 0.9)), shade(color, 0.25))
@@ -168,9 +129,8 @@ class Materials:
         color = shade(color, d.uniform(0.6, 1.05))
         second = shade(color, d.uniform(0.5, 0.9))
         tones = (color, second, shade(jitter(d, WALLS[2]), d.uniform(0.4, 1.0)))
-        return self._add3(
-            tones, family, d.uniform(0.8, 2.4), 0.0 if family == "carpet" else d.uniform(0, 0.6)
-        )
+        period = d.uniform(0.8, 2.4)
+        return self._add3(tones, family, period, 0.0 if family == "carpet" else d.uniform(0, 0.6))
 
     def _wood(self, index: int) -> int:
         d = self.draw
@@ -182,34 +142,30 @@ class Materials:
         d = self.draw
         color = self.wood_colors[index] if d.chance(0.6) else d.pick((any_color(d, 0.6), (0.82, 0.82, 0.8)))
         handle = d.pick(((0.6, 0.6, 0.6), (0.1, 0.1, 0.1), (0.65, 0.5, 0.25)))
-        return self._add3(
-            (color, shade(color, d.uniform(0.6, 0.95)), handle), "fronts", 0.0, d.uniform(0, 0.4)
-        )
+        tones = (color, shade(color, d.uniform(0.6, 0.95)), handle)
+        return self._add3(tones, "fronts", 0.0, d.uniform(0, 0.4))
 
     def _door(self, index: int) -> int:
         d = self.draw
-        color = (
-            self.wood_colors[index] if d.chance(0.5) else jitter(d, d.pick((WALLS[9], WALLS[0], WALLS[1])))
-        )
+        painted = not d.chance(0.5)
+        color = jitter(d, d.pick((WHITE, WALLS[0], WALLS[1]))) if painted else self.wood_colors[index]
         return self._add3((color, shade(color, 0.8), (0.5, 0.47, 0.4)), "door", 0.0, 0.2)
 
     def fabric(self, scale: float = 1.0) -> int:
-        """A cloth: plain, striped, checked, printed."""
+        """Add a cloth: plain, striped, checked or printed."""
         d = self.draw
         family = d.pick(("carpet", "carpet", "crumple", "stripes", "plaid", "blobs", "tufted"))
         color = any_color(d, 0.9)
-        tones = (
-            (color, shade(color, d.uniform(0.5, 1.6)), any_color(d, 0.9))
-            if d.chance(0.7)
-            else (color, any_color(d), any_color(d))
-        )
+        if d.chance(0.7):
+            tones = (color, shade(color, d.uniform(0.5, 1.6)), any_color(d, 0.9))
+        else:
+            tones = (color, any_color(d), any_color(d))
         return self._add3(tones, family, scale * d.uniform(0.3, 1.2))
 
     def bedding(self) -> int:
-        """A cover: often light, crumpled or printed."""
+        """Add a bed cover: often light, crumpled or printed."""
         d = self.draw
         color = jitter(d, (0.8, 0.8, 0.78)) if d.chance(0.4) else any_color(d, 0.9)
         family = d.pick(("crumple", "crumple", "tufted", "stripes", "plaid", "blobs", "folds"))
-        return self._add3(
-            (color, shade(color, d.uniform(0.6, 1.2)), any_color(d)), family, d.uniform(0.5, 1.5)
-        )
+        tones = (color, shade(color, d.uniform(0.6, 1.2)), any_color(d))
+        return self._add3(tones, family, d.uniform(0.5, 1.5))

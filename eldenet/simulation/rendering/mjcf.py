@@ -1,4 +1,4 @@
-"""Write MJCF text that is the same on every machine: seeded draws and fixed decimals only."""
+"""MJCF text that is the same on every machine: seeded random numbers, fixed decimals."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -7,10 +7,11 @@ import numpy as np
 
 T = TypeVar("T")
 Color = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 
 class Draw:
-    """Seeded draws that rest on ``PCG64``'s 53-bit doubles alone, the most stable of NumPy's streams."""
+    """Seeded random numbers from ``PCG64``'s 53-bit doubles alone, the most stable of NumPy's streams."""
 
     def __init__(self, seed: Sequence[int]) -> None:
         self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(tuple(seed))))
@@ -31,11 +32,11 @@ class Draw:
         return self.unit() < probability
 
     def pick(self, options: Sequence[T]) -> T:
-        """One of the options, all alike."""
+        """One of the options, with equal probability."""
         return options[int(self.unit() * len(options))]
 
     def integer(self, low: int, high: int) -> int:
-        """Whole number, both ends included."""
+        """Uniform integer in [low, high]."""
         return low + int(self.unit() * (high - low + 1))
 
     def sign(self) -> float:
@@ -44,18 +45,18 @@ class Draw:
 
 
 def number(value: float) -> str:
-    """Four decimals (0.1 mm), never "-0.0000"."""
+    """Format with four decimals (0.1 mm), never "-0.0000"."""
     text = f"{value:.4f}"
     return "0.0000" if text == "-0.0000" else text
 
 
 def numbers(values: Sequence[float]) -> str:
-    """Numbers with four decimals, separated by spaces."""
+    """Format several numbers, separated by spaces."""
     return " ".join(map(number, values))
 
 
 class Body:
-    """One piece of furniture: geoms in a frame whose origin lies on the floor, +y to its front.
+    """Geoms in one frame, as of a piece of furniture: origin on the floor, +y to the front.
 
     Args:
         position: of the frame in the world [m].
@@ -74,42 +75,40 @@ class Body:
             f'<geom type="{kind}" pos="{numbers(center)}" size="{size}" material="m{material}"{turn}/>'
         )
 
-    def box(
-        self, x: float, y: float, z: float, wx: float, wy: float, wz: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Box by its center in x, y, its lower face z and its full extents [m]."""
-        half = (max(wx, 0.002) / 2, max(wy, 0.002) / 2, max(wz, 0.002) / 2)
-        self._geom("box", (x, y, z + half[2]), numbers(half), material, euler)
+    def box(self, base: Vector, extents: Vector, material: int, euler: Sequence[float] | None = None) -> None:
+        """Add a box by the center of its lower face and its full extents [m]."""
+        x, y, z = base
+        half_x, half_y, half_z = (max(extent, 0.002) / 2 for extent in extents)
+        size = numbers((half_x, half_y, half_z))
+        self._geom("box", (x, y, z + half_z), size, material, euler)
 
     def cylinder(
-        self, x: float, y: float, z: float, radius: float, height: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Upright cylinder by its axis, lower end, radius and height [m]; ``euler`` tips it over."""
+        self, base: Vector, radius: float, height: float, material: int, euler: Sequence[float] | None = None
+    ) -> None:
+        """Add an upright cylinder by the center of its lower face [m]; ``euler`` tips it over."""
+        x, y, z = base
         self._geom("cylinder", (x, y, z + height / 2), numbers((radius, height / 2)), material, euler)
 
     def ellipsoid(
-        self, x: float, y: float, z: float, rx: float, ry: float, rz: float, material: int,
-        euler: Sequence[float] | None = None,
-    ) -> None:  # fmt: skip
-        """Ellipsoid by its center and radii [m]."""
-        self._geom("ellipsoid", (x, y, z), numbers((rx, ry, rz)), material, euler)
+        self, center: Vector, radii: Vector, material: int, euler: Sequence[float] | None = None
+    ) -> None:
+        """Add an ellipsoid by its center and radii [m]."""
+        self._geom("ellipsoid", center, numbers(radii), material, euler)
 
     def limb(self, start: Sequence[float], end: Sequence[float], radius: float, material: int) -> None:
-        """Capsule from one point to another [m]."""
+        """Add a capsule from one point to another [m]."""
         ends = numbers((*start, *end))
         self.geoms.append(
             f'<geom type="capsule" fromto="{ends}" size="{number(radius)}" material="m{material}"/>'
         )
 
     def plane(self, position: Sequence[float], normal: Sequence[float], material: int) -> None:
-        """Infinite plane that faces along ``normal``."""
+        """Add an infinite plane that faces along ``normal``."""
         place = f'pos="{numbers(position)}" zaxis="{numbers(normal)}"'
         self.geoms.append(f'<geom type="plane" {place} size="0 0 1" material="m{material}"/>')
 
     def text(self) -> str:
-        """MJCF of the body with its geoms."""
+        """Return the MJCF of the body."""
         inner = "\n".join(self.geoms)
         return f'<body pos="{numbers(self.position)}" euler="0 0 {number(self.yaw)}">\n{inner}\n</body>'
 
@@ -117,9 +116,9 @@ class Body:
 class Palette:
     """The materials of one room; a material's number is its place in the MJCF.
 
-    Its look (three colors, pattern, scale, gloss, light) rides in the model as ``<numeric>``, so the text
-    alone is the whole room. Columns of :meth:`table`: A rgb, B rgb, C rgb, pattern, period u [m],
-    period v [m] (0 = the pattern fits the face once), gloss, emission, offset.
+    The model carries them as ``<numeric>``, so its text alone is the whole room. Columns of :attr:`rows`:
+    A rgb, B rgb, C rgb, pattern, period u [m], period v [m] (0 = the pattern fits the face once), gloss,
+    emission, offset.
     """
 
     COLUMNS = 15
@@ -128,28 +127,17 @@ class Palette:
         self.rows: list[tuple[float, ...]] = []
 
     def add(
-        self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, aspect: float = 1.0,
-        gloss: float = 0.0, emission: float = 0.0, offset: float = 0.0,
+        self, colors: Sequence[Color], pattern: int, period: float = 0.0, *, gloss: float = 0.0,
+        emission: float = 0.0, offset: float = 0.0,
     ) -> int:  # fmt: skip
         """Add a material and return its number; one or two colors are repeated to three."""
         three = (list(colors) * 3)[:3]
-        self.rows.append(
-            (
-                *three[0],
-                *three[1],
-                *three[2],
-                float(pattern),
-                period,
-                period * aspect,
-                gloss,
-                emission,
-                offset,
-            )
-        )
+        look = (float(pattern), period, period, gloss, emission, offset)
+        self.rows.append((*three[0], *three[1], *three[2], *look))
         return len(self.rows) - 1
 
     def assets(self) -> str:
-        """The ``<asset>`` and ``<custom>`` sections."""
+        """Return the ``<asset>`` and ``<custom>`` sections."""
         looks = "\n".join(
             f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows)
         )

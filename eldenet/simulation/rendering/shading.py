@@ -1,17 +1,17 @@
-"""Light and surfaces: from ray hits in a room to linear RGB.
+"""From a compiled room to linear RGB: light, surfaces, textures.
 
-Lambert with a few point lights (distance fall-off, the strongest with shadows at a quarter of the
-resolution), light from everywhere that fades in corners and behind furniture, gloss, textures from the
-atlas. Arrays run ``(3, N)``, a row per coordinate or color: NumPy is several times faster on those.
+Lambertian shading with a few point lights (distance fall-off; the strongest casts shadows at a quarter of
+the resolution), ambient light that fades in corners and behind furniture, gloss, textures from the atlas.
+Arrays are ``(3, N)``, a row per coordinate or color: NumPy is several times faster on those.
 """
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
 
-from eldenet.simulation.furnished_rooms.rooms import Room
-from eldenet.simulation.rendering.camera import Hits, cast_rays
+from eldenet.simulation.rendering.camera import Hits, RayCamera, cast_rays
 from eldenet.simulation.rendering.mjcf import Palette
 from eldenet.simulation.rendering.textures import atlas
 
@@ -20,15 +20,52 @@ _FACE_V = np.array([2, 2, 1], dtype=np.intp)
 _SHADOW_STRIDE = 4
 
 
-class Surfaces:
-    """The look of every geom of a compiled room, read from the model itself.
+@dataclass
+class Room:
+    """A room (or a street, or an arena) ready to compile.
 
-    Args:
-        model: ``mujoco.MjModel`` compiled from :attr:`Room.text`.
-        data: ``mujoco.MjData`` with kinematics.
+    Attributes:
+        kind: bedroom, kitchen, ...
+        size: extents in x and y and ceiling height [m]; the origin is the middle of the floor.
+        text: MJCF.
+        lights: rows of x, y, z [m], r, g, b, reach [m].
+        obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
+        pieces: body number in the model -> maker ("chair", "person", ...) of the furniture and people.
+        ambient: share of the light that comes from everywhere.
     """
 
-    def __init__(self, model: Any, data: Any) -> None:
+    kind: str
+    size: tuple[float, float, float]
+    text: str = ""
+    lights: list[tuple[float, ...]] = field(default_factory=list)
+    obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    pieces: dict[int, str] = field(default_factory=dict)
+    ambient: float = 0.5
+
+
+class CompiledRoom:
+    """A room in the physics engine, with the material of every geom read from the model itself.
+
+    Attributes:
+        room: lights and extents.
+        model: ``mujoco.MjModel`` of :attr:`Room.text`.
+        data: ``mujoco.MjData``; call :meth:`update` after moving a body.
+    """
+
+    def __init__(self, room: Room) -> None:
+        import mujoco
+
+        self.room = room
+        self.model: Any = mujoco.MjModel.from_xml_string(room.text)
+        self.data: Any = mujoco.MjData(self.model)
+        self.update()
+
+    def update(self) -> None:
+        """Recompute where every geom is."""
+        import mujoco
+
+        model, data = self.model, self.data
+        mujoco.mj_kinematics(model, data)
         table = model.numeric_data.reshape(-1, Palette.COLUMNS).astype(np.float32)[model.geom_matid]
         self.colors = np.ascontiguousarray(table[:, :9].T)
         self.pattern = table[:, 9].astype(np.int32)
@@ -40,16 +77,64 @@ class Surfaces:
         half = np.where((half > 0) & (half < 1e3), half, np.float32(1.0))  # planes have no extent
         # per geom and face axis: texture coordinate = local * scale + shift
         fits = table[:, 10] <= 0
-        self.scale_u = _by_axis(
-            [np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 10], 1e-3)) for k in _FACE_U]
-        )
-        self.scale_v = _by_axis(
-            [np.where(fits, 0.5 / half[:, k], 1 / np.maximum(table[:, 11], 1e-3)) for k in _FACE_V]
+        self.scale_u, self.scale_v = (
+            np.where(fits[:, None], 0.5 / half[:, face], 1 / np.maximum(period, 1e-3)[:, None])
+            .astype(np.float32)
+            .ravel()
+            for face, period in ((_FACE_U, table[:, 10]), (_FACE_V, table[:, 11]))
         )
         self.shift = np.where(fits, np.float32(0.5), offset)
 
-    def albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
-        """Surface color ``(3, N)`` of every hit; ``footprint`` is a pixel's size there ``(N,)`` [m]."""
+    def photograph(
+        self, camera: RayCamera, position: np.ndarray, rotation: np.ndarray
+    ) -> tuple[np.ndarray, Hits]:
+        """Return the light that reaches a camera, linear RGB ``(H, W, 3)`` float32, and its rays' hits.
+
+        Args:
+            camera: size and lens.
+            position: ``(3,)`` optical center in the room [m].
+            rotation: ``(3, 3)`` world from camera.
+        """
+        hits = camera.cast(self.model, self.data, position, rotation)
+        point, normal = hits.point, hits.normal
+        depth = hits.depth.astype(np.float32)
+        view = position.astype(np.float32)[:, None] - point
+        view /= np.sqrt(_dot(view, view)) + np.float32(1e-6)
+        facing = np.maximum(np.abs(_dot(view, normal)), np.float32(0.25))
+        footprint = depth / (np.float32(camera.intrinsics[0, 0]) * facing)
+        albedo = self._albedo(hits, footprint)
+        occlusion = ambient_occlusion(self.room, point, normal, depth.reshape(camera.size))
+        ambient = (
+            np.float32(self.room.ambient) * occlusion * (np.float32(0.75) + np.float32(0.25) * normal[2])
+        )
+        light = np.stack([ambient + self.emission.take(hits.geom)] * 3)
+        shine = np.zeros_like(light)
+        gloss = self.gloss.take(hits.geom)
+        open_sky = np.sqrt(occlusion)
+        brightest = sorted(self.room.lights, key=lambda light: -_power(light, position))[:3]
+        for rank, row in enumerate(brightest):
+            lamp = np.array(row[:3], dtype=np.float32)
+            ray = lamp[:, None] - point
+            squared = _dot(ray, ray)
+            ray /= np.sqrt(squared) + np.float32(1e-6)
+            strength = np.maximum(_dot(ray, normal) * np.float32(0.92) + np.float32(0.08), 0) * open_sky
+            strength /= np.float32(0.25) + squared * np.float32(1 / row[6] ** 2)
+            if rank == 0:
+                strength *= shadow(self.model, self.data, lamp, hits, camera.size)
+                ray += view  # the half vector: only the strongest light leaves highlights
+                peak = _dot(ray, normal) ** 2 / (_dot(ray, ray) + np.float32(1e-6))
+                peak *= peak
+                peak *= peak
+                peak *= peak
+                shine[:] = gloss * peak * strength * np.float32(0.3 * row[4])
+            for c in range(3):
+                light[c] += strength * np.float32(row[3 + c])
+        albedo *= light
+        albedo += shine
+        return np.ascontiguousarray(albedo.T).reshape(*camera.size, 3), hits
+
+    def _albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
+        """Return the surface color ``(3, N)`` of every hit; ``footprint`` is a pixel's size there [m]."""
         geom, point, normal = hits.geom, hits.point, hits.normal
         rot = [row.take(geom) for row in self.rotation]
         local = np.stack(
@@ -63,70 +148,13 @@ class Surfaces:
         axis[facing[2] > np.maximum(facing[0], facing[1])] = 2
         count = len(geom)
         rows = np.arange(count)
-        u, v = (
-            local.ravel().take(_FACE_U[axis] * count + rows),
-            local.ravel().take(_FACE_V[axis] * count + rows),
-        )
+        u, v = (local.ravel().take(face[axis] * count + rows) for face in (_FACE_U, _FACE_V))
         cell = geom * 3 + axis
         su, sv, shift = self.scale_u.take(cell), self.scale_v.take(cell), self.shift.take(geom)
         footprint = footprint * np.minimum(su, sv)
         w = atlas().sample(self.pattern.take(geom), u * su + shift, v * sv + shift, footprint)
         colors = [row.take(geom) for row in self.colors]
         return np.stack([w[0] * colors[c] + w[1] * colors[3 + c] + w[2] * colors[6 + c] for c in range(3)])
-
-
-def _by_axis(columns: list[np.ndarray]) -> np.ndarray:
-    return np.stack(columns, axis=1).astype(np.float32).ravel()
-
-
-def shade(room: Room, model: Any, data: Any, surfaces: Surfaces, hits: Hits, size: tuple[int, int],
-          eye: np.ndarray, focal: float) -> np.ndarray:  # fmt: skip
-    """Light that reaches the camera, linear RGB ``(H, W, 3)`` float32.
-
-    Args:
-        room: its lights and extents.
-        model: compiled room.
-        data: its kinematics.
-        surfaces: look of the geoms.
-        hits: of all pixels.
-        size: ``(H, W)``.
-        eye: camera position [m].
-        focal: focal length [px].
-    """
-    point, normal = hits.point, hits.normal
-    depth = hits.depth.astype(np.float32)
-    view = eye.astype(np.float32)[:, None] - point
-    view /= np.sqrt(_dot(view, view)) + np.float32(1e-6)
-    footprint = depth / (np.float32(focal) * np.maximum(np.abs(_dot(view, normal)), np.float32(0.25)))
-    albedo = surfaces.albedo(hits, footprint)
-    occlusion = ambient_occlusion(room, point, normal, depth.reshape(size))
-    ambient = np.float32(room.ambient) * occlusion * (np.float32(0.75) + np.float32(0.25) * normal[2])
-    light = np.stack([ambient + surfaces.emission.take(hits.geom)] * 3)
-    shine = np.zeros_like(light)
-    gloss = surfaces.gloss.take(hits.geom)
-    open_sky = np.sqrt(occlusion)
-    order = sorted(range(len(room.lights)), key=lambda i: -_power(room.lights[i], eye))
-    for rank, index in enumerate(order[:3]):
-        row = room.lights[index]
-        position = np.array(row[:3], dtype=np.float32)
-        ray = position[:, None] - point
-        squared = _dot(ray, ray)
-        ray /= np.sqrt(squared) + np.float32(1e-6)
-        strength = np.maximum(_dot(ray, normal) * np.float32(0.92) + np.float32(0.08), 0) * open_sky
-        strength /= np.float32(0.25) + squared * np.float32(1 / row[6] ** 2)
-        if rank == 0:
-            strength *= shadow(model, data, position, hits, size)
-            ray += view  # the half vector: only the strongest light leaves highlights
-            peak = _dot(ray, normal) ** 2 / (_dot(ray, ray) + np.float32(1e-6))
-            peak *= peak
-            peak *= peak
-            peak *= peak
-            shine[:] = gloss * peak * strength * np.float32(0.3 * row[4])
-        for c in range(3):
-            light[c] += strength * np.float32(row[3 + c])
-    albedo *= light
-    albedo += shine
-    return np.ascontiguousarray(albedo.T).reshape(*size, 3)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -136,20 +164,20 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-def _power(light: tuple[float, ...], eye: np.ndarray) -> float:
-    away = sum((a - float(b)) ** 2 for a, b in zip(light[:3], eye, strict=True))
+def _power(light: tuple[float, ...], position: np.ndarray) -> float:
+    away = sum((a - float(b)) ** 2 for a, b in zip(light[:3], position, strict=True))
     return light[4] * light[6] ** 2 / (0.5 + away)
 
 
 def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Share of the surrounding light ``(N,)``: less near the room's edges and behind things."""
+    """Return the share of ambient light ``(N,)``: less near the room's edges and behind objects."""
     sx, sy, h = room.size
     out = np.ones(point.shape[1], np.float32)
     for axis, middle, half in ((0, 0.0, sx / 2), (1, 0.0, sy / 2), (2, h / 2, h / 2)):
         near = np.float32(half) - np.abs(point[axis] - np.float32(middle))
         edge = np.float32(0.5) / (np.float32(1) + np.square(np.maximum(near, 0) * np.float32(3.0)))
         out *= 1 - edge * (1 - np.abs(normal[axis]))
-    # things in front of a surface: the pixel lies deeper than its neighborhood
+    # behind something: the pixel lies deeper than its neighborhood
     for window in (depth.shape[1] // 20 * 2 + 1, depth.shape[1] // 8 * 2 + 1):
         mean = cv2.blur(depth, (window, window), borderType=cv2.BORDER_REPLICATE)
         dip = np.clip((depth - mean) / (np.float32(0.12) * mean + np.float32(0.05)), 0, 1)
@@ -158,7 +186,7 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
 
 
 def shadow(model: Any, data: Any, light: np.ndarray, hits: Hits, size: tuple[int, int]) -> np.ndarray:
-    """Visibility ``(N,)`` of a light, cast at a quarter of the resolution and softened."""
+    """Return the visibility ``(N,)`` of a light, cast at a quarter of the resolution and softened."""
     height, width = size
     points = hits.point.reshape(3, height, width)[:, 1::_SHADOW_STRIDE, 1::_SHADOW_STRIDE]
     rows, columns = points.shape[1:]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from eldenet.results.fingerprints import fingerprints
 from eldenet.results.studies.matching import resolve
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
@@ -45,6 +46,7 @@ class Trials:
         folder.mkdir(parents=True, exist_ok=True)
         record = {"metrics": {"delta1": score, "images": 100}, "protocol": {"name": "p"}}
         record |= {"train_split_hash": "a", "split_hash": "b", "config": settings}
+        record["sources"] = fingerprints(settings)
         (folder / "run.json").write_text(json.dumps(record))
         (folder / "per_image.csv").write_text("name\n")
 

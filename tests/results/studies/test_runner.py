@@ -11,7 +11,7 @@ import pytest
 from support.tiny_study import cells, run, run_all, short
 
 from eldenet import config as cfg
-from eldenet.benchmark import benchmark
+from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.studies.matching import resolve, run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
@@ -135,7 +135,8 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path):
 
     def measure(*words: str, output: str = "out") -> list[dict]:
         options = [f"study={tiny}", "rounds=1", "seconds=0.01", "memory=false"]
-        return benchmark(cfg.compose("benchmark", [*options, *words, f"output={tmp_path / output}"]))
+        config = cfg.compose("benchmark", [*options, *words, f"output={tmp_path / output}"])
+        return benchmark(cfg.build_benchmark(config))
 
     rows = measure("runtimes=[torch]")
     networks = [("eldenet_s", 32), ("eldenet", 32), ("plain", 32), ("larger", 64)]
@@ -165,7 +166,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path):
     with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
         measure("runtimes=[torch]")
     add_to_plan(tiny, old="latency: bench", new="latency: ../other/bench")
-    with pytest.raises(ValueError, match=r"the latencies of .*another study's rows have: measure that one"):
+    with pytest.raises(ValueError, match=r"shows the latencies of another study.*: measure that one"):
         measure("runtimes=[torch]")
 
 

@@ -1,0 +1,143 @@
+"""One file of decoded frames that any number of processes read and write at once.
+
+The file is memory-mapped and consists of slots, a frame in each: a header, the image as uint8, the depth as
+float32. The header is written after the pixels and holds their checksum, which every read checks. So a slot
+that a killed process, a power cut or two writers left behind is whole, or counts as empty.
+
+:mod:`eldenet.data.cache` keeps the frames of a data set in such a file, :mod:`eldenet.data.rendered` those
+that it renders. A render process loads this module, so it must not load torch.
+"""
+
+import hashlib
+import mmap
+import os
+import struct
+import tempfile
+import zlib
+from multiprocessing.context import get_spawning_popen
+from multiprocessing.reduction import DupFd
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from eldenet.types import Frame
+
+# stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of all
+_FIELDS, _SUM = struct.Struct("<16s4ii9d"), struct.Struct("<I")
+HEADER = _FIELDS.size + _SUM.size
+PAGE = 4096
+
+
+def make_stamp(*words: str) -> bytes:
+    """Sixteen bytes that identify the content of a slot."""
+    return hashlib.sha256("\n".join(words).encode()).digest()[:16]
+
+
+def slot_size(pixels: int) -> int:
+    """Bytes of a slot, in whole pages, for a frame whose image and depth take ``pixels`` bytes."""
+    return -(-(HEADER + pixels + 1) // PAGE) * PAGE  # the last byte stays unused: see FrameStore.__init__
+
+
+class FrameStore:
+    """``count`` slots of ``slot`` bytes in a file. A pickled store is the same store in a worker process.
+
+    Args:
+        path: of the file, which is created or made longer as needed; None for one in memory, which ends with
+            its processes.
+        count: number of frames.
+        slot: bytes of each slot, from :func:`slot_size`.
+        handle: of an open file to use instead.
+
+    Raises:
+        OSError: the file cannot be created.
+    """
+
+    def __init__(self, path: Path | None, count: int, slot: int, handle: int | None = None) -> None:
+        self.path, self.count, self.slot = path, count, slot
+        self.handle = _open(path) if handle is None else handle
+        if os.fstat(self.handle).st_size < count * slot:
+            # sparse: takes no room yet. Unlike ftruncate, this cannot cut what another process just added
+            os.pwrite(self.handle, b"\0", count * slot - 1)
+        self._map = mmap.mmap(self.handle, count * slot, access=mmap.ACCESS_READ)
+
+    def __del__(self) -> None:
+        if hasattr(self, "handle"):
+            os.close(self.handle)
+
+    def __reduce__(self) -> Any:
+        if self.path is None and get_spawning_popen() is None:
+            return type(None), ()  # a copy within this process gets a memory of its own
+        shared = DupFd(self.handle) if self.path is None else None
+        return type(self)._reopened, (self.path, self.count, self.slot, shared)
+
+    @classmethod
+    def _reopened(cls, path: Path | None, count: int, slot: int, shared: Any) -> Self:
+        return cls(path, count, slot, None if shared is None else shared.detach())
+
+    def get(self, index: int, stamp: bytes, name: str) -> Frame | None:
+        """Return a copy of the frame in a slot, or None if the slot holds no whole frame with this stamp."""
+        start = index * self.slot
+        header = self._map[start : start + HEADER]
+        if header[:16] != stamp:
+            return None
+        _, rows, cols, depth_rows, depth_cols, has_intrinsics, *camera = _FIELDS.unpack_from(header)
+        pixels, points = rows * cols * 3, depth_rows * depth_cols
+        if min(pixels, points) < 0 or HEADER + pixels + 4 * points > self.slot:
+            return None
+        image = np.frombuffer(self._map, np.uint8, pixels, start + HEADER).reshape(rows, cols, 3).copy()
+        depth = np.frombuffer(self._map, np.float32, points, start + HEADER + pixels).copy()
+        # check the copies: another process may write to the slot meanwhile
+        if _checksum(header[: _FIELDS.size], image, depth) != _SUM.unpack_from(header, _FIELDS.size)[0]:
+            return None
+        intrinsics = np.array(camera).reshape(3, 3) if has_intrinsics else None
+        return Frame(image, depth.reshape(depth_rows, depth_cols), intrinsics, name)
+
+    def put(self, index: int, stamp: bytes, frame: Frame) -> bool:
+        """Write a frame into its slot, pixels first, header last; False if it is larger than a slot.
+
+        Raises:
+            ValueError: image or depth have another type than :class:`~eldenet.types.Frame` says, or the frame
+                has labels, which a slot does not hold.
+            OSError: the file cannot be written.
+        """
+        if frame.labels is not None:
+            raise ValueError(f"{frame.name}: a cache stores no labels, set labels=false or cache=none")
+        image, depth = np.ascontiguousarray(frame.image), np.ascontiguousarray(frame.depth)
+        if image.dtype != np.uint8 or depth.dtype != np.float32:
+            raise ValueError(
+                f"{frame.name}: load_frame returned {image.dtype} image and {depth.dtype} depth, it must "
+                "return uint8 and float32"
+            )
+        if HEADER + image.nbytes + depth.nbytes > self.slot:
+            return False
+        camera = np.zeros(9) if frame.intrinsics is None else np.asarray(frame.intrinsics).ravel()
+        has_intrinsics = int(frame.intrinsics is not None)
+        fields = _FIELDS.pack(stamp, *image.shape[:2], *depth.shape, has_intrinsics, *camera)
+        header = fields + _SUM.pack(_checksum(fields, image, depth))
+        # not through the map: on a full disk that would kill the process, this raises an error
+        _write(self.handle, image.tobytes() + depth.tobytes(), index * self.slot + HEADER)
+        _write(self.handle, header, index * self.slot)
+        return True
+
+
+def _open(path: Path | None) -> int:
+    if path is not None:
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError:
+            return os.open(path, os.O_RDONLY | os.O_CLOEXEC)  # a shared file that this user may only read
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("eldenet-frames")
+    with tempfile.TemporaryFile() as file:  # not on Linux: a file without a name, in memory if it fits
+        return os.dup(file.fileno())
+
+
+def _write(handle: int, content: bytes, start: int) -> None:
+    done = 0
+    while done < len(content):
+        done += os.pwrite(handle, content[done:], start + done)
+
+
+def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:
+    return zlib.crc32(depth.data, zlib.crc32(image.data, zlib.crc32(fields)))

@@ -1,0 +1,207 @@
+"""Rendering the frames that a rendered data set lacks, here or in worker processes.
+
+``python -m eldenet.data.rendering`` is such a worker; it loads neither torch nor the caller's main module.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
+from eldenet.types import Frame
+
+#: Stored depth is a multiple of this [m]: two bytes would do, and reach 13.1 m.
+DEPTH_STEP = 0.0002
+#: Frames of each scene.
+VIEWS = 8
+
+
+class Generator(NamedTuple):
+    """A renderer of scenes and the version of its frames.
+
+    Raise ``version`` whenever the frames change: stored results name their frames by it. The golden frames of
+    ``tests/simulation/golden`` fail if the frames change and the version does not.
+
+    Attributes:
+        name: of the data set.
+        version: of its frames.
+        renderer: ``package.module.function`` of ``(split, index, (height, width), views) ->``
+            :class:`~eldenet.simulation.furnished_rooms.render.Views`, the frames of scene ``index``.
+        digests: by ``(height, width)``, a suffix of the folder's name: results stored before versions existed
+            know their frames by it.
+    """
+
+    name: str
+    version: int
+    renderer: str
+    digests: Mapping[tuple[int, int], str]
+
+    def folder_name(self, size: tuple[int, int]) -> str:
+        """Name of the folder that holds the frames of ``(height, width)`` [px]."""
+        digest = self.digests.get(size)
+        return f"{self.name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
+
+
+def encode_depth(depth: np.ndarray) -> np.ndarray:
+    """Depth [m] as uint16 steps of ``DEPTH_STEP``, 0 where it is unknown or does not fit."""
+    steps = np.rint(np.asarray(depth, dtype=np.float64) / DEPTH_STEP)
+    return np.where((steps > 0) & (steps < 65536), steps, 0).astype(np.uint16)
+
+
+class SceneStore:
+    """The rendered frames of one split: view ``i % 8`` of scene ``i // 8`` in slot ``i``.
+
+    Args:
+        folder: of the data set's version and size; the file is ``<split>.frames`` in it.
+        name: of the data set, first part of the frames' names.
+        split: of the frames.
+        scenes: how many scenes to make room for.
+        size: ``(height, width)`` of the frames [px].
+    """
+
+    def __init__(self, folder: Path, name: str, split: str, scenes: int, size: tuple[int, int]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.name, self.split, self.scenes, self.size = name, split, scenes, size
+        path = folder / f"{split}.frames"
+        self.frames = FrameStore(path, scenes * VIEWS, slot_size(7 * size[0] * size[1]))
+
+    def frame(self, index: int) -> Frame | None:
+        """Return a stored frame; None if it is missing or damaged."""
+        name = frame_name(self.name, self.split, index)
+        return self.frames.get(index, make_stamp(name), name)
+
+    def has(self, scene: int) -> bool:
+        """Whether every frame of a scene is stored and whole."""
+        return all(self.frame(scene * VIEWS + view) is not None for view in range(VIEWS))
+
+    def render(self, renderer: str, scene: int) -> None:
+        """Render and store one scene, unless it is there."""
+        if self.has(scene):
+            return
+        module, _, function = renderer.rpartition(".")
+        views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS)
+        meters = encode_depth(views.depth).astype(np.float32) * np.float32(DEPTH_STEP)
+        for view in range(VIEWS):
+            index = scene * VIEWS + view
+            name = frame_name(self.name, self.split, index)
+            frame = Frame(views.image[view], meters[view], views.intrinsics[view], name)
+            self.frames.put(index, make_stamp(name), frame)
+
+
+def frame_name(data: str, split: str, index: int) -> str:
+    """Name of frame ``index`` of a split, such as ``rooms/train/000123/4``."""
+    return f"{data}/{split}/{index // VIEWS:06d}/{index % VIEWS}"
+
+
+def render_missing(
+    folder: Path, generator: Generator, split: str, scenes: Sequence[int], size: tuple[int, int], workers: int
+) -> None:
+    """Render scenes into ``folder``, here (``workers=0``) or in worker processes, with a progress bar.
+
+    Raises:
+        RuntimeError: a worker process failed.
+    """
+    title = f"rendering {generator.name}/{split} {size[1]}x{size[0]}"
+    with _progress(title, len(scenes) * VIEWS) as advance:
+        if workers == 0:
+            store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)
+            for scene in scenes:
+                store.render(generator.renderer, scene)
+                advance(VIEWS)
+            return
+        job = {"folder": str(folder), "name": generator.name, "renderer": generator.renderer, "split": split}
+        shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
+        _render_in_processes([{**job, "size": size, "scenes": list(share)} for share in shares], advance)
+
+
+def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable[[int], None]) -> None:
+    """Plain subprocesses: safe after torch is loaded, and the caller's script needs no ``__main__`` guard."""
+    package = str(Path(__file__).resolve().parents[2])
+    paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
+    env = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    done, report = os.pipe()  # all workers write to it: a line after each scene
+    processes = []
+    try:
+        for job in jobs:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "eldenet.data.rendering"],
+                stdin=subprocess.PIPE, stdout=report, text=True, env=env,
+            )  # fmt: skip
+            processes.append(process)
+            assert process.stdin is not None
+            process.stdin.write(json.dumps(job))
+            process.stdin.close()
+        os.close(report)
+        with os.fdopen(done) as lines:
+            for line in lines:
+                advance(int(line))
+        for process in processes:
+            if process.wait() != 0:
+                raise RuntimeError(
+                    f"a render process ended with code {process.returncode}: see its message above"
+                )
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.terminate()
+            process.wait()
+
+
+@contextmanager
+def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar on a terminal, a line every ten seconds elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if console.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(title, total=total)
+            yield lambda frames: bar.advance(task, frames)
+        return
+    start, last, done = time.monotonic(), 0.0, 0
+
+    def advance(frames: int) -> None:
+        nonlocal last, done
+        done += frames
+        now = time.monotonic() - start
+        if now - last > 10 or done == total:
+            last = now
+            console.print(
+                f"{title}: {done}/{total} frames, {done / max(now, 1e-6):.0f} frames/s", highlight=False
+            )
+
+    yield advance
+
+
+def _work() -> None:
+    """Render the scenes of the job on stdin; print a line after every scene."""
+    job = json.load(sys.stdin)
+    scenes = job["scenes"]
+    store = SceneStore(Path(job["folder"]), job["name"], job["split"], max(scenes) + 1, tuple(job["size"]))
+    for scene in scenes:
+        store.render(job["renderer"], scene)
+        try:
+            sys.stdout.write(f"{VIEWS}\n")
+            sys.stdout.flush()
+        except BrokenPipeError:  # the caller is gone: stop quietly
+            os._exit(1)
+
+
+if __name__ == "__main__":
+    _work()

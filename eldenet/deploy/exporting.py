@@ -1,0 +1,166 @@
+"""Export a trained network for other runtimes, and check the file against torch."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldenet.deploy import runtimes
+from eldenet.deploy.predictor import DepthPredictor, as_image
+from eldenet.deploy.quantize import read_pictures
+from eldenet.geometry import resize_image
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
+    from eldenet.results.run_log import RunLog
+
+ENDINGS = {"onnx": ".onnx", "openvino": ".xml"}
+PRECISIONS = {"onnx": ("fp32", "int8"), "openvino": ("fp32", "bf16", "int8")}
+UNTRAINED_SIZE = (224, 224)
+FP32_TOLERANCE = 1e-3  # an fp32 file with a larger median relative difference is wrong, not rounded
+
+
+@dataclass(frozen=True)
+class ExportSetup:
+    """The settings of ``configs/export.yaml``, checked; it explains each."""
+
+    checkpoint: str
+    format: str
+    precision: str
+    size: tuple[int, int] | None
+    camera: tuple[int, int] | None
+    batch: int | None
+    opset: int
+    output: Path | None
+    overwrite: bool
+    pictures: str | None
+    calibration: int
+    checks: int
+    license: str | None
+    trusted_modules: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is written: the settings, and what the model decides where they leave it open."""
+
+    setup: ExportSetup
+    name: str
+    size: tuple[int, int]
+    output: Path
+
+
+def export(setup: ExportSetup) -> Path:
+    """Write the file, compare it with torch, and say what it holds.
+
+    Raises:
+        ValueError: the file exists already, the pictures are missing, or an fp32 file differs from torch.
+    """
+    from eldenet.deploy.files import describe, write_onnx, write_openvino
+    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
+    from eldenet.results.run_log import RunLog
+    from eldenet.zoo import load, note_if_untrained
+
+    model = load(setup.checkpoint, trusted_modules=setup.trusted_modules)
+    target = target_of(setup, model)
+    size, output, log = target.size, target.output, RunLog(target.output.parent)
+    if note := note_if_untrained(setup.checkpoint):
+        log.say(note)
+    pictures = read_pictures(setup.pictures, max(setup.checks, 1), "test")
+    metadata = describe(model, target.name, size, camera_size=setup.camera, license=setup.license)
+    metadata["precision"] = setup.precision
+    with tempfile.TemporaryDirectory() as temporary:
+        is_graph = setup.format == "onnx" and setup.precision == "fp32"  # all other files are made from it
+        graph = write_onnx(
+            model,
+            output if is_graph else Path(temporary) / "fp32.onnx",
+            size,
+            batch=setup.batch,
+            opset=setup.opset,
+            camera_size=setup.camera,
+            metadata=metadata,
+        )
+        if setup.precision == "int8":
+            frames = read_pictures(setup.pictures, setup.calibration, "train")
+            inputs = batches(frames, target)
+            log.say(f"int8: scales from {len(frames)} pictures")
+            if setup.format == "onnx":
+                quantize_onnx(graph, output, inputs)
+            else:
+                quantize_openvino(graph, output, inputs, metadata)
+        elif setup.format == "openvino":
+            write_openvino(graph, output, metadata)
+    compare_with_torch(target, model, pictures, log)
+    say_contents(output, log)
+    return output
+
+
+def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
+    """Name, size and output file of an export.
+
+    Raises:
+        ValueError: the output exists already.
+    """
+    from eldenet.model import size_of_frames
+
+    height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
+    size = (int(height), int(width))
+    name = str(model.info.get("model_name", Path(setup.checkpoint).name))
+    default = f"exports/{name}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
+    output = setup.output or Path(default)
+    if output.exists() and not setup.overwrite:
+        raise ValueError(f"{output} is there already: give another output=, or overwrite=true")
+    return Target(setup, name, size, output)
+
+
+def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
+    """Pictures as the file takes them: one array each, repeated to a fixed batch."""
+    camera = target.setup.camera
+    resized = [resize_image(frame, camera or target.size) for frame in frames]
+    inputs = [frame[None] if camera else as_image(frame) for frame in resized]
+    return [np.repeat(each, target.setup.batch or 1, axis=0) for each in inputs]
+
+
+def compare_with_torch(
+    target: Target, model: "DepthNet", pictures: Sequence[np.ndarray], log: "RunLog"
+) -> None:
+    """Print the differences between torch and the file under each installed runtime.
+
+    Raises:
+        ValueError: an fp32 file gives another depth than torch.
+    """
+    from eldenet.deploy.files import differences
+
+    setup, output = target.setup, target.output
+    seen = [resize_image(picture, setup.camera or target.size) for picture in pictures]
+    predictor = DepthPredictor(model, target.size)
+    reference = np.stack([predictor(frame) for frame in seen])
+    rows, inputs = [], batches(seen, target)
+    for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
+        try:
+            network = runtimes.load(output, name, threads=1)
+        except ValueError as error:
+            log.say(f"not compared under {name}: {error}")
+            continue
+        found = differences(np.stack([network(image)[0, 0] for image in inputs]), reference)
+        rows.append([name, *(f"{value:.2g}" for value in found.values())])
+        if setup.precision == "fp32" and not found["median_relative"] < FP32_TOLERANCE:
+            raise ValueError(f"{output} under {name} differs from torch: {found}; do not use it")
+    title = f"{target.name}, {setup.precision}: depth beside torch's on {len(seen)} pictures"
+    log.table(title, ["runtime", "max [m]", "median [m]", "max, relative", "median, relative"], rows)
+
+
+def say_contents(output: Path, log: "RunLog") -> None:
+    """Print the file's operations and its size."""
+    from eldenet.deploy.files import count_operations
+
+    kinds = count_operations(output)
+    norms = sum(number for kind, number in kinds.items() if "BatchNorm" in kind)
+    counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common(4))
+    files = [output, output.with_suffix(".bin")]
+    megabytes = sum(path.stat().st_size for path in files if path.exists()) / 1e6
+    log.say(f"{kinds.total()} operations ({counted}, ...), {norms} batch normalizations")
+    log.say(f"written to {output} ({megabytes:.2f} MB)")

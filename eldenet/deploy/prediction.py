@@ -1,0 +1,201 @@
+"""Depth of a picture, a folder of pictures, a video or a camera, written to files."""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldenet.deploy.outputs import Results, name_results
+from eldenet.deploy.stream import is_live, without_password
+from eldenet.deploy.videos import predict_video
+
+if TYPE_CHECKING:
+    from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
+    from eldenet.system.signals import GracefulStop
+
+REMEMBERED = 10_000  # pictures whose times are kept: a camera may run for days
+
+
+@dataclass(frozen=True)
+class Source:
+    """What ``source`` names, and the names of its results.
+
+    Attributes:
+        names: picture -> name of its results; a video or camera is one entry.
+        is_video: whether it is a video or a camera.
+        is_live: whether it is a camera or an address.
+    """
+
+    names: dict[Path | str, str]
+    is_video: bool
+    is_live: bool
+
+
+@dataclass(frozen=True)
+class PredictionSetup:
+    """The settings of ``configs/predict.yaml``, checked; it explains those that are not listed here.
+
+    Attributes:
+        source: pictures or video.
+        results: writes the results.
+        resources: threads and device.
+        skip_unreadable: list pictures that cannot be read instead of stopping.
+        boxes: ``boxes(results, names, log, seconds)`` is entered before the pictures are predicted, and gives
+            what :attr:`Results.also` calls; None: no 3D boxes.
+    """
+
+    source: Source
+    results: Results
+    resources: "Resources"
+    skip_unreadable: bool
+    boxes: Callable[..., AbstractContextManager[Any]] | None
+    checkpoint: str
+    engine: str
+    input_size: tuple[int, int] | None
+    max_side: int
+    frames: int | None
+    trusted_modules: Sequence[str]
+
+
+def predict(setup: PredictionSetup) -> Results:
+    """Load the network, predict, write the results, and say what was done.
+
+    Raises:
+        ValueError: a picture cannot be read, or the network cannot run here.
+        KeyboardInterrupt: Ctrl-C, after the current picture; a camera ends without.
+        OSError: the source broke off; results up to there are written.
+    """
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.signals import GracefulStop
+
+    source, results = setup.source, setup.results
+    names = list(source.names.values())
+    log = RunLog(results.folder)
+    predictor = Timed(open_predictor(setup, log))
+    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor.seconds)
+    broken = ""
+    with GracefulStop() as stop, boxes as results.also:
+        if source.is_video:
+            ((path, name),) = source.names.items()
+            broken = predict_video(path, name, predictor, results, log, stop, frames=setup.frames)
+        else:
+            predict_pictures(setup, predictor, log, stop)
+    if broken:
+        raise OSError(f"{broken}; what came before that is in {results.folder}")
+    if not source.is_live:
+        stop.obey()
+    return results
+
+
+class Timed:
+    """A depth predictor that notes how long each picture took.
+
+    Attributes:
+        seconds: of each of the last pictures.
+    """
+
+    def __init__(self, predictor: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.predictor = predictor
+        self.seconds: deque[float] = deque(maxlen=REMEMBERED)
+
+    def __call__(self, frame: np.ndarray) -> np.ndarray:
+        """Depth ``(H, W)`` [m] of a frame."""
+        start = time.perf_counter()
+        depth = self.predictor(frame)
+        self.seconds.append(time.perf_counter() - start)
+        return depth
+
+
+def find_source(given: str, output: Path, frames: int | None) -> Source:
+    """Find the pictures or the video that ``source`` names; ``frames`` limits the pictures.
+
+    Raises:
+        FileNotFoundError: there is no such source.
+        ValueError: a file is neither picture nor video, or a folder holds no pictures.
+    """
+    from eldenet.deploy.video_files import is_video_file
+
+    if is_live(given):
+        name = re.sub(r"\W+", "_", without_password(given)).strip("_")
+        return Source({given: name}, is_video=True, is_live=True)
+    path = Path(given).expanduser()
+    if path.is_file() and is_video_file(path):
+        return Source({path: path.stem}, is_video=True, is_live=False)
+    return Source(dict(islice(name_results(path, output).items(), frames)), is_video=False, is_live=False)
+
+
+def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
+    """Load the network: an exported file under its runtime, a model under torch unless ``engine`` says else.
+
+    Raises:
+        ValueError: the runtime cannot run it here.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.zoo import load, note_if_untrained
+
+    checkpoint, size, max_side = setup.checkpoint, setup.input_size, setup.max_side
+    resources = setup.resources
+    if runtimes.is_exported(checkpoint):
+        network = runtimes.load(checkpoint, setup.engine, threads=resources.threads, device=resources.device)
+        log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
+        predictor = DepthPredictor(network, size, max_side=max_side)
+    else:
+        model = load(checkpoint, trusted_modules=setup.trusted_modules)
+        if setup.engine in ("auto", "torch"):
+            predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device)
+        else:
+            network = runtimes.load(
+                model, setup.engine, threads=resources.threads, device=resources.device, size=size
+            )
+            predictor = DepthPredictor(network, size, max_side=max_side)
+    if note := note_if_untrained(checkpoint):
+        log.say(note)
+    elif predictor.input_size is None:
+        log.say(
+            f"note: {checkpoint} does not say at which size it was trained, so it sees pictures at their own "
+            f"(longer side at most {max_side} px): if the depth looks wrong, give input_size=[h,w]"
+        )
+    return predictor
+
+
+def predict_pictures(
+    setup: PredictionSetup,
+    predictor: Callable[[np.ndarray], np.ndarray],
+    log: "RunLog",
+    stop: "GracefulStop",
+) -> None:
+    """Predict every picture; those that cannot be read stop the command or are listed at the end."""
+    from eldenet.data.io import read_image
+
+    pictures, results = setup.source.names, setup.results
+    with log.bar("predicting", len(pictures)) as bar:
+        for path, name in pictures.items():
+            if stop:
+                break
+            try:
+                photo = read_image(path, upright=True)
+            except (ValueError, OSError) as error:
+                if not setup.skip_unreadable and len(pictures) > 1:
+                    done = f"{results.images} of {len(pictures)} pictures are done"
+                    raise ValueError(f"{error} ({done}; on_error=skip skips such files)") from error
+                if not setup.skip_unreadable:
+                    raise
+                results.skipped.append(str(error))
+            else:
+                results.write(name, photo, predictor(photo), results.formats)
+            bar.advance(1)
+        rate = results.images / max(bar.done, 1) * bar.rate
+    if not results.images and not stop:
+        raise ValueError(f"none of {len(pictures)} pictures could be read, such as: {results.skipped[0]}")
+    of = f" of {len(pictures)}" if stop else ""
+    results.say(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)

@@ -1,0 +1,168 @@
+"""Score any checkpoint or exported file on any data set by any protocol."""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import eldenet
+
+if TYPE_CHECKING:
+    from eldenet.data.base import DepthDataset
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
+    from eldenet.evaluation.protocol import EvalProtocol
+    from eldenet.model import DepthNet
+    from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
+
+
+@dataclass(frozen=True)
+class EvaluationSetup:
+    """What is scored, by which rules, and where the result goes.
+
+    Attributes:
+        folder: of the run.
+        checkpoint: run folder, saved model, Hub id, packaged weights, or an exported file.
+        data: name of the data set.
+        split: "train", "val" or "test".
+        input_size: ``(height, width)`` [px] that the network sees; "model": what it was trained at; "data":
+            ``data_input_size``.
+        data_input_size: the data set's own.
+        training_frames: of a rendered training split; None: the data set is not rendered.
+        protocol: the rules.
+        make_split: as :func:`eldenet.config.build_split` without its config.
+        engine: runtime of an exported file.
+        precision: of an exported file.
+        resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
+        batch_size: images at once.
+        trusted_modules: packages whose classes a foreign ``config.json`` may name.
+        settings: the resolved settings, which ``run.json`` stores.
+    """
+
+    folder: Path
+    checkpoint: str
+    data: str
+    split: str
+    input_size: str | Sequence[int] | None
+    data_input_size: Sequence[int] | None
+    training_frames: int | None
+    protocol: "EvalProtocol"
+    make_split: Callable[..., "DepthDataset"]
+    engine: str
+    precision: str | None
+    resources: Mapping[str, Any]
+    batch_size: int
+    trusted_modules: Sequence[str]
+    settings: Mapping[str, Any]
+
+
+def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
+    """Load, score, measure, write ``run.json`` and show the table.
+
+    Returns:
+        What was written to ``run.json``.
+
+    Raises:
+        ValueError: the settings do not fit the checkpoint or the protocol, or the folder holds a training.
+    """
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.score import ScoreSetup, score_and_record
+    from eldenet.results.tables import closing_table
+    from eldenet.system.resources import choose_resources
+
+    if (setup.folder / "checkpoints").is_dir():
+        raise ValueError(
+            f"run_dir={setup.folder} holds a training, whose run.json this would replace: give another"
+        )
+    resources = choose_resources(**setup.resources)
+    model = open_checkpoint(setup, resources)
+    setup.folder.mkdir(parents=True, exist_ok=True)
+    log = RunLog(setup.folder)
+    if setup.checkpoint in eldenet.list_models():
+        log.say(f"note: {setup.checkpoint} is a freshly initialized network: its depth means nothing")
+    size = chosen_size(setup, model, log)
+    scoring = ScoreSetup(
+        folder=setup.folder,
+        name=str(model.info.get("model_name", setup.checkpoint)),
+        data=setup.data,
+        seed=model.info.get("seed"),
+        protocol=setup.protocol,
+        make_split=functools.partial(setup.make_split, input_size=size),
+        resources=resources,
+        settings=setup.settings,
+        split=setup.split,
+        batch_size=setup.batch_size,
+        measure=_measure,
+        training_frames=setup.training_frames,
+    )
+    record = score_and_record(scoring, model, log)
+    closing_table(log, record)
+    return record
+
+
+def open_checkpoint(setup: EvaluationSetup, resources: "Resources") -> "DepthNet | RuntimeNetwork":
+    """A model for torch, or an exported file under ``engine``.
+
+    A file runs on an accelerator only where that was asked for: it needs another build of its runtime.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
+
+    if Path(setup.checkpoint).suffix in runtimes.READS:
+        device = "cpu" if setup.resources["device"] == "auto" else resources.device
+        network = runtimes.load(
+            setup.checkpoint, setup.engine, setup.precision, threads=resources.threads, device=device
+        )
+        return RuntimeNetwork(network)
+    if (setup.engine, setup.precision) != ("auto", None):
+        raise ValueError("engine and precision are for exported files (python -m eldenet.export)")
+    return eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
+
+
+def chosen_size(
+    setup: EvaluationSetup, model: "DepthNet | RuntimeNetwork", log: "RunLog"
+) -> Sequence[int] | None:
+    """``(height, width)`` [px] that the network sees; None: the data set's own."""
+    wanted = trained_size(model, setup.protocol) if setup.input_size == "model" else setup.input_size
+    if wanted is None or wanted == "data":
+        return None
+    if isinstance(wanted, str) or len(wanted) != 2:
+        raise ValueError(f"input_size={wanted!r}: give [height, width], model or data")
+    if list(wanted) == setup.data_input_size:
+        return None
+    log.say(
+        f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={setup.data_input_size} is "
+        "not used"
+    )
+    return wanted
+
+
+def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -> Sequence[int] | None:
+    """``(height, width)`` [px] at which ``model`` sees what ``protocol`` shows it: a frame, or a part of it.
+
+    Raises:
+        ValueError: a file sees whole frames, and the protocol shows a part.
+    """
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
+    from eldenet.model import size_of_frames
+
+    if not protocol.changes_frames:
+        return size_of_frames(model.info)
+    seen = model.info.get("input_size")
+    if isinstance(model, RuntimeNetwork) and seen is not None and model.network.whole_frame_size == seen:
+        raise ValueError(
+            f"this file sees the camera's whole frames, {seen[0]} x {seen[1]} pixels, and protocol "
+            f"{protocol.name} shows a part of them: to score the network, export it with size= of that part "
+            "(the training's data.input_size)"
+        )
+    return seen
+
+
+def _measure(model: "DepthNet | RuntimeNetwork", size: tuple[int, int]) -> Any:
+    from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
+    from eldenet.evaluation.cost import measure_cost
+
+    if isinstance(model, RuntimeNetwork):
+        return measure_runtime_cost(model.network, size)
+    return measure_cost(model, size)

@@ -1,0 +1,67 @@
+"""The network that a training starts from: seeded weights, or those of another training."""
+
+from typing import TYPE_CHECKING, Any
+
+import eldenet
+from eldenet.results.fingerprints import differences
+from eldenet.system.resources import seed_everything
+from eldenet.training.normalization import keep_normalization
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
+    from eldenet.results.run_log import RunLog
+    from eldenet.training.setup import TrainingSetup
+
+LEAST_SHARE = 0.1  # of the network's values that weights must fill to count as a start
+
+
+def initial_model(setup: "TrainingSetup", log: "RunLog", **normalization: Any) -> "DepthNet":
+    """The network with weights drawn from ``setup.seed``, or taken over from ``setup.weights``.
+
+    Args:
+        setup: of the training.
+        log: hears what is taken over.
+        normalization: ``mean`` and ``std`` of the network's images, where they are not its own.
+
+    Raises:
+        ValueError: the weights are those of another network, or of none.
+    """
+    if normalization and setup.own_normalization:
+        raise ValueError("both normalization and model.mean or model.std are given: use one of them")
+    seed_everything(setup.seed)
+    model = setup.make_model(**normalization)
+    if setup.weights is not None:
+        _take_over(setup, model, log, chosen=bool(normalization) or setup.own_normalization)
+    return model
+
+
+def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chosen: bool) -> None:
+    """Copy all weights that fit into ``model``; ``chosen``: the user asked for its normalization."""
+    weights = str(setup.weights)
+    if weights in eldenet.list_models():
+        raise ValueError(
+            f"weights={weights} names a network without trained weights: give a run of it, a saved model, "
+            f"a Hub id, or packaged weights ({', '.join(eldenet.list_weights())}); a folder of that name is "
+            f"./{weights}"
+        )
+    start = eldenet.load(weights, trusted_modules=setup.trusted_modules)
+    own = model.state_dict()
+    fitting = {
+        name: value
+        for name, value in start.state_dict().items()
+        if name in own and own[name].shape == value.shape
+    }
+    share = sum(value.numel() for value in fitting.values()) / sum(value.numel() for value in own.values())
+    if share < LEAST_SHARE:
+        raise ValueError(
+            f"weights={weights}: they fit {100 * share:.0f} % of this network, which would start from "
+            "scratch: use the network that they belong to"
+        )
+    model.load_state_dict(fitting, strict=False)
+    if len(fitting) < len(own):
+        missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
+        log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
+    if line := keep_normalization(model, start, chosen=chosen):
+        log.say(line)
+    if found := differences(model.config, start.config, ignored=frozenset({"mean", "std"})):
+        log.say(f"weights: of a network with other settings; here {', '.join(found)}")

@@ -1,0 +1,33 @@
+"""Trained weights that come with the package; all were trained on rendered frames only."""
+
+import warnings
+from pathlib import Path
+
+PACKAGED = Path(__file__).resolve().parent
+#: Where weights lie in the folder of a saved model and of a run.
+WEIGHT_FILES = ("model.safetensors", "model/model.safetensors")
+
+
+def list_weights() -> list[str]:
+    """Return the names of trained weights in the package, such as ``eldenet_rooms`` (trained on rooms)."""
+    return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
+
+
+def located(source: str | Path) -> Path:
+    """Return the folder or file of a source: the package's weights of that name, or else the path itself.
+
+    ``~`` is the home folder. ``./name`` is always a path, never the package's weights.
+
+    Warns:
+        UserWarning: a saved model here has the same name as the package's weights and is not used.
+    """
+    own, here = PACKAGED / source, Path(source).expanduser()
+    if "/" in str(source) or not (own / WEIGHT_FILES[0]).is_file():
+        return here
+    if any((here / name).is_file() for name in WEIGHT_FILES) and here.resolve() != own:
+        warnings.warn(
+            f"{source} is taken from the package, not from the folder of that name here: to use the folder, "
+            f"give ./{source}",
+            stacklevel=2,
+        )
+    return own

@@ -1,0 +1,95 @@
+"""What the commands say about themselves and about settings that do not exist."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from eldenet import renames
+from eldenet.cli.help import QUOTES, advice
+from eldenet.config import config_folder
+
+COMMANDS = sorted({path.stem for path in config_folder().glob("*.yaml")} - {"base", "no_run_folder", "zoo"})
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_the_settings_with_their_comments(command, run_command):
+    finished = run_command(command, "--help")
+    assert finished.returncode == 0, finished.stderr
+    yaml = (config_folder() / f"{command}.yaml").read_text()
+    assert yaml.partition("\nhydra:")[0].strip() in finished.stdout
+    assert finished.stdout.startswith(f"python -m eldenet.{command}: ")
+    assert "\nhydra:" not in finished.stdout
+    assert "\nmodel/head: inverse, linear, log, scaled\n" in finished.stdout
+    assert finished.stdout.rstrip().endswith(f"python -m eldenet.{command} --cfg job")
+
+
+@pytest.mark.parametrize("command", ["report", "train"])
+def test_the_reader_of_help_may_leave_before_its_end(command):
+    read, write = os.pipe()
+    os.close(read)  # as head does once it has its lines
+    with os.fdopen(write, "w") as closed:
+        words = [sys.executable, "-m", f"eldenet.{command}", "--help"]
+        result = subprocess.run(words, stdout=closed, stderr=subprocess.PIPE, check=False, timeout=120)
+    assert (result.returncode, result.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "line"),
+    [
+        ("train", ["epochs=5"], "there is no setting epochs: is trainer.epochs meant?"),
+        ("train", ["seed=1", "optimiser.lr=1"], "there is no setting optimiser.lr: is optimizer.lr meant?"),
+        ("train", ["-m", "data=kitti", "data.rot=/x"], "there is no setting data.rot: is data.root meant?"),
+        ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: is source meant?"),
+        ("predict", ["source=my photo (1).jpg"], QUOTES),
+        ("predict", ["qqqqqqqq=1"], ""),
+        ("train", ["model=eldennet"], ""),  # Hydra lists the choices
+        ("train", ["seed=1"], ""),  # it failed for another reason
+        ("train", ["normalisation=dataset"], "normalisation is called normalization now"),
+    ],
+)
+def test_a_mistyped_setting_gets_the_nearest_one(command, words, line):
+    assert advice(command, words) == line
+
+
+@pytest.mark.parametrize("plus", ["", "+", "++"])
+def test_a_renamed_setting_gets_its_new_name(monkeypatch, plus):
+    monkeypatch.setitem(renames.OPTIONS, "eldenet.training.trainer.Trainer", {"backbone_rate": "ema"})
+    monkeypatch.setitem(renames.KEYS, "teaching", "trainer")
+    line = "trainer.backbone_rate is called trainer.ema now"
+    assert advice("train", [f"{plus}trainer.backbone_rate=0.1"]) == line
+    assert (
+        advice("train", ["data=kitti", "teaching.epochs=3"]) == "teaching.epochs is called trainer.epochs now"
+    )
+
+
+def test_commands_print_the_advice_as_their_last_line(run_command):
+    finished = run_command("predict", "sorce=photo.jpg")
+    assert finished.returncode == 1
+    assert finished.stderr.endswith("error: there is no setting sorce: is source meant?\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "message"),
+    [
+        ("report", ["study=x", "columns=[rmse]"], "columns: not read with study="),
+        ("report", ["runs=nowhere"], "no such file or folder: nowhere"),
+        ("predict", ["checkpoint=a", "source=b", "perception.detector.path=c"], "with boxes=true alone"),
+        ("benchmark", ["study=x", "models=eldenet"], "models: not read with study="),
+        ("benchmark", ["study=x", "sizes=[[64,64]]"], "sizes: not read with study="),
+        (
+            "benchmark",
+            ["models=eldenet_s", "sizes=[224,224]"],
+            "sizes=[224, 224]: give [[height, width], ...]",
+        ),
+        ("train", ["data.input_size=224"], "input_size=224: give [height, width] in pixels"),
+        ("train", ["trainer.epochs=five"], "epochs=five: a whole number, 1 or more, is needed"),
+    ],
+)
+def test_ignored_and_malformed_settings_are_refused_in_one_line(run_command, command, words, message):
+    finished = run_command(command, *words)
+    assert finished.returncode == 1
+    assert finished.stderr.startswith("error: ")
+    assert message in finished.stderr
+    assert finished.stderr.count("\n") == 1

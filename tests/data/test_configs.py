@@ -1,0 +1,216 @@
+"""Every data set by its YAML, in a tiny tree of its layout: it builds, is scored, drawn from, damaged."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from support import layouts
+
+from eldenet.config import build_protocol, build_split, compose, config_folder, plain
+from eldenet.data.folder import FolderDataset
+
+FULL = layouts.content((480, 640))
+TREES: dict[str, Callable[[Path], list[str]]] = {
+    "cityscapes": lambda root: [f"data.root={layouts.cityscapes(root, layouts.content((1024, 2048)))}"],
+    "cityscapes_mtan": lambda root: [f"data.root={layouts.cityscapes_mtan(root)}", "data.val_frames=1"],
+    "folder": lambda root: [f"data.root={layouts.folder(root)}"],
+    "kitti": lambda root: [f"data.root={layouts.kitti_depth(root)}"],
+    "kitti_eigen_improved": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1])}",
+        "data.frames=1",
+    ],
+    "kitti_eigen_raw": lambda root: [
+        f"data.root={layouts.kitti_raw(root / 'raw')}",
+        f"data.test_list={layouts.eigen_list(root / 'list.txt', layouts.DRIVES[:1], 69)}",
+        "data.frames=1",
+    ],
+    "kitti_raw": lambda root: [f"data.root={layouts.kitti_raw(root)}"],
+    "kitti_selection": lambda root: [
+        f"data.root={layouts.kitti_depth(root)}",
+        f"data.selection_root={layouts.kitti_selection(root / 'selection')}",
+        "data.frames=2",
+    ],
+    "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
+    "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
+    "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],
+    "nyu_mat": lambda root: [f"data.root={mat_with_all_splits(root)}"],
+    "nyu_tar": lambda root: [f"data.root={layouts.tar(root, FULL)}", f"data.index={root / 'index'}"],
+    "nyu_sync": lambda root: [
+        f"data.root={layouts.sync(root / 'sync', FULL)}",
+        f"data.test_root={layouts.sync(root / 'test', FULL, (('bathroom', '00045'),))}",
+    ],
+}
+
+
+def mat_with_all_splits(root: Path) -> Path:
+    layouts.mat(root, FULL, count=23)
+    layouts.mat_split(root, train=(3, 22, 23), test=(1, 4))
+    return root
+
+
+def test_every_data_set_is_tested() -> None:
+    elsewhere = {"rooms", "arenas"}  # need no files: test_rendered.py, test_arena_frames.py
+    names = {path.stem for path in (config_folder() / "data").glob("*.yaml")}
+    assert names - set(TREES) <= elsewhere
+
+
+@pytest.mark.parametrize("name", sorted(TREES))
+def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
+    config = compose("train", [f"data={name}", *TREES[name](tmp_path)])
+    protocol = build_protocol(config)
+    train = build_split(config, "train", protocol, augment=True)
+    parts = {split: build_split(config, split, protocol) for split in ("val", "test")}
+    assert not set(train.names) & set(parts["val"].names)
+    assert train[0]["image"].shape == (3, *config.data.input_size)
+    assert train[0]["depth"].shape == (1, *config.data.input_size)
+    for dataset in parts.values():
+        assert dataset.ground_truth == protocol.ground_truth
+        assert not set(train.names) & set(dataset.names)
+        sample = dataset[0]
+        assert sample["image"].shape == (3, *config.data.input_size)
+        counts = protocol.valid_mask(sample["depth"][None], sample["mask"][None])
+        assert counts.any()
+        assert sample["depth"][0][~sample["mask"][0]].sum() == 0
+
+
+@pytest.mark.parametrize("name", sorted(TREES))
+def test_subset_draws_whole_frames(name: str, tmp_path: Path) -> None:
+    overrides = [f"data={name}", *TREES[name](tmp_path)]
+    split = "val" if name == "kitti_selection" else "train"
+    config = compose("train", overrides)
+    whole = build_split(config, split, build_protocol(config))
+    for seed in range(3):
+        drawing = compose("train", [*overrides, f"data.subset.{split}=1", f"data.subset_seed={seed}"])
+        drawn = build_split(drawing, split, build_protocol(drawing))
+        assert len(drawn) == 1
+        assert drawn[0]["name"] == drawn.names[0]
+        expected = whole[whole.names.index(drawn.names[0])]
+        assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
+    if len(whole) > 1:
+        rest = compose("train", [*overrides, f"data.subset.{split}=[1,{len(whole)}]", "data.subset_seed=2"])
+        others = build_split(rest, split, build_protocol(rest))
+        assert sorted([*others.names, *drawn.names]) == sorted(whole.names)
+    greedy = compose("train", [*overrides, f"data.subset.{split}={len(whole) + 1}"])
+    with pytest.raises(ValueError, match=f"found {len(whole)} frames in this split"):
+        build_split(greedy, split, build_protocol(greedy))
+
+
+@pytest.mark.parametrize(
+    ("experiment", "tree", "overrides"),
+    [
+        (
+            "nyu_paper",
+            lambda root: layouts.densedepth(root, FULL),
+            ["data.subset={train: [0, 1], val: [1, 2], test: [1, 2]}"],
+        ),
+        ("kitti_paper", layouts.kitti_depth, ["data.subset={train: 1, val: 1, test: 1}"]),
+        (
+            "cityscapes_paper",
+            lambda root: layouts.cityscapes(root, layouts.content((1024, 2048))),
+            [],
+        ),
+    ],
+)
+def test_the_papers_set_ups(
+    experiment: str, tree: Callable[[Path], Path], overrides: list[str], tmp_path: Path
+) -> None:
+    if experiment == "kitti_paper":
+        layouts.kitti_depth(tmp_path, kind="velodyne_raw")
+    config = compose("train", [f"+experiment={experiment}", f"data.root={tree(tmp_path)}", *overrides])
+    protocol = build_protocol(config)
+    assert protocol.name == experiment
+    splits = {split: build_split(config, split, protocol) for split in ("train", "val", "test")}
+    assert not set(splits["train"].names) & (set(splits["val"].names) | set(splits["test"].names))
+    for data in splits.values():
+        assert data[0]["image"].shape[1:] == data[0]["depth"].shape[1:] == protocol.size
+
+
+def test_the_protocol_alone_says_what_is_scored(tmp_path: Path) -> None:
+    root = layouts.kitti_depth(tmp_path)
+    pixels = []
+    for far in (80, 20):
+        config = compose("train", ["data=kitti", f"data.root={root}", f"data.max_depth={far}"])
+        protocol = build_protocol(config)
+        sample = build_split(config, "test", protocol)[0]
+        pixels.append(int(protocol.valid_mask(sample["depth"][None], sample["mask"][None]).sum()))
+        assert build_split(config, "train", protocol)[0]["depth"].max() <= far
+    assert pixels[0] == pixels[1] > 0
+
+
+def test_test_frames_of_another_folder(tmp_path: Path) -> None:
+    """All of them: of the training's own folder, however it is written, those of validation."""
+    root, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
+
+    def test_split(*words: str) -> FolderDataset:
+        config = compose("train", ["data=folder", f"data.root={root}", *words])
+        return build_split(config, "test", build_protocol(config))
+
+    every = len(list((other / "images").iterdir()))
+    test = test_split(f"data.test_root={other}")
+    assert (test.root, len(test)) == (other, every)
+    for words in ([], [f"data.test_root={root}/"], [f"data.test_root={other}", "data.test_split=val"]):
+        assert 0 < len(test_split(*words)) < every
+
+
+def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None:
+    """``resize_on_load`` must not shrink the frames that the protocol halves and crops."""
+    overrides = ["data=nyu_mat", f"data.root={mat_with_all_splits(tmp_path)}", "protocol=nyu_paper"]
+    overrides.append("data.ground_truth=inpainted")
+    config = compose("train", overrides)
+    protocol = build_protocol(config)
+    assert config.data.train.resize_on_load == config.data.input_size
+    small = build_split(config, "train", protocol)
+    whole = build_split(config, "val", protocol)[0]
+    assert whole["depth"].shape == (1, 228, 304)
+    # the focal length [px] tells how much of the frame is seen: halved, cropped, then resized
+    expected = 518.8579 / 2 * config.data.input_size[1] / 304
+    torch.testing.assert_close(small[0]["intrinsics"][0, 0].item(), expected, rtol=1e-5, atol=1e-4)
+
+
+def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
+    layouts.folder(tmp_path)
+    config = compose("train", ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
+    config.data.ground_truth = "inpainted"
+    protocol = build_protocol(config)
+    assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
+    assert plain(config.model.head)["max_depth"] == 5
+    typo = compose("train", ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
+    with pytest.raises(ValueError, match="no_such_option"):
+        build_split(typo, "train", protocol)
+    with pytest.raises(FileNotFoundError, match=r"set data\.root"):
+        build_split(compose("train", ["data=folder"]), "train", protocol)
+
+
+# --- the real frames ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real() -> Path:
+    return layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
+
+
+def test_real_labelled_frames_build(real: Path) -> None:
+    config = compose("train", ["data=nyu_labelled"])
+    protocol = build_protocol(config)
+    assert len(build_split(config, "train", protocol, augment=True)) == 665
+    val = build_split(config, "val", protocol)
+    assert len(val) == 130
+    assert protocol.valid_mask(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
+
+
+def test_real_mat_reads(real: Path) -> None:
+    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
+    if not (real / file).exists():
+        pytest.skip(f"{file} is not there")
+    overrides = ["data=nyu_mat", f"data.file={file}", "data.train.split=all"]
+    raw = compose("train", overrides)
+    with pytest.raises(ValueError, match="has no 'rawDepths'"):  # repacked without it
+        build_split(raw, "train", build_protocol(raw))
+    config = compose("train", [*overrides, "data.ground_truth=inpainted", "protocol=nyu_inpainted_eigen"])
+    protocol = build_protocol(config)
+    data = build_split(config, "train", protocol, augment=True)
+    assert (len(data), data.ground_truth) == (6, protocol.ground_truth)
+    assert data[0]["image"].shape == (3, 240, 320)
+    assert data[0]["mask"].float().mean() > 0.5

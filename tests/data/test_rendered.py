@@ -1,0 +1,216 @@
+"""Rendered data sets: frames on disk that survive kills and damage, and are rendered only once."""
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eldenet.data import rendered, rendering
+from eldenet.data.arenas import Arenas
+from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
+from eldenet.data.rooms import Rooms
+from eldenet.simulation.furnished_rooms.render import render_room
+
+SIZE = (32, 40)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("rooms")
+
+
+@pytest.fixture(scope="module")
+def dataset(cache: Path) -> Rooms:
+    return Rooms("train", 20, size=SIZE, root=cache, workers=0)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """The scenes that each data set asks to render."""
+    found: list[list[int]] = []
+    monkeypatch.setattr(rendered, "render_missing", lambda *arguments: found.append(list(arguments[3])))
+    return found
+
+
+def test_samples_have_the_types_of_every_data_set(dataset: Rooms) -> None:
+    sample = dataset[17]
+    assert sample["name"] == "rooms/train/000002/1"
+    shapes = {"image": (3, *SIZE), "depth": (1, *SIZE), "mask": (1, *SIZE), "intrinsics": (3, 3)}
+    assert {key: tuple(sample[key].shape) for key in shapes} == shapes  # type: ignore[literal-required]
+    assert (sample["image"].dtype, sample["mask"].dtype) == (torch.float32, torch.bool)
+    assert 0 <= sample["image"].min() <= sample["image"].max() <= 1
+    assert sample["mask"].float().mean() > 0.9
+    known = sample["depth"][sample["mask"]]
+    assert 0.1 <= known.min() <= known.max() <= 10
+    assert (dataset.ground_truth, len(dataset)) == ("dense", 20)
+
+
+def test_the_frames_that_results_were_scored_on_keep_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Rooms, "missing_scenes", lambda *_: [])
+    monkeypatch.setattr(Rooms, "_open", lambda *_: None)
+    hashes = {"train": (4096, "3bbc1b3fc2f5243a"), "test": (512, "cc0d255db05f8862")}
+    for split, (frames, expected) in hashes.items():
+        assert Rooms(split, frames, size=(96, 128)).split_hash == expected
+    assert Rooms("test", 8, size=(96, 128)).folder.name == "rooms-v1-96x128-fd67c9271919"
+    assert Rooms("test", 8, size=(96, 160)).folder.name == "rooms-v1-96x160"
+
+
+def test_stored_depth_is_exact_to_a_tenth_of_a_millimeter(dataset: Rooms) -> None:
+    views = render_room("train", 0, SIZE)
+    near = views.depth[2] < 13.1
+    frame = dataset.load_frame(2)
+    np.testing.assert_allclose(frame.depth[near], views.depth[2][near], atol=DEPTH_STEP / 2 + 1e-6)
+    np.testing.assert_array_equal(frame.image, views.image[2])
+    np.testing.assert_array_equal(frame.intrinsics, views.intrinsics[2])
+    assert encode_depth(np.array([0.0, -1.0, 20.0, 10.0])).tolist() == [0, 0, 0, 50000]
+
+
+def test_only_missing_scenes_are_rendered(dataset: Rooms, cache: Path, asked: list[list[int]]) -> None:
+    few = Rooms("train", 10, size=SIZE, root=cache)
+    assert asked == []
+    assert few.names == dataset.names[:10]
+    Rooms("train", 40, size=SIZE, root=cache)
+    Rooms("val", 10, size=SIZE, root=cache)
+    assert asked == [[3, 4], [0, 1]]
+
+
+def test_a_drawn_frame_is_the_one_of_its_name(dataset: Rooms, cache: Path) -> None:
+    for span in ([0, 5], [5, 10]):
+        drawn = Rooms("train", 20, size=SIZE, root=cache)
+        drawn.draw_subset(span, seed=3)
+        for index, name in enumerate(drawn.names):
+            expected = dataset.load_frame(dataset.names.index(name))
+            np.testing.assert_array_equal(drawn.load_frame(index).image, expected.image)
+            assert drawn[index]["name"] == name
+    rest = Rooms("train", 20, size=SIZE, root=cache)
+    rest.leave_out({0: "dark"})
+    np.testing.assert_array_equal(rest.load_frame(0).depth, dataset.load_frame(1).depth)
+
+
+@pytest.mark.parametrize("damage", ["cut", "byte", "missing"])
+def test_damaged_frames_are_rendered_again(dataset: Rooms, cache: Path, damage: str) -> None:
+    file = dataset.folder / "train.frames"
+    content = bytearray(file.read_bytes())
+    start = 12 * dataset.store.frames.slot
+    if damage == "missing":
+        file.unlink()
+    else:
+        content[start + 5000] ^= 255
+        file.write_bytes(content[: start + 9000] if damage == "cut" else content)
+    again = Rooms("train", 20, size=SIZE, root=cache, workers=0)
+    assert again.missing_scenes("train", 20) == []
+    np.testing.assert_array_equal(again.load_frame(12).image, render_room("train", 1, SIZE).image[4])
+
+
+def test_a_frame_damaged_while_it_is_used_is_named(cache: Path) -> None:
+    data = Rooms("train", 8, size=SIZE, root=cache / "used", workers=0)
+    os.pwrite(data.store.frames.handle, b"\0" * 500, 3 * data.store.frames.slot + 1000)
+    with pytest.raises(ValueError, match=r"rooms/train/000000/3 is damaged"):
+        data.load_frame(3)
+
+
+def test_frames_that_may_only_be_read_are_read(dataset: Rooms, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = os.open
+
+    def read_only(path: Path, flags: int, *mode: int) -> int:
+        if flags & os.O_RDWR:
+            raise PermissionError("read-only file system")
+        return opened(path, flags, *mode)
+
+    monkeypatch.setattr(os, "open", read_only)
+    again = Rooms("train", 20, size=SIZE, root=dataset.folder.parent)
+    np.testing.assert_array_equal(again.load_frame(5).image, dataset.load_frame(5).image)
+
+
+def test_a_larger_data_set_grows_the_file_while_a_smaller_one_reads_it(tmp_path: Path) -> None:
+    small = Rooms("val", 8, size=SIZE, root=tmp_path, workers=0)
+    image = small.load_frame(3).image
+    large = Rooms("val", 16, size=SIZE, root=tmp_path, workers=0)
+    Rooms("val", 8, size=SIZE, root=tmp_path)
+    np.testing.assert_array_equal(small.load_frame(3).image, image)
+    assert large.load_frame(15).image.shape == (*SIZE, 3)
+
+
+def test_a_killed_render_process_leaves_whole_scenes_that_the_next_one_keeps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = {"folder": str(tmp_path), "name": "rooms", "renderer": Rooms.generator.renderer}
+    job |= {"split": "train", "size": SIZE, "scenes": [0, 1, 2, 3]}
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "eldenet.data.rendering"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert worker.stdin is not None
+    assert worker.stdout is not None
+    json.dump(job, worker.stdin)
+    worker.stdin.close()
+    worker.stdout.readline()  # one scene is done
+    time.sleep(0.02)
+    worker.send_signal(signal.SIGKILL)
+    worker.wait()
+    store = SceneStore(tmp_path, "rooms", "train", 4, SIZE)
+    assert store.has(0)
+    written = []
+    put = rendering.FrameStore.put
+    monkeypatch.setattr(rendering.FrameStore, "put", lambda *a: (written.append(a[1] // 8), put(*a))[1])
+    done = {scene for scene in range(4) if store.has(scene)}
+    render_missing(tmp_path, Rooms.generator, "train", range(4), SIZE, workers=0)
+    assert set(written) == set(range(4)) - done
+    np.testing.assert_array_equal(store.frame(31).image, render_room("train", 3, SIZE).image[7])
+
+
+def test_render_processes_write_what_this_process_would(tmp_path: Path, dataset: Rooms) -> None:
+    render_missing(tmp_path, Rooms.generator, "train", [0, 1], SIZE, workers=2)
+    ours = SceneStore(tmp_path, "rooms", "train", 2, SIZE)
+    for index in range(16):
+        for mine, theirs in zip(ours.frame(index)[:3], dataset.load_frame(index)[:3], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+
+
+def test_a_failing_render_process_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RuntimeError, match="render process"):
+        render_missing(tmp_path / "file", Rooms.generator, "train", [0], SIZE, workers=1)
+
+
+def test_pickled_data_sets_read_the_same_frames(dataset: Rooms) -> None:
+    copy = pickle.loads(pickle.dumps(dataset))
+    np.testing.assert_array_equal(copy.load_frame(5).image, dataset.load_frame(5).image)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"split": "training"}, {"frames": 0}, {"frames": 2.5}, {"size": (8, 160)}, {"size": (128,)},
+        {"max_depth": 20.0}, {"min_depth": 5.0, "max_depth": 1.0}, {"workers": -1},
+    ],
+)  # fmt: skip
+def test_arguments_out_of_range_are_refused(bad: dict, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="give"):
+        Rooms(root=tmp_path, **bad)
+
+
+def test_the_environment_names_the_cache_folder(dataset: Rooms, cache: Path, monkeypatch) -> None:
+    monkeypatch.setenv("ELDENET_CACHE", str(cache))
+    assert Rooms("train", 3, size=SIZE).folder == dataset.folder
+
+
+def test_every_version_and_size_has_a_folder_of_its_own() -> None:
+    generators = (Rooms.generator, Arenas.generator, Arenas.generator._replace(version=2))
+    assert len({generator.folder_name(size) for generator in generators for size in (SIZE, (36, 52))}) == 6
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"), [("rooms", ("mujoco", "cv2")), ("rendering", ("torch", "mujoco", "cv2"))]
+)
+def test_reading_loads_no_renderer_and_a_render_process_no_torch(module: str, heavy: tuple[str, ...]) -> None:
+    code = f"import sys, eldenet.data.{module}; assert not {set(heavy)} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])

@@ -1,0 +1,226 @@
+"""Drivers: the packaged policy, planners, and the statistics of their episodes."""
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from eldenet.navigation.evaluation import (
+    Episode,
+    mcnemar,
+    run_episodes,
+    solved_by_all,
+    spl,
+    summarize,
+    wilson_interval,
+)
+from eldenet.navigation.noisy_ranges import NoisyRanges
+from eldenet.navigation.observer import Senses
+from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
+from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
+from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, export_onnx
+from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.arena_world import arc
+from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.robot import ROBOT
+
+
+def test_the_packaged_policy_is_small_and_drives():
+    assert DEFAULT_WEIGHTS.stat().st_size < 200_000
+    rows = run_episodes(
+        frozen_arenas(5, 12, split="val"), lambda robots: Navigator.load(robots=robots), Ranges()
+    )
+    assert summarize(rows)["success"] >= 90
+
+
+def test_an_episode_ends_the_same_alone_and_among_others():
+    arenas = frozen_arenas(80, 5, split="val")
+    make = lambda robots: Navigator.load(robots=robots)  # noqa: E731
+    together = run_episodes(arenas, make, NoisyRanges(), robots=5)
+    by_two = run_episodes(arenas, make, NoisyRanges(), robots=2)
+    assert together == by_two
+
+
+def test_a_saved_policy_decides_the_same_once_loaded(tmp_path):
+    torch.manual_seed(0)
+    navigator = Navigator(QNetwork(39, 5, (16,)), {}, info={"note": "x"})
+    navigator.save(tmp_path / "policy.safetensors")
+    loaded = Navigator.load(tmp_path / "policy.safetensors")
+    assert loaded.info == {"note": "x"}
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        ranges, goal = (
+            rng.uniform(0.3, 10, ROBOT.columns),
+            (float(rng.uniform(1, 10)), float(rng.uniform(-3, 3))),
+        )
+        assert navigator.step(ranges, goal, (0.0, 0.0, 0.0)) == loaded.step(ranges, goal, (0.0, 0.0, 0.0))
+    with pytest.raises(FileNotFoundError, match="no policy"):
+        Navigator.load(tmp_path / "none.safetensors")
+    from safetensors.torch import save_file
+
+    save_file({"a": torch.zeros(1)}, str(tmp_path / "other.safetensors"))
+    with pytest.raises(ValueError, match="is not a navigation policy"):
+        Navigator.load(tmp_path / "other.safetensors")
+    with pytest.raises(ValueError, match="not trained together"):
+        Navigator(QNetwork(10, 5), {})
+
+
+def test_several_networks_drive_together_by_the_mean_of_their_values(tmp_path):
+    torch.manual_seed(0)
+    files = [tmp_path / f"{number}.safetensors" for number in range(3)]
+    for number, file in enumerate(files):
+        Navigator(QNetwork(39, 5, (16,)), {}, info={"seed": number}).save(file)
+    together = Navigator.load(files, slows_within=1.0)
+    assert together.info == {"members": [{"seed": 0}, {"seed": 1}, {"seed": 2}]}
+    rows = torch.rand(8, 39, dtype=torch.float64)
+    apart = [Navigator.load(file).network(rows) for file in files]
+    torch.testing.assert_close(together.network(rows), sum(apart) / 3)
+    together.save(tmp_path / "all.safetensors")
+    again = Navigator.load(tmp_path / "all.safetensors")
+    torch.testing.assert_close(again.network(rows), together.network(rows), rtol=0, atol=2e-3)
+    assert again.observer.options == together.observer.options
+    assert again.observer.options["slows_within"] == 1.0
+    with pytest.raises(ValueError, match="give at least one run folder"):
+        Navigator.load([])
+    Navigator(QNetwork(39, 5, (8,)), {}).save(files[2])
+    with pytest.raises(ValueError, match=r"\(39, 5, \(8,\)\), .*give networks of one shape"):
+        Navigator.load(files)
+    Navigator(QNetwork(39, 5, (16,)), {"memory": 30}).save(files[1])
+    with pytest.raises(ValueError, match=r"1\.safetensors was trained with the observer .*'memory': 30"):
+        Navigator.load(files)
+
+
+@pytest.mark.parametrize(
+    ("within", "distance", "expected"),
+    [(None, 5.0, 1.0), (None, 1.5, 0.5), (1.0, 1.5, 1.0), (1.0, 0.5, 0.5), (1.0, 0.1, 0.25)],
+)
+def test_the_driver_slows_down_before_the_goal(within, distance, expected):
+    torch.manual_seed(0)
+    driver = Navigator(QNetwork(39, 5, (16,)), {} if within is None else {"slows_within": within}).observer
+    driver.observe(
+        Senses(np.full((1, ROBOT.columns), ROBOT.far), np.zeros((1, 3)), np.array([[distance, 0.0]]))
+    )
+    assert driver.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
+    with pytest.raises(ValueError, match=r"slows_within=0\.0: give a distance"):
+        Navigator(QNetwork(39, 5, (16,)), {"slows_within": 0.0})
+
+
+def test_the_policy_loads_no_simulator():
+    code = (
+        "import numpy as np, sys; from eldenet.navigation.policy import Navigator; "
+        "print(Navigator.load().step(np.full(5, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))); "
+        "print(*sys.modules)"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    speed, turn = eval(shown.stdout.splitlines()[0])
+    assert 0 < speed <= 1
+    assert abs(turn) <= 1.2
+    modules = shown.stdout.splitlines()[1].split()
+    assert not {"mujoco", "gymnasium", "cv2", "hydra"} & set(modules)
+    assert {name for name in modules if name.startswith("eldenet.simulation.")} == {
+        "eldenet.simulation.robot"
+    }
+
+
+def test_an_exported_onnx_file_gives_the_same_values(tmp_path):
+    runtime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    navigator = Navigator.load()
+    export_onnx(navigator, str(tmp_path / "policy.onnx"))
+    session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
+    observation = np.random.default_rng(0).uniform(-1, 1, (7, navigator.network.inputs)).astype(np.float32)
+    (values,) = session.run(None, {"observation": observation})
+    with torch.no_grad():
+        expected = navigator.network(torch.from_numpy(observation).double()).numpy()
+    assert values == pytest.approx(expected, abs=1e-4)
+    assert json.loads(session.get_modelmeta().custom_metadata_map["navigator"]) == navigator.observer.options
+
+
+@pytest.mark.parametrize("make", [AStarDWA, AStarOnlineDWA, LocalDWA], ids=lambda make: make.name)
+def test_planners_reach_the_goal_in_an_open_arena(make):
+    rows = run_episodes(frozen_arenas(5, 3, split="val"), lambda robots: make(robots=robots), Ranges())
+    assert [row.outcome for row in rows] == ["success"] * 3
+    assert all(row.travelled >= 0.9 * row.shortest for row in rows)
+
+
+def test_a_star_passes_a_wall_that_a_local_planner_does_not():
+    fence = [Obstacle("box", 0.0, y, 0.0, (0.2, 0.5), 1.0) for y in np.arange(-7.5, 6.0, 1.0)]
+    arena = Arena("", 14, 0, tuple(fence), (-4.0, -1.0, 0.0), ((4.0, -1.0),))
+    (row,) = run_episodes([arena], lambda robots: AStarDWA(robots=robots), Ranges())
+    assert row.outcome == "success"
+    (row,) = run_episodes([arena], lambda robots: LocalDWA(robots=robots), Ranges())
+    assert row.outcome != "success"
+
+
+def test_the_dynamic_window_avoids_what_is_ahead():
+    window = DynamicWindow()
+    wall = np.stack([np.full(41, 0.9), np.linspace(-1.0, 0.2, 41)], axis=1)
+    pose, command = (0.0, 0.0, 0.0), (0.5, 0.0)
+    for _ in range(100):
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turned = np.array([[c, -s], [s, c]])
+        points, target = (wall - pose[:2]) @ turned, (np.array([2.5, 0.5]) - pose[:2]) @ turned
+        assert np.hypot(*np.maximum(np.abs(points) - (0.30, 0.25), 0).T).min() > 0
+        command = window.choose(points, tuple(target), command)
+        pose = arc(*pose, *command, 0.2)
+    assert pose[0] > 1.5  # round its left end
+    # a closed ring: no way at all
+    angles = np.linspace(0, 2 * math.pi, 200)
+    ring = 0.45 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    assert window.choose(ring, (2.0, 0.0), (0.0, 0.0))[0] == 0.0
+    assert window.choose(np.empty((0, 2)), (2.0, 0.0), (1.0, 0.0)) == (1.0, 0.0)
+
+
+# --- statistics
+
+
+def test_intervals_and_paired_tests_agree_with_scipy():
+    from scipy.stats import binomtest
+
+    for successes, trials in ((0, 200), (443, 500), (200, 200), (1, 3)):
+        expected = binomtest(successes, trials).proportion_ci(method="wilson")
+        assert wilson_interval(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
+    a = [True] * 60 + [False] * 40
+    b = [True] * 50 + [False] * 10 + [True] * 2 + [False] * 38
+    first, second, p = mcnemar(a, b)
+    assert (first, second) == (10, 2)
+    assert p == pytest.approx(binomtest(10, 12).pvalue)
+    assert mcnemar(a, a) == (0, 0, 1.0)
+    with pytest.raises(ValueError, match="same arenas"):
+        mcnemar(a, b[:-1])
+    assert spl(
+        np.array([True, True, False]), np.array([10.0, 20.0, 5.0]), np.array([10.0, 10.0, 5.0])
+    ) == pytest.approx(0.5)
+
+
+def test_times_are_compared_on_arenas_that_all_methods_solved():
+    def table(*outcomes):
+        return [Episode(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
+
+    both = solved_by_all([table("success", "success", "timeout"), table("success", "collision", "success")])
+    assert both.tolist() == [True, False, False]
+    summary = summarize(table("success", "collision", "timeout", "success"))
+    assert summary["success"] + summary["collision"] + summary["timeout"] == 100
+    with pytest.raises(ValueError, match="different arenas"):
+        solved_by_all([table("success"), table("success", "success")])
+
+
+def test_a_policy_is_a_file_or_its_run_folder(tmp_path):
+    folder = tmp_path / "run"
+    Navigator.load().save(folder / "policy.safetensors")
+    options = Navigator.load(folder).observer.options
+    assert options == Navigator.load(str(folder / "policy.safetensors")).observer.options
+    with pytest.raises(FileNotFoundError, match=r"no policy at .*policy\.safetensors: give a policy file"):
+        Navigator.load(tmp_path)
+    wrong = folder / "dqn.pt"
+    wrong.write_bytes(b"PK" * 100)
+    with pytest.raises(ValueError, match=r"dqn\.pt is not a \.safetensors file .*: give a training's run"):
+        Navigator.load(wrong)

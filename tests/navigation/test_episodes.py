@@ -1,0 +1,183 @@
+"""Episodes: way-points, pedestrians, seeds, contacts, the field of view, the goal, planning."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.cameras import camera
+from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
+from eldenet.navigation.evaluation import run_episodes
+from eldenet.navigation.failures import trace
+from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
+from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
+from eldenet.navigation.planners.straight import Straight
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.sensors import Drift, Ranges
+from eldenet.navigation.tasks import TrainingArenas
+from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, Obstacle
+from eldenet.simulation.robot import ROBOT
+
+
+def empty(start=(0.0, 0.0, 0.0), *waypoints) -> Arena:
+    return Arena("", 0, 0, (), start, waypoints or ((8.0, 0.0),))
+
+
+def test_a_star_sees_all_four_walls():
+    planner = AStarDWA()
+    planner.reset(0, ArenaWorld(empty()))
+    points = planner._points[0]
+    for axis in (0, 1):
+        for side in (-1, 1):
+            wall = points[np.abs(points[:, axis] * side - 9.975) < 1e-6]
+            assert len(wall) == 400
+    inside = np.abs(points).max(axis=1) < 9.9
+    assert not inside.any()
+
+
+def test_a_touch_is_a_collision_even_with_the_wheels_in_the_air():
+    pillar = Obstacle("cylinder", 1.0, 0.0, 0.0, (0.3, 0.3), 1.0)
+    world = ArenaWorld(Arena("", 1, 0, (pillar,), (0.0, 0.0, 0.0), ((5.0, 0.0),)), "wheels")
+    world.data.qpos[:3] = 0.405, 0.0, 0.05
+    touched = world.advance(0.0, 0.0, 0.005)
+    assert 0 < world.data.ncon <= 3  # none of them with the floor
+    assert touched
+
+
+def test_a_wall_that_fills_the_view_is_never_missed():
+    world = ArenaWorld(empty((9.0, 0.0, 0.0)))
+    instance = NoisyRanges(errors="packaged").begin(world, np.random.default_rng(0))
+    assert world.ranges().max() < 1.1
+    assert max(instance.scan().ranges.min() for _ in range(500)) < 2.0
+    errors = NoisyRanges(errors="packaged").errors
+    wall = np.full(ROBOT.columns, 0.6)
+    for _ in range(200):
+        assert (without_missed(wall, errors, np.random.default_rng()) == wall).all()
+
+
+@pytest.mark.parametrize(("degrees", "width"), [(60.0, 640), (55.0, 640), (69.4, 32)])
+def test_a_camera_with_too_small_a_view_is_refused(degrees, width):
+    focal = width / 2 / math.tan(math.radians(degrees / 2))
+    intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
+    with pytest.raises(ValueError, match=r"34\.7 degrees to each side, at least 46 px"):
+        Navigator.load().step(np.full((120, width), 9.0), (8.0, 0.0), (0.0, 0.0, 0.0), intrinsics=intrinsics)
+
+
+def test_the_smallest_allowed_camera_is_enough():
+    for width in (46, 48, 160, 640):
+        focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
+        intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
+        assert (depth_to_ranges(np.full((120, width), 8.0), intrinsics) > 7).all()
+    with pytest.raises(ValueError, match="32 px wide"):
+        camera(size=(24, 32))
+
+
+def test_an_intermediate_way_point_costs_no_time():
+    through, plain = empty((0.0, 0.0, 0.0), (1.55, 0.0), (6.0, 0.0)), empty((0.0, 0.0, 0.0), (6.0, 0.0))
+    ends = []
+    for arena in (through, plain):
+        episodes = Episodes(1, Ranges())
+        episodes.start(0, arena, (0,))
+        event = Event.NONE
+        while event is Event.NONE:
+            _, events = episodes.step(np.array([[1.0, 0.0]]))
+            event = Event(int(events[0]))
+            if event is Event.NONE:
+                assert episodes.worlds[0].time == pytest.approx(episodes.seconds[0])
+        ends.append((event, episodes.seconds[0], episodes.poses[0, 0]))
+    assert ends[0] == ends[1]
+    assert ends[0][0] is Event.GOAL
+
+
+def test_training_episodes_start_away_from_pedestrians():
+    arenas, rng = TrainingArenas((0, 20), pedestrians=10, repeats=4), np.random.default_rng(1)
+    away = [
+        math.dist((walker.x, walker.y), arena.start[:2])
+        for arena in (arenas.draw(rng) for _ in range(40))
+        for walker in arena.pedestrians
+    ]
+    assert len(away) > 100
+    assert min(away) > 3.0
+
+
+def test_each_seed_in_a_list_belongs_to_one_slot():
+    pytest.importorskip("gymnasium")
+    from eldenet.navigation.env import ArenaNavVectorEnv
+
+    env = ArenaNavVectorEnv(2)
+    one, other, third = (env.reset(seed=list(seeds))[0] for seeds in ((1, 2), (1, 3), (2, 1)))
+    np.testing.assert_array_equal(one[0], other[0])
+    np.testing.assert_array_equal(one, third[::-1])
+    assert (one[1] != other[1]).any()
+    assert (env.reset(seed=1)[0] == env.reset(seed=1)[0]).all()
+    with pytest.raises(ValueError, match="3 seeds for 2 robots"):
+        env.reset(seed=[1, 2, 3])
+
+
+def test_a_failure_finds_the_pedestrian_that_was_hit():
+    """A fast pedestrian crosses in front of the robot."""
+    traced = 0
+    for number in range(12):
+        x = 1.5 + 0.05 * number
+        walker = Obstacle("person", x, 2.0, 0.0, (0.25, 0.25), 1.7, ((x, 2.0), (x, -2.0)), 0.9)
+        arena = Arena("", 0, number, (walker,), (0.0, 0.0, 0.0), ((6.0, 0.0),))
+        make = lambda robots: Straight(robots=robots)  # noqa: E731
+        rows = run_episodes([arena], make, Ranges(), EpisodeSettings("wheels"))
+        if rows[0].outcome == "collision":
+            (failure,) = trace([arena], rows, make, Ranges(), EpisodeSettings("wheels"))
+            assert (failure.kind, failure.touched) == ("walker", "person")
+            assert failure.seconds == pytest.approx(rows[0].seconds)
+            traced += 1
+    assert traced > 3
+
+
+def test_a_goal_by_odometry_drifts_with_the_odometry():
+    drift = Drift(0.05, math.radians(3.0))
+    sensed = {}
+    for goal in ("known", "odometry"):
+        episodes = Episodes(1, NoisyRanges(drift=drift), EpisodeSettings(goal=goal))
+        episodes.start(0, empty((-8.0, 0.0, 0.0)), (3,))
+        for _ in range(30):
+            episodes.step(np.array([[1.0, 0.1]]))
+        sensed[goal] = episodes.sense()
+    np.testing.assert_array_equal(sensed["known"].odometry, sensed["odometry"].odometry)
+    for goal, pose in (("known", episodes.poses[0]), ("odometry", sensed["odometry"].odometry[0])):
+        distance, bearing = sensed[goal].goal[0]
+        x, y = (
+            pose[0] + distance * math.cos(pose[2] + bearing),
+            pose[1] + distance * math.sin(pose[2] + bearing),
+        )
+        assert (x, y) == pytest.approx((8.0, 0.0))
+    assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
+    with pytest.raises(ValueError, match="goal='gps': choose one of known, fixes, odometry"):
+        EpisodeSettings(goal="gps")
+
+
+@pytest.mark.parametrize("walls", [0, 40, 400])
+def test_planning_in_a_window_equals_planning_on_the_full_map(walls):
+    from scipy.ndimage import distance_transform_edt
+
+    rng = np.random.default_rng(walls)
+    planner = AStarOnlineDWA()
+    for _ in range(4):
+        planner.reset(0)
+        middle, half = planner.cells // 2, 60
+        rows, columns = rng.integers(middle - half, middle + half, (2, walls))
+        planner._evidence[0, rows, columns] = 4
+        pose, goal = np.array([*rng.uniform(-5, 5, 2), 0.0]), tuple(rng.uniform(-8, 8, 2).tolist())
+        taken = planner._evidence[0] > 0
+        clearance = distance_transform_edt(~taken) * RESOLUTION if walls else np.full(taken.shape, np.inf)
+        expected = None
+        for inflation, weight in ((INFLATION, 1.0), (TIGHT, 6.0)):
+            cost = np.where(clearance >= INFLATION, 1.0, np.where(clearance >= inflation, weight, np.inf))
+            if expected is None:
+                expected = shortest_path(cost, tuple(pose[:2]), goal, planner.side)
+        got = planner._plan(0, pose, goal)
+        assert (got is None) == (expected is None)
+        if got is not None:
+            assert got == pytest.approx(expected)
+        near = planner._walls_near(0, pose)
+        every = (np.argwhere(taken)[:, ::-1] + 0.5) * RESOLUTION - planner.side / 2
+        assert near == pytest.approx(every[np.hypot(*(every - pose[:2]).T) < 3.0])

@@ -1,0 +1,107 @@
+"""From depth maps and boxes to ranges per column: holes, blindness, other cameras."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.policy import as_ranges
+from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
+from eldenet.simulation.arena_view import ArenaView
+from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arenas import Arena, Obstacle, generate_arena, triangle_course
+from eldenet.simulation.robot import ROBOT
+
+
+def hall(
+    *boxes: tuple[float, float, float, float], size=(96, 128), camera_height=ROBOT.camera_height
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth of a floor, a wall at 8 m and boxes (distance, right side's, left side's place, height) [m]."""
+    height, width = size
+    focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
+    intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+    left = (intrinsics[0, 2] - np.arange(width)) / focal
+    down = ((np.arange(height) - intrinsics[1, 2]) / focal)[:, None]
+    depth = np.minimum(camera_height / np.maximum(down, 1e-6), 8.0) * np.ones(width)
+    for at, first, last, top in boxes:
+        on = (left > first / at) & (left < last / at)
+        on = on & (down * at < camera_height) & (down * at > camera_height - top)
+        depth[on & (depth > at)] = at
+    return depth, intrinsics
+
+
+@pytest.mark.parametrize("size", [(96, 128), (480, 640)])
+@pytest.mark.parametrize("unknown", [0.0, np.nan, -1.0])
+def test_small_holes_in_a_depth_map_are_no_obstacles(size, unknown):
+    depth, intrinsics = hall((3.0, -0.4, 0.4, 0.6), size=size)
+    true = depth_to_ranges(depth, intrinsics)
+    assert true.min() == pytest.approx(3.0, abs=0.01)
+    rng = np.random.default_rng(0)
+    for share in (0.01, 0.1):
+        holes = np.where(rng.random(depth.shape) < share, unknown, depth)
+        assert depth_to_ranges(holes, intrinsics) == pytest.approx(true, rel=0.05)
+    depth[: size[0] // 8] = unknown  # as stereo loses the upper rows
+    depth[-2:] = unknown
+    assert (depth_to_ranges(depth, intrinsics) == true).all()
+
+
+@pytest.mark.parametrize(("at", "top"), [(0.9, 0.3), (2.0, 0.3), (2.0, 1.0), (4.0, 0.6)])
+def test_an_unknown_patch_is_an_obstacle_where_it_meets_the_floor(at, top):
+    depth, intrinsics = hall((at, -0.3, 0.3, top), size=(240, 320))
+    true = depth_to_ranges(depth, intrinsics)
+    depth[depth == at] = 0.0
+    got = depth_to_ranges(depth, intrinsics)
+    assert got == pytest.approx(true, rel=0.06)
+    assert got.min() < at * 1.06
+
+
+def test_infinite_depth_is_far_and_missing_depth_is_near():
+    depth, intrinsics = hall()
+    assert (depth_to_ranges(np.where(depth > 5, np.inf, depth), intrinsics) == ROBOT.far).all()
+    assert (depth_to_ranges(np.full_like(depth, -np.inf), intrinsics) == ROBOT.near).all()
+    depth[:, 40:60] = 0.0  # nothing at all, not even floor
+    got = depth_to_ranges(depth, intrinsics)
+    assert (got == ROBOT.near).any()
+    assert (got > 7).any()
+
+
+def test_a_camera_at_another_height_sees_the_same_wall():
+    """10 cm lower it sees the floor nearer, and must not take it for an obstacle."""
+    depth, intrinsics = hall(camera_height=0.2)
+    assert depth_to_ranges(depth, intrinsics).min() < 2.0
+    assert depth_to_ranges(depth, intrinsics, camera_height=0.2).min() == pytest.approx(8.0, abs=0.01)
+
+
+def test_ranges_from_depth_agree_with_rays():
+    arena = generate_arena("val", 40, 5)
+    world, view = ArenaWorld(arena), ArenaView(arena, (120, 160))
+    depth = view.photo(arena.start).depth
+    got, true = depth_to_ranges(depth, view.intrinsics), world.ranges()
+    near = true < 8
+    assert near.sum() > 10
+    assert np.median(np.abs(got - true)[near] / true[near]) < 0.03
+    assert (got > true * 1.1).mean() < 0.05  # never far where something is near
+
+
+def test_blindness_reads_as_near():
+    intrinsics = ArenaView(triangle_course(), (120, 160)).intrinsics
+    assert (depth_to_ranges(np.zeros((120, 160)), intrinsics) == ROBOT.near).all()
+    assert (
+        as_ranges(np.array([0.0, np.nan, np.inf, 5.0, 0.1]), None).reshape(5, -1)[:, 0]
+        == [0.3, 0.3, 10, 5, 0.3]
+    ).all()
+    with pytest.raises(ValueError, match="intrinsics"):
+        as_ranges(np.ones((4, 4)), None)
+    with pytest.raises(ValueError, match=r"\(7,\)"):
+        as_ranges(np.ones(7), None)
+
+
+def test_ranges_from_boxes_agree_with_rays():
+    box = Obstacle("box", 3.0, 0.7, 0.4, (0.5, 0.3), 1.0)
+    arena = Arena("", 1, 0, (box,), (0.0, 0.0, 0.0), ((5.0, 0.0),))
+    true = ArenaWorld(arena).ranges()
+    got = footprints_to_ranges(np.array([[3.0 - ROBOT.camera_ahead, 0.7, 0.4, 0.5, 0.3]]))
+    on_box = got < ROBOT.far
+    assert on_box.sum() > 5
+    assert got[on_box] == pytest.approx(true[on_box], abs=1e-4)
+    assert (footprints_to_ranges(np.empty((0, 5))) == ROBOT.far).all()

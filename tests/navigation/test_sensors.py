@@ -1,0 +1,289 @@
+"""Camera sensors: source of each sector, boxes of objects, measured errors and noise drawn from them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.config import compose, instantiate
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.geometry import to_corner
+from eldenet.heads import LinearHead
+from eldenet.model import DepthNet
+from eldenet.navigation.cameras import (
+    Camera,
+    CameraInstance,
+    camera,
+    near_faces,
+    objects,
+    simulated_detections,
+)
+from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.range_errors import (
+    EDGES,
+    RangeErrors,
+    Scans,
+    fit_errors,
+    scan_along,
+    scan_near,
+    segments,
+)
+from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.perception.detectors import CallableDetector
+from eldenet.perception.lifter import BoxLifter
+from eldenet.simulation.arena_view import ArenaView
+from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+from eldenet.simulation.robot import ROBOT
+
+BOX = Obstacle("box", 3.0, 0.4, 0.3, (0.4, 0.3), 1.0)
+PILLAR = Obstacle("cylinder", 2.5, -0.9, 0.0, (0.25, 0.25), 1.2)
+ARENA = Arena("", 2, 0, (BOX, PILLAR), (0.0, 0.0, 0.0), ((5.0, 0.0),))
+
+
+def instance_of(sensor: Camera, arena: Arena = ARENA) -> CameraInstance:
+    instance = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
+    assert isinstance(instance, CameraInstance)
+    return instance
+
+
+# --- boxes ---
+
+
+def test_each_sector_names_its_source():
+    arena = generate_arena("val", 20, 0)
+    seen = instance_of(objects(size=(60, 80)), arena).scan()
+    assert set(seen.sectors_fed_by) <= {"box", "depth"}
+    assert seen.image.shape == (60, 80, 3)
+    seen = instance_of(objects()).scan()
+    # right to left: pillar, pillar, gap, box, wall
+    assert seen.sectors_fed_by[0] == seen.sectors_fed_by[3] == "box"
+    assert seen.sectors_fed_by[4] == "depth"
+    assert seen.sectors[4] == ROBOT.far or seen.sectors[4] > 8
+    assert instance_of(camera()).scan().sectors_fed_by == ("depth",) * 5
+
+
+def test_near_faces_agree_with_rays():
+    instance = instance_of(objects())
+    seen, true = instance.scan(), ArenaWorld(ARENA).ranges()
+    by_box = seen.fed_by == 2
+    shows = (true < 4) & by_box
+    assert shows.sum() > 12
+    assert np.abs(np.log(seen.ranges[shows] / true[shows])).mean() < 0.06
+
+
+def test_the_simulator_s_detections_enclose_visible_pixels():
+    view = ArenaView(ARENA, (120, 160))
+    photo = view.photo(ARENA.start)
+    found = simulated_detections(photo, ARENA)
+    assert sorted(found.classes) == ["box", "cylinder"]
+    for xyxy, kind in zip(to_corner(found.xyxy).astype(int), found.classes, strict=True):
+        mine = photo.obstacle == [o.kind for o in ARENA.obstacles].index(kind)
+        left, top, right, bottom = xyxy
+        assert mine[top:bottom, left:right].sum() == mine.sum()
+        assert mine[top].any()
+        assert mine[bottom - 1].any()
+        assert mine[:, left].any()
+        assert mine[:, right - 1].any()
+    empty = Arena("", 0, 0, (), ARENA.start, ARENA.waypoints)
+    assert len(simulated_detections(ArenaView(empty, (60, 80)).photo(ARENA.start), empty)) == 0
+    assert set(instance_of(objects(size=(60, 80)), empty).scan().sectors_fed_by) == {"depth"}
+
+
+def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
+    true = ArenaWorld(ARENA).ranges()
+    pillar = (true < 2.6) & (np.arange(ROBOT.columns) < 16)
+    assert pillar.sum() > 5
+    return pillar, true
+
+
+def test_undetected_obstacles_come_from_depth():
+    pillar, true = pillar_columns()
+    found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
+    box = found.xyxy[found.classes.index("box")]
+    detector = CallableDetector(lambda frame: (to_corner(box[None]), [0.9], [0]), ("box",))
+    seen = instance_of(objects(detector=detector)).scan()
+    assert (seen.fed_by[pillar] == 1).all()
+    assert np.abs(seen.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert seen.sectors_fed_by[3] == "box"
+    with pytest.raises(ValueError, match="needs a lifter"):
+        Camera(detector=detector)
+
+
+def test_a_box_does_not_hide_an_obstacle_in_front_of_it():
+    pillar, true = pillar_columns()
+    behind = Boxes3D(
+        np.array([[0.8, -0.1, 6.0]]), np.array([[4.0, 1.0, 1.0]]), np.zeros(1), np.ones(1),
+        np.zeros(1, np.int64), ("box",),
+    )  # fmt: skip
+    wide = CallableDetector(lambda frame: (np.array([[0.0, 0.0, 160.0, 120.0]]), [0.9], [0]), ("box",))
+    sensor = Camera(None, lambda depth, detections, camera: behind, wide)
+    seen = instance_of(sensor).scan()
+    assert (seen.fed_by[pillar] == 1).all()
+    assert np.abs(seen.ranges[pillar] / true[pillar] - 1).max() < 0.1
+    assert seen.ranges[seen.fed_by == 2] == pytest.approx(5.5, rel=0.15)
+
+
+def test_a_box_only_counts_where_its_detection_is():
+    instance = instance_of(objects())
+    instance.scan()
+    found = simulated_detections(instance.photo, ARENA)
+    boxes = BoxLifter("lshape", ground=None)(instance.photo.depth, found, instance.camera)
+    whole = near_faces(boxes, found, instance.camera)
+    half = Detections2D(found.xyxy.copy(), found.score, found.label, found.names)
+    half.xyxy[:, 2] = half.xyxy[:, [0, 2]].mean(axis=1)
+    fewer = near_faces(boxes, half, instance.camera)
+    assert 0 < (fewer < ROBOT.far).sum() < (whole < ROBOT.far).sum()
+
+
+def test_any_trained_network_can_feed_a_camera(tmp_path):
+    model = DepthNet.from_parts(PPLCNet(0.25), FastUpConvDecoder, LinearHead())
+    model.save_pretrained(tmp_path / "run" / "model", info={"input_size": [48, 64]})
+    for source in (tmp_path / "run", tmp_path / "run" / "model"):
+        sensor = camera(str(source), size=(60, 80))
+        seen = instance_of(sensor).scan()
+        assert seen.depth.shape == (60, 80)
+        intrinsics = ArenaView(ARENA, (60, 80)).intrinsics
+        np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
+    with pytest.raises(FileNotFoundError, match="neither a folder"):
+        camera("no-such-run")
+
+
+@pytest.mark.parametrize("sensor", ["ranges", "noisy", "camera", "objects"])
+def test_sensors_of_the_configs_scan(sensor):
+    config = compose("navigate", [f"sensor={sensor}"])
+    instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
+    assert instance.scan().ranges.shape == (ROBOT.columns,)
+
+
+def test_the_environment_s_info_names_each_sector_s_source():
+    pytest.importorskip("gymnasium")
+    from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv
+
+    env = ArenaNavEnv(arena=ARENA, sensor=objects(size=(60, 80)))
+    _, info = env.reset(seed=0)
+    assert set(info["fed_by"]) == {"box", "depth"}
+    assert len(env.step(2)[4]["fed_by"]) == 5
+    many = ArenaNavVectorEnv(2, sensor=objects(size=(36, 48)))
+    many.reset(seed=0)
+    assert many.step(np.array([2, 2]))[4]["fed_by"].shape == (2, 5)
+    plain = ArenaNavVectorEnv(2)
+    plain.reset(seed=0)
+    assert "fed_by" not in plain.step(np.array([2, 2]))[4]
+
+
+# --- errors ---
+
+
+def drawn(errors: RangeErrors) -> Scans:
+    arenas = [arena for density in (20, 60) for arena in frozen_arenas(density, 8, split="val")]
+    return scan_along(arenas, NoisyRanges(errors=errors), Navigator.load())
+
+
+@pytest.fixture(scope="module")
+def put_in() -> RangeErrors:
+    return RangeErrors(
+        EDGES,
+        bias=(0.1, 0.05, 0.0, 0.0, -0.05, -0.1),
+        spread=(0.08, 0.08, 0.1, 0.12, 0.15, 0.18),
+        miss=(0.0, 0.0, 0.2, 0.3, 0.3, 0.3),
+        scale=0.5, smooth=0.7, column=0.65, memory=0.7, far=(-0.2, 0.1),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def measured(put_in) -> RangeErrors:
+    return fit_errors(drawn(put_in), note="a test")
+
+
+def test_fitted_errors_are_the_drawn_ones(put_in, measured):
+    assert measured.bias[1:5] == pytest.approx(np.interp(measured.middles[1:5], put_in.middles, put_in.bias),
+                                               abs=0.04)  # fmt: skip
+    assert measured.spread[1:5] == pytest.approx(put_in.spread[1:5], rel=0.25)
+    assert measured.scale == pytest.approx(put_in.scale, abs=0.15)
+    assert measured.smooth == pytest.approx(put_in.smooth, abs=0.15)
+    assert measured.column == pytest.approx(put_in.column, abs=0.15)
+    assert measured.memory == pytest.approx(put_in.memory, abs=0.25)
+    assert measured.far == pytest.approx(put_in.far, abs=0.04)
+    # near the wall or another obstacle a miss is less than 1.5 times as far: fewer count
+    assert measured.miss[0] == 0
+    assert 0.02 < measured.miss[2] < 0.25
+    assert measured.measured["note"] == "a test"
+    missed = [row["missed"] for row in measured.sectors]
+    assert missed[0] == 0
+    assert missed[3] > 0.03
+    assert sum(row["count"] for row in measured.sectors) > 1000
+
+
+def test_scans_near_obstacles_are_near(put_in):
+    arenas = list(frozen_arenas(80, 3, split="val"))
+    scans = scan_near(arenas, NoisyRanges(errors=put_in), scans=20)
+    assert scans.ranges.shape == scans.true.shape == (60, 40)
+    assert len(np.unique(scans.episode)) == 60
+    close, along = scans.true < 0.8, drawn(put_in).true < 0.8
+    assert close.mean() > 0.05 > 0.02 > along.mean()
+    again = scan_near(arenas, NoisyRanges(errors=put_in), scans=20)
+    np.testing.assert_array_equal(again.ranges, scans.ranges)
+    with pytest.raises(ValueError, match="scans=0"):
+        scan_near(arenas, NoisyRanges(errors=put_in), scans=0)
+
+
+def test_exact_ranges_have_no_errors():
+    true = np.clip(np.random.default_rng(0).uniform(0.5, 10, (200, 5)).repeat(8, axis=1), 0.3, 9.5)
+    errors = fit_errors(Scans(true, true, np.zeros(200, int)))
+    assert errors.bias == errors.spread == errors.miss == (0.0,) * 6
+    with pytest.raises(ValueError, match="scan in more arenas"):
+        fit_errors(Scans(true[:3], true[:3], np.zeros(3, int)))
+
+
+def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_filled_one():
+    rng = np.random.default_rng(0)
+    true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
+    true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
+    scans = Scans(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
+    errors = fit_errors(scans)
+    assert errors.bias == pytest.approx([errors.bias[2]] * 6)
+    assert errors.spread == pytest.approx([0.05] * 6, abs=0.01)
+    assert errors.column == pytest.approx(1.0, abs=0.1)
+    assert errors.scale < 0.3
+
+
+def test_errors_are_stored_in_a_small_file(tmp_path, measured):
+    path = tmp_path / "errors.json"
+    measured.write(path)
+    assert path.stat().st_size < 4000
+    assert RangeErrors.read(path) == measured
+    assert NoisyRanges(errors=str(path)).errors == measured
+    with pytest.raises(FileNotFoundError, match="mode=fit_noise"):
+        RangeErrors.read(tmp_path / "none.json")
+    path.write_text(json.dumps({"edges": [1]}))
+    with pytest.raises(ValueError, match="contains no range errors"):
+        RangeErrors.read(path)
+    measured.write(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"bias": [0.1]}))
+    with pytest.raises(ValueError, match="need 6 entries"):
+        RangeErrors.read(path)
+
+
+def test_the_packaged_errors_have_notes_on_their_origin():
+    errors = NoisyRanges(errors="packaged").errors
+    assert "data=arenas" in errors.measured["training"]
+    assert {"training", "command", "date", "versions"} <= set(errors.measured)
+    assert errors.measured["split"] == "val"
+    assert all(0.02 < spread < 0.3 for spread in errors.spread)
+
+
+def test_a_missed_segment_is_replaced_by_its_farther_neighbor(put_in):
+    ranges = np.concatenate([np.full(10, 5.0), np.full(6, 2.5), np.full(24, ROBOT.far)])
+    assert segments(ranges).tolist() == [0] * 10 + [1] * 6 + [2] * 24
+    rng, outcomes = np.random.default_rng(0), []
+    for _ in range(600):
+        out = without_missed(ranges, put_in, rng)
+        assert (out[10:16] == 2.5).all() or (out[10:16] == ROBOT.far).all()
+        assert (out >= ranges).all()
+        outcomes.append(out[12] > 3)
+    assert np.mean(outcomes) == pytest.approx(0.2, abs=0.04)

@@ -1,0 +1,91 @@
+"""Trainings of drivers: they resume, and their record keeps the version that trained them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from eldenet.navigation import training
+from eldenet.navigation.dqn import CHECKPOINT, DQN, DQNSettings
+from eldenet.navigation.policy import POLICY, Navigator
+from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.tasks import TrainingArenas
+from eldenet.results.run_log import RunLog
+
+pytest.importorskip("gymnasium")
+from eldenet.navigation.env import ArenaNavVectorEnv
+
+
+class Stopped(Exception):
+    """Like a kill."""
+
+
+def train(folder: Path, *, version: int = 1, stop_after: int | None = None, seed: int = 0) -> dict:
+    """600 steps with two checkpoints; ``stop_after`` ends the training after that many."""
+
+    class Stopping(DQN):
+        def save(self, path: Path) -> None:
+            super().save(path)
+            if self.num_timesteps // 300 == stop_after:
+                raise Stopped
+
+    def make_learner() -> DQN:
+        settings = DQNSettings(
+            total_timesteps=600, checkpoint_interval=300, learning_starts=100, batch_size=16,
+            buffer_size=1000, hidden=(16,), seed=seed,
+        )  # fmt: skip
+        return Stopping(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), settings)
+
+    setup = training.TrainingSetup(make_learner, Ranges(), 0, {"seed": seed}, {"seed": seed})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "TRAINING_VERSION", version)
+        return training.train(setup, folder, RunLog(folder, quiet=True))
+
+
+def record(folder: Path) -> dict:
+    return json.loads((folder / training.RECORD).read_text())
+
+
+def test_a_finished_training_is_left_unchanged(tmp_path):
+    train(tmp_path)
+    files = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert record(tmp_path)["version"] == 1
+    assert record(tmp_path)["config"] == {"seed": 0}
+    assert train(tmp_path, version=2)["version"] == 1
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == files
+    with pytest.raises(ValueError, match="other settings"):
+        train(tmp_path, seed=1)
+
+
+def test_a_stopped_training_continues_only_with_the_version_that_started_it(tmp_path):
+    with pytest.raises(Stopped):
+        train(tmp_path, stop_after=1)
+    checkpoint = (tmp_path / CHECKPOINT).read_bytes()
+    with pytest.raises(
+        ValueError, match="version 1 started and that stopped at step 300 of 600; this is version 2"
+    ):
+        train(tmp_path, version=2)
+    assert (tmp_path / CHECKPOINT).read_bytes() == checkpoint
+    assert not (tmp_path / POLICY).exists()
+    assert [leg["steps"] for leg in train(tmp_path)["legs"]] == [300, 600]
+    assert record(tmp_path)["version"] == 1
+    assert Navigator.load(tmp_path).info == {"steps": 600, "seed": 0}
+
+
+def test_a_training_that_lacks_only_its_record_keeps_its_version(tmp_path):
+    with pytest.raises(Stopped):
+        train(tmp_path, stop_after=2)
+    assert not (tmp_path / training.RECORD).exists()
+    train(tmp_path, version=2)
+    assert record(tmp_path)["version"] == 1
+
+
+def test_a_training_without_a_version_is_not_continued(tmp_path):
+    with pytest.raises(Stopped):
+        train(tmp_path, stop_after=1)
+    progress = tmp_path / training.PROGRESS
+    note = json.loads(progress.read_text())
+    del note["version"]
+    progress.write_text(json.dumps(note))
+    with pytest.raises(ValueError, match="version None started"):
+        train(tmp_path)

@@ -1,0 +1,126 @@
+"""``eldenet.predict boxes=true`` on images, videos and live cameras, and what it needs."""
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.detector_files import FILES, save
+from support.standing_boxes import BLANK, CAMERA, boxes
+
+from eldenet.boxes import Detections2D
+from eldenet.config import build_prediction, compose
+from eldenet.deploy.prediction import predict
+from eldenet.perception.box_results import box_results
+from eldenet.perception.kitti_object import read_labels
+from eldenet.perception.scene import Scene
+from eldenet.perception.tracking import BoxTracker
+
+INTRINSICS = "intrinsics=[200,200,128,64]"
+
+
+@pytest.fixture
+def run(model_folder, tmp_path):
+    """Predict ``source`` with a detector that always finds a dog and a cow; results go to ``out``."""
+    detector = save(tmp_path / "detector.onnx", *FILES["yolov8"])
+
+    def predict_boxes(source: Path, *overrides: str):
+        options = [
+            f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true",
+            f"perception.detector.path='{detector}'", "runtime.threads=1", "runtime.workers=0", INTRINSICS,
+        ]  # fmt: skip
+        return predict(build_prediction(compose("predict", [*options, *overrides])))
+
+    return predict_boxes
+
+
+def write_image(path: Path) -> Path:
+    cv2.imwrite(str(path), np.full((128, 256, 3), 90, np.uint8))
+    return path
+
+
+def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
+    source = write_image(tmp_path / "photo.png")
+    run(source)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written >= {"photo_boxes.png", "photo_boxes.txt", "photo_depth.png", "photo_color.png"}
+    assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
+    said = capsys.readouterr().out
+    assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
+    with pytest.raises(ValueError, match="there already"):
+        run(source, "formats=[color]")
+
+
+def test_images_without_objects_get_empty_files(run, tmp_path):
+    for name in ("a", "b"):
+        write_image(tmp_path / f"{name}.png")
+    run(tmp_path, "perception.detector.threshold=0.99")
+    for name in ("a", "b"):
+        assert (tmp_path / f"out/{name}_boxes.txt").read_text() == ""
+        assert (tmp_path / f"out/{name}_boxes.png").is_file()
+
+
+def test_predict_follows_boxes_through_a_video(run, tmp_path):
+    source = tmp_path / "walk.mp4"
+    writer = cv2.VideoWriter(str(source), cv2.VideoWriter.fourcc(*"mp4v"), 10, (256, 128))
+    for shade in range(4):
+        writer.write(np.full((128, 256, 3), 60 + shade, np.uint8))
+    writer.release()
+    run(source)
+    capture = cv2.VideoCapture(str(tmp_path / "out/walk_boxes.mp4"))
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 4
+    assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
+    for name in ("walk_boxes.mp4", "walk_depth.mp4"):
+        (tmp_path / "out" / name).rename(tmp_path / name)
+    with pytest.raises(ValueError, match=r"there already.*out/walk\b"):  # the text files
+        run(source)
+
+
+def test_speeds_follow_from_the_times_of_frames_that_a_live_camera_dropped(tmp_path):
+    """One meter per second; of 30 frames per second every sixth arrives."""
+    from eldenet.deploy.outputs import Results
+
+    frames = [7 + 0.2 * step for step in range(15)]
+    tracker, seen = BoxTracker(), []
+
+    def perceive(image, *, depth, seconds):
+        seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
+        depth, none = np.ones(BLANK.shape[:2], np.float32), Detections2D.empty(("car",))
+        return Scene(BLANK, depth, none, seen[-1], CAMERA, {})
+
+    results = Results(tmp_path, ())
+    with box_results(perceive, results, ["cam"], None, is_video=True) as results.also:
+        results.frames_per_second = 15.0  # known once the camera is open
+        for number, time in enumerate(frames):
+            results.write(f"cam/{number}", BLANK, np.ones((120, 320)), (), time=time)
+    assert seen[-1].velocity[0, 2] == pytest.approx(1.0, abs=0.05)
+    film = cv2.VideoCapture(str(tmp_path / "cam_boxes.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == 15.0
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 14 * 3 + 1  # as long as the recording
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("intrinsics=null", "intrinsics"),
+        ("perception.detector.path=null", r"perception\.detector\.path"),
+        ("perception.detector.path='{folder}/odd.onnx'", "cannot load"),
+        ("perception.lifter.method=magic", "method"),
+    ],
+)
+def test_missing_and_wrong_settings_are_refused(run, override, message, tmp_path):
+    (tmp_path / "odd.onnx").write_text("no network")
+    with pytest.raises(ValueError, match=message):
+        run(write_image(tmp_path / "photo.png"), override.format(folder=tmp_path))
+
+
+@pytest.mark.parametrize("part", ["detector", "lifter", "tracker"])
+def test_the_config_shows_every_option(part):
+    import inspect
+
+    from hydra.utils import get_object
+
+    node = compose("predict", ["checkpoint=x", "source=y"]).perception[part]
+    options = set(inspect.signature(get_object(node["_target_"])).parameters)
+    assert options - {"priors"} == {name for name in node if name != "_target_"}

@@ -1,0 +1,85 @@
+"""Rendered streets and halls: their boxes, in the picture and in space."""
+
+import cv2
+import numpy as np
+import pytest
+from support.blocks import clear
+
+from eldenet.simulation.street_views import render_street
+from eldenet.simulation.streets import generate_scene
+
+
+def test_scenes_are_reproducible_and_differ_by_split():
+    first, again, other = (generate_scene(split, 0) for split in ("train", "train", "val"))
+    assert first.room.text == again.room.text != other.room.text
+    with pytest.raises(ValueError, match="split"):
+        generate_scene("all", 0)
+
+
+def test_the_pixels_of_an_object_lie_in_its_boxes(views):
+    """Every pixel lies in the 3D box, and the 2D box is tight."""
+    for view in views:
+        rows, columns = np.indices(view.depth.shape)
+        points = view.camera.back_project(columns, rows, view.depth)
+        for number in clear(view)[:6]:
+            mine = points[view.instance == number]
+            box = view.boxes[int(number)]
+            turn = np.array(
+                [[np.cos(box.yaw), 0, -np.sin(box.yaw)], [np.sin(box.yaw), 0, np.cos(box.yaw)], [0, 1, 0]]
+            )
+            inside = np.abs((mine - box.center) @ turn.T) - box.size / 2
+            # boxes stand upright in a camera frame that is tilted by up to a degree
+            assert inside.max() < 0.02 + 0.018 * box.size.max()
+            xyxy = view.detections.xyxy[number]
+            row, column = np.nonzero(view.instance == number)
+            wanted = [column.min() - 0.5, row.min() - 0.5, column.max() + 0.5, row.max() + 0.5]
+            np.testing.assert_allclose(xyxy, wanted)
+
+
+def neighbors(view, number: int) -> set[int]:
+    """Nearer objects that touch the pixels of an object."""
+    mine = view.instance == number
+    beside = cv2.dilate(mine.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & (view.instance >= 0)
+    near = view.depth < np.median(view.depth[mine])
+    return set(view.instance[beside & near & ~mine].tolist())
+
+
+def test_unoccluded_objects_have_a_visibility_near_one():
+    free, hidden, touching, inside = [], [], [], []
+    for index in range(6):
+        view = render_street("val", index, (120, 160), "hall")
+        for number in range(len(view.boxes)):
+            rows, columns = np.nonzero(view.instance == number)
+            if len(rows) < 300:  # visibility counts every 16th pixel
+                continue
+            at_border = bool(
+                rows.min() == 0 or columns.min() == 0 or rows.max() == 119 or columns.max() == 159
+            )
+            alone = not neighbors(view, number)
+            if alone:
+                (touching if at_border else inside).append(view.truncated[number])
+            if not view.truncated[number]:
+                (free if alone else hidden).append(view.visible[number])
+    assert min(len(free), len(inside), len(touching)) > 3
+    assert min(free) > 0.85
+    assert max(free) <= 1
+    assert min(hidden) < 0.6
+    assert np.mean(touching) > 0.8
+    assert not any(inside)
+
+
+def test_the_2d_box_of_a_block_is_the_projection_of_its_3d_box():
+    """On average, the rendered pixels neither stick out of the projection nor fall short of it.
+
+    A camera tilt of a degree leaves about a pixel for each block, which averages out.
+    """
+    excess = []
+    for index in range(8):
+        view = render_street("train", index, (240, 320), "hall")
+        blocks = np.isin(view.boxes.classes, ("box", "pillar")) & (view.visible > 0.97) & ~view.truncated
+        projected = view.boxes.project(view.camera, view.depth.shape)
+        gap = (view.detections.xyxy - projected) * [-1, -1, 1, 1]
+        excess.append(gap[blocks])
+    gaps = np.concatenate(excess)
+    assert len(gaps) > 8
+    assert abs(np.median(gaps)) < 0.2

@@ -1,0 +1,96 @@
+"""What functions are given: few arguments, and no configs below ``config.py``."""
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eldenet.visualization import write_picture
+
+PACKAGE = Path(__file__).parents[1] / "eldenet"
+MOST_ARGUMENTS = 8
+
+#: Runs a command in this process and prints each function below ``config.py`` that received a config.
+WATCHED = """
+import sys
+from importlib import import_module
+from pathlib import Path
+
+command, *sys.argv[1:] = sys.argv[1:]
+found = set()
+
+
+def watch(frame, event, argument):
+    code = frame.f_code
+    if event != "call" or "/eldenet/" not in code.co_filename:
+        return
+    if Path(code.co_filename).name in ("config.py", "entry_point.py", "help.py") or code.co_name == "main":
+        return
+    for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]:
+        if type(frame.f_locals.get(name)).__module__.startswith("omegaconf"):
+            found.add(f"{code.co_filename}:{code.co_firstlineno} {code.co_name}({name})")
+
+
+module = import_module(f"eldenet.{command}")
+sys.setprofile(watch)
+try:
+    module.main()
+finally:
+    sys.setprofile(None)
+    print("RECEIVED", *sorted(found), sep="\\n")
+"""
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef]]:
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                yield f"{file.relative_to(PACKAGE)}:{node.lineno} {node.name}", node
+
+
+def test_no_function_takes_more_than_eight_arguments() -> None:
+    """Constructors apart: classes that YAML builds have a keyword for every option."""
+    long = {}
+    for place, node in functions():
+        names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+        count = len([name for name in names if name not in ("self", "cls")])
+        if node.name not in ("__init__", "__new__") and count > MOST_ARGUMENTS:
+            long[place] = count
+    assert long == {}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "train data.frames={train:8,val:8,test:8} trainer.epochs=1 model=eldenet_s run_dir={out}/run",
+        "evaluate checkpoint=eldenet_rooms data.frames={train:8,val:8,test:8} run_dir={out}/scores",
+        "predict checkpoint=eldenet_rooms source={photo} output={out}/predictions",
+        "export checkpoint=eldenet_rooms output={out}/model.onnx",
+        "check_data data.frames={train:8,val:8,test:8}",
+        "report runs=[{runs}] output={out}/table",
+        "navigate mode=evaluate density=[5] episodes=1 run_dir={out}/drive",
+    ],
+    ids=lambda words: words.split()[0],
+)
+def test_configs_end_in_config_py(words: str, tmp_path: Path, cache: str) -> None:
+    photo = tmp_path / "photo.png"
+    write_picture(photo, np.full((48, 64, 3), 90, np.uint8))
+    runs = PACKAGE.parent / "experiments" / "table3_rivals" / "stored" / "eldenet"
+    places = {"{out}": tmp_path, "{photo}": photo, "{runs}": runs}
+    for name, value in places.items():
+        words = words.replace(name, str(value))
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, *words.split()],
+        env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.rpartition("RECEIVED")[2].split("\n")[1:] == [""]
