@@ -403,6 +403,35 @@ def build_split(
     return dataset
 
 
+def build_report(config: DictConfig) -> Any:
+    """A :class:`~eldenet.results.comparison.ReportSetup`."""
+    from eldenet.results.comparison import ReportSetup
+
+    if config.study is not None:
+        return ReportSetup(study=Path(config.study))
+    return ReportSetup(
+        runs=listed(config.runs),
+        output=Path(config.output),
+        columns=listed(config.columns),
+        costs=config.costs,
+    )
+
+
+def build_study(config: DictConfig) -> Any:
+    """A :class:`~eldenet.results.studies.runner.StudySetup`."""
+    from eldenet.results.studies.runner import StudySetup
+
+    return StudySetup(
+        study=config.study,
+        runs=Path(config.runs),
+        rows=plain(config.rows),
+        job=config.row,
+        seeds=None if config.seeds is None else listed(config.seeds),
+        rerun=config.rerun,
+        given=plain(config.given),
+    )
+
+
 def check_data_folders(config: DictConfig) -> None:
     """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
 

@@ -1,4 +1,4 @@
-"""What the choice of images, frames or worlds leaves open: bootstrap intervals."""
+"""Bootstrap intervals: how far a figure depends on the images, frames or arenas that were drawn."""
 
 import math
 from collections.abc import Callable
@@ -14,25 +14,25 @@ def bootstrap_interval(
     share: float = 0.95,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Interval of a statistic: its percentiles over things drawn anew, with replacement.
+    """Percentile bootstrap interval of a statistic.
 
-    Efron, "Bootstrap methods: another look at the jackknife", 1979. A statistic that compares is paired:
-    what it compares is drawn together, so that what both share (a hard world) cancels.
+    Efron, "Bootstrap methods: another look at the jackknife", 1979. A paired comparison takes the
+    difference within ``statistic``, so that both sides are drawn together.
+    Unlike ``scipy.stats.bootstrap`` it takes single observations and draws without a value.
 
     Args:
-        statistic: numbers of things ``(count,)`` -> value; nan where it has none.
-        count: how many things there are.
-        draws: how often.
-        share: of the values that the interval holds.
+        statistic: drawn indices ``(count,)`` -> value; NaN where it has none.
+        count: number of observations.
+        draws: number of resamples.
+        share: of the values that lie within the interval.
         seed: of the draws.
 
     Returns:
-        Low and high; nan where no draw had a value.
+        Low and high; NaN where no draw had a value.
     """
     rng = np.random.default_rng(seed)
-    values = (
-        np.array([statistic(rng.integers(0, count, count)) for _ in range(draws)]) if count else np.zeros(0)
-    )
+    resamples = (rng.integers(0, count, count) for _ in range(draws if count else 0))
+    values = np.array([statistic(drawn) for drawn in resamples])
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan

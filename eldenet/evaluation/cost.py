@@ -1,4 +1,4 @@
-"""What a model costs: parameters, multiply-adds, latency, throughput - and on what that was measured."""
+"""Cost of a model: parameters, multiply-adds, latency and throughput, and what they were measured on."""
 
 import itertools
 import resource
@@ -15,7 +15,7 @@ from eldenet.system.timing import median_ms, percentile_ms, time_interleaved
 
 @dataclass(frozen=True)
 class CostReport:
-    """Cost of one forward pass. A latency means nothing without the last columns.
+    """Cost of one forward pass. A latency means nothing without the last six attributes.
 
     Attributes:
         params: number of parameters.
@@ -77,13 +77,13 @@ def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
 
 
 def device_of(model: nn.Module) -> torch.device:
-    """Where a model is; the CPU if it has neither parameters nor buffers."""
+    """Device of a model; the CPU if it has neither parameters nor buffers."""
     tensors = itertools.chain(model.parameters(), model.buffers())
     return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
 
 def peak_memory_mb(device: torch.device) -> float:
-    """Most memory so far [MB]: of the device on CUDA, else of this process."""
+    """Peak memory so far [MB]: of the device on CUDA, else of this process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
@@ -93,7 +93,7 @@ def peak_memory_mb(device: torch.device) -> float:
 def measure_cost(
     model: nn.Module, size: tuple[int, int], *, batch: int = 8, seconds: float = 1.0
 ) -> CostReport:
-    """Measure a model as it stands (torch eager, fp32, channels_last, eval) on its own device.
+    """Measure a model as it is (torch eager, fp32, channels_last, eval) on its own device.
 
     Args:
         model: image ``(B, 3, H, W)`` -> depth.
@@ -104,7 +104,7 @@ def measure_cost(
     device = device_of(model)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
-    model.to(memory_format=torch.channels_last)  # values stay: a layout is not a weight
+    model.to(memory_format=torch.channels_last)
     one, many = (
         _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
     )

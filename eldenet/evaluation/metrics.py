@@ -1,4 +1,4 @@
-"""Depth metrics: a number never travels without the rules that made it."""
+"""Depth metrics under a protocol: sums per image and per class, and the metrics of them."""
 
 import math
 from collections.abc import Sequence
@@ -9,27 +9,24 @@ from torchmetrics import Metric
 
 from eldenet.evaluation.protocol import EvalProtocol
 
-__all__ = ["LOWER_IS_BETTER", "METRICS", "UNITS", "DepthMetrics", "EvalProtocol", "error_sums", "metrics_of"]
-
 METRICS = ("mse", "rmse", "mae", "abs_rel", "delta1", "delta2", "delta3", "log10", "silog", "ssim")
 LOWER_IS_BETTER = frozenset(("mse", "rmse", "mae", "abs_rel", "log10", "silog"))
 CLASS_METRICS = ("abs_rel", "rmse", "delta1")
 UNITS = {"mse": "m^2", "rmse": "m", "mae": "m"}  # the others are pure numbers
 
 
-def error_sums(prediction: Tensor, depth: Tensor, counts: Tensor, *, ssim_range: float) -> Tensor:
-    """Sums over the scored pixels of each image ``(B, 12)`` float64; sums add up, means do not.
+def error_sums(prediction: Tensor, depth: Tensor, valid: Tensor, *, ssim_range: float) -> Tensor:
+    """Sums over the valid pixels of each image ``(B, 12)`` float64; unlike means, sums add up over batches.
 
     Columns: pixels; e^2; |e|; |e|/depth; delta 1.25, 1.25^2, 1.25^3; |log10 ratio|; ln ratio; (ln ratio)^2;
     SSIM; pixels that SSIM counts (no unknown one in the window).
     """
     from eldenet.losses.ssim import eroded, ssim_map
 
-    columns = [(values, counts) for values in _pixel_errors(prediction, depth, counts)]
-    safe_depth = depth.float().masked_fill(~counts, 1.0)
-    safe = prediction.float().masked_fill(~counts, 1.0)
+    safe, safe_depth = _filled(prediction, valid), _filled(depth, valid)
     structure = ssim_map(safe, safe_depth, window=11, value_range=ssim_range)
-    full_window = eroded(counts, 11)
+    full_window = eroded(valid, 11)
+    columns = [(values, valid) for values in _pixel_errors(safe, safe_depth)]
     columns += [(structure, full_window), (torch.ones_like(structure), full_window)]
     # single precision per pixel, double for the sums: hundreds of millions of pixels add up
     return torch.stack(
@@ -37,33 +34,36 @@ def error_sums(prediction: Tensor, depth: Tensor, counts: Tensor, *, ssim_range:
     )
 
 
-def class_sums(prediction: Tensor, depth: Tensor, counts: Tensor, labels: Tensor, classes: int) -> Tensor:
-    """The sums of :func:`error_sums` over each class's scored pixels ``(classes, 12)``; SSIM's two are 0.
+def class_sums(prediction: Tensor, depth: Tensor, valid: Tensor, labels: Tensor, classes: int) -> Tensor:
+    """The sums of :func:`error_sums` over each class's valid pixels ``(classes, 12)``; SSIM's two are 0.
 
-    ``labels`` is ``(B, 1, H, W)``; a label that is no class (255) counts nowhere.
+    ``labels`` is ``(B, 1, H, W)``; pixels of a label that is no class (255) are left out.
     """
-    counts = counts & (labels < classes)
-    of_class = labels[counts].long()
+    valid = valid & (labels < classes)
+    of_class = labels[valid].long()
     columns = [
-        torch.bincount(of_class, weights=values[counts].double(), minlength=classes)
-        for values in _pixel_errors(prediction, depth, counts)
+        torch.bincount(of_class, weights=values[valid].double(), minlength=classes)
+        for values in _pixel_errors(_filled(prediction, valid), _filled(depth, valid))
     ]
     return torch.stack([*columns, *2 * [torch.zeros_like(columns[0])]], dim=1)
 
 
-def _pixel_errors(prediction: Tensor, depth: Tensor, counts: Tensor) -> list[Tensor]:
+def _filled(values: Tensor, valid: Tensor) -> Tensor:
+    """fp32 with 1 where nothing is known, so that no NaN arises."""
+    return values.float().masked_fill(~valid, 1.0)
+
+
+def _pixel_errors(prediction: Tensor, depth: Tensor) -> list[Tensor]:
     """The first ten columns of :func:`error_sums`, pixel by pixel."""
-    safe_depth = depth.float().masked_fill(~counts, 1.0)
-    safe = prediction.float().masked_fill(~counts, 1.0)
-    error = (safe - safe_depth).abs()
+    error = (prediction - depth).abs()
     # without a clamp a prediction may be 0 or negative: no delta counts it, and its logarithm is undefined
-    ratio = torch.maximum(safe / safe_depth, safe_depth / safe).masked_fill(safe <= 0, math.inf)
-    log_ratio = (safe / safe_depth).log()
+    ratio = torch.maximum(prediction / depth, depth / prediction).masked_fill(prediction <= 0, math.inf)
+    log_ratio = (prediction / depth).log()
     return [
         torch.ones_like(error),
         error.square(),
         error,
-        error / safe_depth,
+        error / depth,
         *(ratio < 1.25**power for power in (1, 2, 3)),
         log_ratio.abs() / math.log(10),
         log_ratio,
@@ -87,12 +87,12 @@ def metrics_of(sums: Tensor) -> Tensor:
 
 
 class DepthMetrics(Metric):
-    """Metrics of a whole data set under one protocol; states are sums, so processes and batches add up.
+    """Metrics of a whole data set under one protocol. The states are sums, so batches and processes add up.
 
     Args:
         protocol: the rules.
-        sync: ``compute`` adds up the sums of all processes, where several run; then each must call it.
-        classes: names of the semantic classes, by their number in ``labels``, for :meth:`by_class`.
+        sync: ``compute`` adds up the sums of all processes; each of them must call it.
+        classes: names of the semantic classes by their number in ``labels``, for :meth:`by_class`.
     """
 
     full_state_update = False
@@ -116,31 +116,31 @@ class DepthMetrics(Metric):
     def update(self, prediction: Tensor, depth: Tensor, mask: Tensor, labels: Tensor | None = None) -> None:
         """Add a batch: ``prediction (B, 1, h, w)`` [m], ``depth (B, 1, H, W)`` [m], ``mask`` bool.
 
-        ``labels (B, 1, H, W)`` are for :meth:`by_class`. ``rows`` then holds the metrics of each image of
-        this batch ``(B, 10)``.
+        ``labels (B, 1, H, W)`` are for :meth:`by_class`. Afterwards ``rows`` holds the metrics of each image
+        of this batch ``(B, 10)``.
 
         Raises:
-            ValueError: a prediction that counts is not finite, or a size is not the protocol's.
+            ValueError: a valid pixel's prediction is not finite, or a size is not the protocol's.
         """
-        counts = self.protocol.scored(depth, mask)
-        prediction = self.protocol.prepare(prediction.float(), depth, counts)
-        prediction, depth = self.protocol.compared(prediction, depth)
-        sums = error_sums(prediction, depth, counts, ssim_range=self.protocol.largest)
+        valid = self.protocol.valid_mask(depth, mask)
+        prediction = self.protocol.align(prediction.float(), depth, valid)
+        prediction, depth = self.protocol.to_metric_space(prediction, depth)
+        sums = error_sums(prediction, depth, valid, ssim_range=self.protocol.value_range)
         self.rows = metrics_of(sums)
-        # an image without a pixel to score is left out; a NaN of one that has some is not
+        # an image without a valid pixel is left out; a NaN of an image that has some is not
         defined = sums[:, :1].expand_as(self.rows) > 0
         defined = torch.cat([defined[:, :-1], sums[:, 11:] > 0], dim=1)
         self.pooled += sums.sum(0)
         self.image_sums += self.rows.where(defined, 0.0).sum(0)
         self.image_counts += defined.sum(0)
         if labels is not None and self.classes:
-            self.class_sums += class_sums(prediction, depth, counts, labels, len(self.classes))
+            self.class_sums += class_sums(prediction, depth, valid, labels, len(self.classes))
 
     def by_class(self) -> dict[str, dict[str, float]]:
-        """Class -> ``abs_rel``, ``rmse``, ``delta1`` and ``pixels``, for those that were met.
+        """Class -> ``abs_rel``, ``rmse``, ``delta1`` and ``pixels``, for classes that have valid pixels.
 
-        Convention: all pixels of a class are pooled, whatever the protocol's average: a class may have but a
-        few of them in an image.
+        Convention: all pixels of a class are pooled, whatever the protocol's average: an image may hold only
+        a few of them.
         """
         with self.sync_context(should_sync=self.sync_on_compute):
             sums = self.class_sums.clone()
@@ -152,7 +152,7 @@ class DepthMetrics(Metric):
         return errors
 
     def compute(self) -> dict[str, float]:
-        """Metrics by name, with ``images`` and ``pixels`` that were scored."""
+        """Metrics by name, with the number of scored ``images`` and ``pixels``."""
         values = (
             metrics_of(self.pooled)
             if self.protocol.average == "pixel"

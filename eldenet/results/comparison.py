@@ -1,4 +1,4 @@
-"""Runs side by side: seeds share a row, and what does not compare shares no table."""
+"""Runs side by side: seeds share a row; runs that do not compare share no table."""
 
 import re
 import statistics
@@ -9,13 +9,25 @@ from typing import Any
 
 from eldenet.evaluation.metrics import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.results.fingerprints import KEYS, sources_of
-from eldenet.results.run_record import RUN_FILE, differences, read_record, read_run
-from eldenet.results.tables import COLUMNS, COSTS, heading, number
+from eldenet.results.fingerprints import KEYS, differences, sources_of
+from eldenet.results.run_log import RunLog
+from eldenet.results.run_record import RUN_FILE, read_record, read_run
+from eldenet.results.tables import (
+    COLUMNS,
+    COSTS,
+    cost_line,
+    heading,
+    number,
+    protocol_line,
+    to_latex,
+    to_markdown,
+)
+from eldenet.system.files import write_rows
 
-# a metrics column may hold one of each only; so may a cost column
+# equal in all runs of a table: of its metrics, and of its costs
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
-# runs that share a row differ in their seed, and in nothing that shapes a training
+SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
+# equal in all runs of a row, which differ in their seed: the sections that shape a training
 SAME_IN_A_ROW = (
     "model",
     "data",
@@ -26,23 +38,51 @@ SAME_IN_A_ROW = (
     "trainer",
     "normalization",
 )
-SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
+
+
+@dataclass(frozen=True)
+class ReportSetup:
+    """What ``eldenet.report`` shows.
+
+    Attributes:
+        study: folder of a study, whose ``sweep.yaml`` says all else; None: the table of ``runs``.
+        runs: ``run.json`` files, or folders that hold some.
+        output: path of the table; ``.md``, ``.csv`` and ``.tex`` are written.
+        columns: metrics.
+        costs: whether costs are shown too.
+    """
+
+    study: Path | None = None
+    runs: Sequence[str] = ()
+    output: Path = Path("results")
+    columns: Sequence[str] = COLUMNS
+    costs: bool = True
+
+
+def report_runs(setup: ReportSetup) -> None:
+    """Print the table of some runs and write it as Markdown, CSV and LaTeX."""
+    runs = find_runs(setup.runs)
+    titles, rows = table_of(runs, setup.columns, costs=setup.costs)
+    notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if setup.costs else [])
+    output = setup.output
+    stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
+    write_rows(output.with_name(f"{stem}.csv"), titles, rows)
+    output.with_name(f"{stem}.md").write_text(to_markdown(titles, rows, notes))
+    output.with_name(f"{stem}.tex").write_text(to_latex(titles, rows, notes))
+    log = RunLog(output.parent)
+    log.table(notes[0], titles, rows)
+    log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row: the runs of one model that differ in their seed only.
-
-    Attributes:
-        model: its name.
-        runs: contents of their ``run.json``.
-    """
+    """The runs of one model, which differ in their seed alone; ``runs`` are contents of ``run.json``."""
 
     model: str
     runs: Sequence[Mapping[str, Any]]
 
     def values(self, group: str, name: str) -> list[float]:
-        """The value of every run; none at all if one run has none: a mean over some seeds would mislead."""
+        """The value of every run; empty if one run has none, since a mean over some seeds would mislead."""
         found = [run[group].get(name) for run in self.runs]
         return [] if None in found else found
 
@@ -58,21 +98,20 @@ class Row:
 
 
 def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
-    """All ``run.json`` of trainings and evaluations of depth below the given files and folders.
+    """All ``run.json`` of ``train`` and ``evaluate`` below the given files and folders.
 
-    Other commands leave records of that name, too (a detector's training, navigation): those in folders are
-    passed by.
+    Records of other commands (a detector's training, navigation) are skipped in folders.
 
     Raises:
-        FileNotFoundError: a source does not exist, or there is no run anywhere.
-        ValueError: a file that was given is the record of another command.
+        FileNotFoundError: a source does not exist, or there is no run in any.
+        ValueError: a given file is the record of another command.
     """
     files: dict[Path, None] = {}
     for source in map(Path, sources):
         if not source.exists():
             raise FileNotFoundError(f"no such file or folder: {source}")
         below = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
-        files |= {file.resolve(): None for file in below if file == source or not _is_anothers(file)}
+        files |= {file.resolve(): None for file in below if file == source or not _of_another_command(file)}
     runs = {file: read_run(file) for file in files}
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
@@ -82,14 +121,14 @@ def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
     return [with_every_rule(run) for run in runs.values()]
 
 
-def _is_anothers(file: Path) -> bool:
-    """Whether a command that scores no depth wrote this record."""
+def _of_another_command(file: Path) -> bool:
+    """Whether a command that scores no depth wrote a record."""
     record = read_record(file)
     return "protocol" not in record and ("metrics" in record or "mode" in record)
 
 
 def with_every_rule(run: Mapping[str, Any]) -> dict[str, Any]:
-    """A run whose protocol has every rule: one that did not exist yet was not applied, so both compare."""
+    """The run with every rule in its protocol: a rule that did not exist yet was not applied."""
     return {**run, "protocol": EvalProtocol("").as_dict() | run["protocol"]}
 
 
@@ -97,7 +136,7 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Runs of one model, seeds together, in order of first appearance.
 
     Raises:
-        ValueError: runs of one name have one seed, or differ in more than it.
+        ValueError: runs of one name have the same seed, or differ in more than the seed.
     """
     rows: dict[str, list[Mapping[str, Any]]] = {}
     for run in runs:
@@ -106,8 +145,8 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         seeds = [run.get("seed") for run in members]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
-                f"{len(members)} runs are called {model!r} and seeds {seeds} repeat: give them names of "
-                "their own (model_name=...), or report them apart"
+                f"{len(members)} runs are called {model!r} and seeds {seeds} repeat: give them different "
+                "names (model_name=...), or report them separately"
             )
         for section in SAME_IN_A_ROW:
             settings = [run.get("config", {}).get(section) for run in members]
@@ -120,7 +159,7 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Content of the weights and teachers that each run was given, but of those that are each seed's own."""
+    """Fingerprints of the weights and teachers of each run, without those that are each seed's own."""
     found: list[dict[str, Any]] = [dict(run.get("sources", {})) for run in members]
     places = [sources_of(run.get("config", {})) for run in members]
     for name in set().union(*found):
@@ -142,34 +181,22 @@ def _refuse_differences(
     ]
     if different:
         raise ValueError(
-            f"{len(settings)} runs are called {model!r}, but {section} differs: seeds share a row, other "
-            f"settings do not ({different[0]}). Give them names of their own (model_name=...)"
+            f"{len(settings)} runs are called {model!r}, but {section} differs ({different[0]}), and runs "
+            "that share a row may differ in their seed only. Give them different names (model_name=...)"
         )
 
 
 def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:
-    """Refuse columns whose numbers do not compare.
-
-    Raises:
-        ValueError: names what differs.
-    """
-    for name in SAME_FOR_METRICS:
-        _refuse(name, [run[name] for run in runs])
-    if costs:
-        for name in SAME_FOR_COSTS:
-            _refuse(
-                name,
-                [run["hardware"]["processor"] if name == "processor" else run["cost"][name] for run in runs],
+    """Raise ValueError for runs whose metrics, or whose costs, do not compare."""
+    for name in (*SAME_FOR_METRICS, *(SAME_FOR_COSTS if costs else ())):
+        of_cost = name in SAME_FOR_COSTS
+        values = [(run["cost"] | run["hardware"] if of_cost else run)[name] for run in runs]
+        different = list(dict.fromkeys(map(str, values)))
+        if len(different) > 1:
+            raise ValueError(
+                f"these runs do not compare: {name} differs ({' | '.join(different[:3])}). Report them "
+                "separately" + (", or without costs (costs=false)" if of_cost else "")
             )
-
-
-def _refuse(name: str, values: Sequence[Any]) -> None:
-    different = list(dict.fromkeys(str(value) for value in values))
-    if len(different) > 1:
-        raise ValueError(
-            f"these runs do not compare: {name} differs ({' | '.join(different[:3])}). Report them "
-            "apart" + ("" if name in SAME_FOR_METRICS else ", or without costs (costs=false)")
-        )
 
 
 def table_of(
@@ -178,7 +205,7 @@ def table_of(
     """Titles and rows of the table over ``runs``."""
     unknown = [name for name in columns if name not in METRICS]
     if unknown:
-        raise ValueError(f"columns={unknown}: choose among {', '.join(METRICS)}")
+        raise ValueError(f"columns={unknown}: choose from {', '.join(METRICS)}")
     refuse_mixtures(runs, costs=costs)
     wanted = [("metrics", name) for name in columns] + [("cost", name) for name in COSTS if costs]
     titles = ["model", "seeds", *(heading(name, runs[0]) for _, name in wanted)]
@@ -192,11 +219,11 @@ def table_of(
 
 
 def constant_rows(runs: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Labels and figures of the constant predictor: one line, or one for each that the runs do not share.
+    """Labels and metrics of the constant predictors of ``runs``, in one line if all of them share one.
 
-    It depends on the training frames and on the size of their depth, which runs of one table may differ in.
+    It depends on the training frames and on the size of their depth, in which runs of a table may differ.
     """
-    models: dict[tuple[str, ...], list[str]] = {}  # figures -> whose they are
+    models: dict[tuple[str, ...], list[str]] = {}  # metrics -> models of the runs
     for run in runs:
         if (constant := run["constant_predictor"]) is not None:
             shown = tuple(number(name, constant.get(name)) for name in columns)

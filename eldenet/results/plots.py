@@ -1,4 +1,4 @@
-"""Pictures of a study: accuracy against cost, differences to a reference row, curves over the epochs."""
+"""Plots of a study: accuracy against cost, differences to a reference row, curves over the epochs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from eldenet.results.statistics import Difference
 
 
 def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
-    """Places of the points ``(latency, metric)`` that no other is faster and better than, fastest first."""
+    """Indices of the points ``(latency, metric)`` on the Pareto front, fastest first."""
     front: list[int] = []
     best, sign = float("-inf"), -1 if lower_is_better else 1
     for index in sorted(range(len(points)), key=lambda place: (points[place][0], -sign * points[place][1])):
@@ -18,6 +18,22 @@ def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool
             front.append(index)
             best = sign * points[index][1]
     return front
+
+
+def _pyplot() -> Any:
+    """Matplotlib without a display."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def _save(figure: Any, path: Path) -> None:
+    """Write the same bytes for the same runs."""
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    _pyplot().close(figure)
 
 
 def pareto_plot(
@@ -28,13 +44,10 @@ def pareto_plot(
     cost: str,
     lower_is_better: bool,
 ) -> None:
-    """One color per block, its front as a line; rows are ``(name, cost, metric)``."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    """Plot rows ``(name, cost, metric)``: one color per block, its Pareto front as a line."""
     from matplotlib.ticker import LogLocator
 
+    pyplot = _pyplot()
     figure, axes = pyplot.subplots(figsize=(8, 5))
     colors: dict[str, Any] = {}
     for block, rows in blocks.items():
@@ -54,8 +67,7 @@ def pareto_plot(
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
     name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows}, colors)
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # the same bytes for the same runs
-    pyplot.close(figure)
+    _save(figure, path)
 
 
 def name_points(
@@ -63,10 +75,10 @@ def name_points(
     points: Mapping[str, Sequence[tuple[float, float]]],
     colors: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write each name beside its points ``(x, y)``, which lie on about one height, the highest first.
+    """Write each name right of its last or left of its first point ``(x, y)``, the highest names first.
 
-    It goes right of the last or left of the first of them, within the axes and clear of other names,
-    points and the legend, where there is such a place. Call it last: it measures what is drawn.
+    Names stay within the axes and clear of other names, points and the legend, where there is room. Call this
+    last: it measures what is drawn.
     """
     axes.figure.draw_without_rendering()  # limits and layout are settled from here on
     inside, legend = axes.get_window_extent(), axes.get_legend()
@@ -92,7 +104,7 @@ def name_points(
                 break
             note.remove()
         else:
-            axes.add_artist(note)  # no place is free: the last one
+            axes.add_artist(note)  # no place is free: keep the last one
         taken.append(box)
 
 
@@ -103,19 +115,15 @@ def differences_plot(
     metric: str,
     references: Mapping[str, str],
 ) -> None:
-    """A line for every row: its difference to the reference row with the interval, the best on top.
+    """Plot each row's difference to the reference row with its interval, the best on top.
 
     Args:
-        path: of the picture.
+        path: of the image.
         blocks: block -> row -> difference; a panel for each block.
-        metric: what differs, in words.
-        references: block -> the row that its others are compared with.
+        metric: name of the metric.
+        references: block -> its reference row.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot = _pyplot()
     heights = [len(rows) for rows in blocks.values()]
     figure, panels = pyplot.subplots(
         len(blocks),
@@ -139,12 +147,11 @@ def differences_plot(
         axis.set_title(block, fontsize=9)
         axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: images alone", fontsize=8)
     figure.tight_layout()
-    figure.savefig(path, dpi=120, metadata={"Software": None})
-    pyplot.close(figure)
+    _save(figure, path)
 
 
 def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:
-    """Row -> epochs and values of each of its runs that has the curve."""
+    """Row -> epochs and values of each of its runs with the curve ``key``."""
     rows: dict[str, list[tuple[Any, Any]]] = {}
     for name, curve in runs.items():
         if key in curve:
@@ -153,16 +160,12 @@ def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[t
 
 
 def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
-    """Loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
+    """Plot loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> curves.
 
-    A color for each row: a thin line for every run, a thick one for their mean where there are several. The
-    axes hold all epochs but the first.
+    Each row has a color: a thin line for every run, a thick one for their mean. The axes are scaled to all
+    epochs but the first.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot = _pyplot()
     panels = {"train_loss": "training loss", "val_loss": "validation loss"}
     panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
     figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
@@ -178,12 +181,11 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
         axis.set_title(title, fontsize=9)
         axis.grid(alpha=0.3)
         later = [value for curves in rows.values() for _, values in curves for value in values[1:]]
-        if later:  # a bad first epoch would squeeze all that follows: it may lie beyond the axis
+        if later:  # a bad first epoch would squeeze the others, so it may lie outside the axes
             room = 0.05 * (max(later) - min(later)) or 0.1
             axis.set_ylim(min(later) - room, max(later) + room)
     axes[0, 0].legend(fontsize=7)
     for axis in axes[1]:
         axis.set_xlabel("epoch")
     figure.tight_layout()
-    figure.savefig(path, dpi=120, metadata={"Software": None})
-    pyplot.close(figure)
+    _save(figure, path)

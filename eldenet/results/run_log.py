@@ -1,4 +1,4 @@
-"""What a person sees of a run: a live bar on a terminal (lines elsewhere), TensorBoard, pictures, a table."""
+"""Output of a run for people: progress (a bar on a terminal, else lines), TensorBoard, images, tables."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,20 +18,20 @@ LINE_EVERY_S = 15.0
 
 
 class RunLog:
-    """Console, TensorBoard and pictures of one run folder. With ``quiet`` (other processes) it does nothing.
+    """Console, TensorBoard and images of one run folder; ``quiet`` (other processes) writes nothing.
 
     Args:
         folder: of the run.
         quiet: for processes that are not the main one.
-        first_step: of a resumed run: TensorBoard drops the points from that step on, which a killed
-            sitting left; None: it keeps all there are.
+        first_step: of a resumed run: TensorBoard drops points from that step on, which a killed process left;
+            None: it keeps all.
     """
 
     def __init__(self, folder: Path, *, quiet: bool = False, first_step: int | None = None) -> None:
         self.folder, self.quiet = folder, quiet
         self.console = Console(quiet=quiet)
         if not self.console.is_terminal:
-            self.console.width = 200  # a file has no width: a table is not cut off
+            self.console.width = 200  # a file has no width; tables must not be cut off
         self._writer: Any = None
         self._first_step = first_step
 
@@ -45,7 +45,7 @@ class RunLog:
         return self._writer
 
     def say(self, text: str) -> None:
-        """Print one line, as it stands: a path keeps its brackets and is not broken in two."""
+        """Print one line unchanged: brackets are no markup, and long paths are not wrapped."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
@@ -81,7 +81,7 @@ class RunLog:
 
     @contextmanager
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> Iterator["Bar"]:
-        """A progress bar over ``total`` images (``unit``; 0: unknown), of which ``done`` are behind us."""
+        """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
         if self.quiet or not self.console.is_terminal:
             yield Bar(self, title, total, done, None, unit)
             return
@@ -96,13 +96,13 @@ class RunLog:
             yield Bar(self, title, total, done, progress, unit)
 
     def close(self) -> None:
-        """Flush what is open."""
+        """Close TensorBoard."""
         if self._writer is not None:
             self._writer.close()
 
 
 class Bar:
-    """Counts images (or another unit); shows their rate and a note."""
+    """Counts images or other units; shows their rate and a note."""
 
     def __init__(
         self, log: RunLog, title: str, total: int, done: int, progress: Progress | None, unit: str = "img"
@@ -132,6 +132,6 @@ class Bar:
         elif time.monotonic() - self.last_line > LINE_EVERY_S:
             self.last_line = time.monotonic()
             of, left = f"/{self.total}" if self.total else "", ""
-            if self.total > self.done:  # a camera has no end, and a video may say too little
+            if self.total > self.done:  # 0 for a camera; a video's header may say too little
                 left = f"  {(self.total - self.done) / max(self.rate, 1e-9):.0f} s left"
             self.log.say(f"{self.title}: {self.done}{of}  {text}{left}")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from torch import nn
 
 from eldenet.data.rendered import RenderedScenes
+from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import (
     PER_IMAGE_HEADER,
     Evaluation,
     evaluate,
-    fit_constant_predictor,
     sample_rows,
 )
 from eldenet.evaluation.protocol import EvalProtocol

@@ -1,4 +1,4 @@
-"""What the runs of a study say together: paired differences with their intervals."""
+"""Paired differences between two rows of a study, with bootstrap intervals."""
 
 import csv
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ import numpy as np
 from eldenet.evaluation.bootstrap import bootstrap_interval
 
 DRAWS, LEVEL = 10_000, 0.95
-AT_ONCE = 1000  # draws: bounds the memory
-IMAGES_ALONE = "images alone"  # an interval without the chance in a training
+AT_ONCE = 1000  # draws at a time, which bounds the memory
+IMAGES_ALONE = "images alone"  # an interval that does not include the chance in a training
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Scores:
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a row's metric to the reference row's: mean over the images, 95 % interval.
+    """Difference of a row's metric to the reference row's: mean over the images, 95 % interval.
 
     Attributes:
-        mean: ours less theirs.
-        low: end of the interval.
-        high: its other end.
-        seeds: whether the chance in a training is in it: it is where both rows have three seeds or more.
-        lower_is_better: of the metric.
+        mean: ours minus theirs.
+        low: lower end of the interval.
+        high: upper end.
+        seeds: whether seeds were drawn too, so that the interval includes the chance in a training.
+        lower_is_better: for the metric.
     """
 
     mean: float
@@ -47,23 +47,20 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """Whether it is "better" or "worse": empty where the interval holds 0, or is of the images alone.
-
-        Empty, too, where no image was scored in all runs: nothing is known then.
-        """
+        """The word "better" or "worse"; empty if the interval contains 0, is NaN or of the images alone."""
         if not self.seeds or not (self.low > 0 or self.high < 0):
             return ""
         return "better" if (self.mean < 0) == self.lower_is_better else "worse"
 
     @property
     def text(self) -> str:
-        """``+0.014 [-0.017, +0.046]`` and what is to be said of it."""
-        told = self.verdict if self.seeds else f"({IMAGES_ALONE})"
-        return f"{self.mean:+.3f} [{self.low:+.3f}, {self.high:+.3f}] {told}".rstrip()
+        """``+0.014 [-0.017, +0.046]`` with the verdict."""
+        verdict = self.verdict if self.seeds else f"({IMAGES_ALONE})"
+        return f"{self.mean:+.3f} [{self.low:+.3f}, {self.high:+.3f}] {verdict}".rstrip()
 
 
 def per_image(files: Sequence[Path], metric: str) -> Scores:
-    """``metric`` of every image in the runs (seeds) whose ``per_image.csv`` these are.
+    """``metric`` of every image in each run, from their ``per_image.csv``.
 
     Raises:
         ValueError: the runs scored different images.
@@ -73,7 +70,7 @@ def per_image(files: Sequence[Path], metric: str) -> Scores:
         with file.open(newline="") as lines:
             found.append({row["name"]: float(row[metric]) for row in csv.DictReader(lines)})
         if found[-1].keys() != found[0].keys():
-            raise ValueError(f"{file} and {files[0]} scored different images: they can't be paired")
+            raise ValueError(f"{file} and {files[0]} scored different images and can't be paired")
     images = tuple(sorted(found[0]))
     return Scores(images, np.array([[values[name] for name in images] for values in found]))
 
@@ -83,20 +80,20 @@ def paired_interval(
 ) -> tuple[float, float, float]:
     """Mean difference ``ours - theirs`` and its 95 % interval: paired percentile bootstrap.
 
-    Images are drawn for both rows together, so that what both share (a hard image) cancels.
+    Images are drawn for both rows together, so that a hard image affects both alike.
 
     Args:
-        ours: of one row.
+        ours: scores of one row.
         theirs: of the other.
-        draw_seeds: draw the runs of each row, too, apart from each other: the chance in a training counts. It
-            takes several runs of both; else the interval speaks of the choice of images alone.
+        draw_seeds: draw the runs of each row as well, independently, so that the interval includes the chance
+            in a training; it takes several runs of both.
         seed: of the draws.
 
     Raises:
-        ValueError: the two scored different images.
+        ValueError: the two rows scored different images.
     """
     if ours.images != theirs.images:
-        raise ValueError("the two rows scored different images: they can't be paired")
+        raise ValueError("the two rows scored different images and can't be paired")
     known = np.isfinite(ours.values).all(axis=0) & np.isfinite(theirs.values).all(axis=0)
     mine, other = ours.values[:, known], theirs.values[:, known]
     difference = mine.mean(axis=0) - other.mean(axis=0)
@@ -116,9 +113,9 @@ def paired_interval(
 def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) -> tuple[float, float]:
     """Interval of the mean difference over drawn runs and drawn images.
 
-    A draw takes as many runs of each row as it has, and as many images as there are, with replacement; the
-    images are the same for all of its runs. All three are counted instead of looked up, so that a draw is a
-    few products: (runs drawn) x scores x (images drawn).
+    A draw takes as many runs of each row as it has, and as many images as there are, with replacement; all
+    runs share the images. Draws are counts of runs and images, so that a mean is a product:
+    (runs drawn) x scores x (images drawn).
 
     Args:
         mine: ``(runs, images)`` of one row.
@@ -126,20 +123,16 @@ def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) ->
         seed: of the draws.
     """
     rng = np.random.default_rng(seed)
-    drawn = [_drawn_means(rng, mine, other) for _ in range(DRAWS // AT_ONCE)]
-    ends = np.quantile(np.concatenate(drawn), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    low, high = ends.round(12)  # what a processor's sums leave of 0 is no verdict
+    means = []
+    for _ in range(DRAWS // AT_ONCE):
+        images = _shares(rng, mine.shape[1])
+        one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
+        means.append(one.sum(axis=1) - two.sum(axis=1))
+    ends = np.quantile(np.concatenate(means), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = ends.round(12)  # rounding errors around 0 are no verdict
     return float(low), float(high)
 
 
-def _drawn_means(rng: np.random.Generator, mine: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Mean difference in each of ``AT_ONCE`` draws, ``(draws,)``."""
-    images = _shares(rng, mine.shape[1])
-    one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
-    found: np.ndarray = one.sum(axis=1) - two.sum(axis=1)
-    return found
-
-
 def _shares(rng: np.random.Generator, count: int) -> np.ndarray:
-    """What share of each draw every one of ``count`` things has, ``(draws, count)``."""
+    """Share of each draw that each of ``count`` elements has, ``(draws, count)``."""
     return rng.multinomial(count, np.full(count, 1 / count), size=AT_ONCE) / count

@@ -1,4 +1,4 @@
-"""How a table looks: numbers, titles, the lines that make it believable, Markdown and LaTeX."""
+"""Format of tables: numbers, titles, notes on the protocol and the machine, Markdown and LaTeX."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def heading(name: str, run: Mapping[str, Any]) -> str:
 
 
 def protocol_line(run: Mapping[str, Any]) -> str:
-    """One line that says under which rules the metrics were made."""
+    """One line on the rules of the metrics."""
     rules = run["protocol"]
     parts = [
         f"protocol {rules['name']}: {rules['ground_truth']} ground truth",
@@ -71,7 +71,7 @@ def protocol_line(run: Mapping[str, Any]) -> str:
 
 
 def _scored_part(rules: Mapping[str, Any]) -> str:
-    """What of the camera's frame is scored: what it is cut and resized to, then the crop within that."""
+    """The scored part of the camera's frame: its crops and resizes, then the crop within them."""
     steps = []
     if rules["frame_box"]:
         steps.append(f"cut to {tuple(rules['frame_box'])}")
@@ -96,7 +96,7 @@ def _scored_part(rules: Mapping[str, Any]) -> str:
 
 
 def cost_line(run: Mapping[str, Any]) -> str:
-    """One line that says what the costs were measured on."""
+    """One line on what the costs were measured on."""
     cost = run["cost"]
     return (
         f"costs: {cost['runtime']}, {cost['precision']}, {cost['threads']} threads, {cost['device']} "
@@ -106,7 +106,7 @@ def cost_line(run: Mapping[str, Any]) -> str:
 
 
 def training_line(runs: Sequence[Mapping[str, Any]]) -> str:
-    """One line that says what the runs of a table were trained on."""
+    """One line on what the runs of a table were trained on."""
     used = set()
     for run in runs:
         machine = run["hardware"].get("accelerator") or run["hardware"]["processor"]
@@ -115,7 +115,7 @@ def training_line(runs: Sequence[Mapping[str, Any]]) -> str:
 
 
 def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
-    """Print what one run reached, beside the constant predictor, and what it costs."""
+    """Print metrics of one run beside the constant predictor's, errors by class, and costs."""
     names = ("model", *(heading(name, run) for name in COLUMNS))
     rows = [
         [label, *(number(name, run[group][name]) for name in COLUMNS)]
@@ -141,7 +141,7 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
 
 
 def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
-    """A Markdown table with the notes that make it believable below."""
+    """A Markdown table with notes below."""
 
     def line(cells: Sequence[str]) -> str:
         return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
@@ -151,7 +151,7 @@ def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Seq
 
 
 def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
-    """A booktabs table."""
+    """A LaTeX table (booktabs) with the notes as comments."""
     swaps: dict[str, str | int | None] = {
         **{sign: f"\\{sign}" for sign in "_&%#${}"},
         "\\": r"\textbackslash{}",

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.renames import renamed
+from eldenet.results.fingerprints import differences
 
 LAST, BEST = "last.pt", "best.pt"
 
@@ -97,12 +98,11 @@ class TrainingState:
         state = load_checkpoint(path)
         theirs = _renamed_identity(json.loads(state["identity"]))
         ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
-        different = [name for name in ours if theirs.get(name, ours[name]) != ours[name]]
+        different = differences(ours, theirs)
         if different:
             raise ValueError(
-                f"{path} belongs to another training: {', '.join(different)} differ (there "
-                f"{[theirs.get(name) for name in different]}, here {[ours[name] for name in different]}). "
-                "Resume with the settings of its run: config.yaml in its run folder"
+                f"{path} belongs to another training: {'; '.join(different)}. Resume with the settings of "
+                "its run: config.yaml in its run folder"
             )
         self.model.load_state_dict(state["model"])
         if self.ema is not None:

@@ -108,7 +108,7 @@ def make_splits(
         test_set = setup.make_split("test", setup.protocol, score=True)
     for scored in (val_set, test_set):
         sample = scored[0]  # raises where the protocol's crop does not fit the frame or its ground truth
-        setup.protocol.scored(sample["depth"][None], sample["mask"][None])
+        setup.protocol.valid_mask(sample["depth"][None], sample["mask"][None])
     return train_set, val_set, test_set
 
 

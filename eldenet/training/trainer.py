@@ -322,8 +322,7 @@ class Trainer:
                 device=self.accelerator.device,
                 batch_size=self.batch_size,
                 workers=self.workers,
-                rank=self.rank,
-                processes=self.processes,
+                shard=(self.rank, self.processes),
                 advance=bar.advance,
             )
         if self.accelerator.is_main_process:

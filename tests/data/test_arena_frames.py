@@ -103,7 +103,7 @@ def test_data_arenas_composes_builds_and_can_be_scored(root):
     splits = {name: build_split(config, name, protocol) for name in ("train", "val", "test")}
     assert len({name for split in splits.values() for name in split.names}) == 24
     sample = splits["test"][0]
-    assert protocol.scored(sample["depth"][None], sample["mask"][None]).float().mean() > 0.3
+    assert protocol.valid_mask(sample["depth"][None], sample["mask"][None]).float().mean() > 0.3
 
 
 def test_the_view_knows_which_obstacle_each_pixel_shows():

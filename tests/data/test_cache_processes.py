@@ -16,7 +16,8 @@ import eldenet
 from eldenet.data.io import ENCODINGS
 from eldenet.data.loaders import EpochSampler, training_loader
 from eldenet.data.transforms import Augmentation
-from eldenet.evaluation.evaluator import ConstantPredictor, evaluate
+from eldenet.evaluation.constant_baseline import ConstantPredictor
+from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss

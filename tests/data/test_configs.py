@@ -70,7 +70,7 @@ def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
         assert not set(train.names) & set(dataset.names)
         sample = dataset[0]
         assert sample["image"].shape == (3, *config.data.input_size)
-        counts = protocol.scored(sample["depth"][None], sample["mask"][None])
+        counts = protocol.valid_mask(sample["depth"][None], sample["mask"][None])
         assert counts.any()
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
 
@@ -134,7 +134,7 @@ def test_the_protocol_alone_says_what_is_scored(tmp_path: Path) -> None:
         config = compose("train", ["data=kitti", f"data.root={root}", f"data.max_depth={far}"])
         protocol = build_protocol(config)
         sample = build_split(config, "test", protocol)[0]
-        pixels.append(int(protocol.scored(sample["depth"][None], sample["mask"][None]).sum()))
+        pixels.append(int(protocol.valid_mask(sample["depth"][None], sample["mask"][None]).sum()))
         assert build_split(config, "train", protocol)[0]["depth"].max() <= far
     assert pixels[0] == pixels[1] > 0
 
@@ -197,7 +197,7 @@ def test_real_labelled_frames_build(real: Path) -> None:
     assert len(build_split(config, "train", protocol, augment=True)) == 665
     val = build_split(config, "val", protocol)
     assert len(val) == 130
-    assert protocol.scored(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
+    assert protocol.valid_mask(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
 
 
 def test_real_mat_reads(real: Path) -> None:

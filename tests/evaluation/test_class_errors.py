@@ -16,7 +16,8 @@ from eldenet.data.cityscapes_labels import CLASS_IDS
 from eldenet.data.resize_crop import ResizeCrop
 from eldenet.data.transforms import Augmentation
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
-from eldenet.evaluation.evaluator import ConstantPredictor, evaluate
+from eldenet.evaluation.constant_baseline import ConstantPredictor
+from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import LinearHead
@@ -92,7 +93,7 @@ def test_classes_of_batches_add_up() -> None:
         assert apart.by_class()[name] == pytest.approx(errors, rel=1e-12)
         assert errors["abs_rel"] == pytest.approx(0.1, rel=1e-5)
     assert set(together.by_class()) == {"a", "b"}
-    scored = PROTOCOL.scored(depth[1:], depth[1:] > 0).sum().item()
+    scored = PROTOCOL.valid_mask(depth[1:], depth[1:] > 0).sum().item()
     assert sum(errors["pixels"] for errors in together.by_class().values()) == scored
 
 

@@ -138,7 +138,8 @@ def test_every_protocol_is_here() -> None:
 def test_scores_are_the_definitions(name: str, scale: str) -> None:
     rules = LITERATURE[name]
     protocol: EvalProtocol = instantiate(compose("train", [f"protocol={name}"]).protocol)
-    assert protocol.scale == "metric"
+    assert (protocol.name, protocol.scale) == (name, "metric")
+    assert EvalProtocol(**protocol.as_dict()) == protocol
     protocol = EvalProtocol(**{**protocol.as_dict(), "scale": scale})
     data = Frames(rules, protocol.ground_truth)
     model = Slanted(min(rules.cap, 200))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import zoom
-from support.scoring import NAMES, assert_same, batch, from_yaml, scores
+from support.scoring import assert_same, batch, from_yaml, scores
 from torch import Tensor
 
 from eldenet.evaluation.protocol import EvalProtocol
@@ -17,35 +17,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:Mean of empty slice")  # images 
 def box(counts: Tensor) -> tuple[int, int, int, int]:
     rows, cols = counts.any(dim=1).nonzero(), counts.any(dim=0).nonzero()
     return int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
-
-
-BOXES = {
-    "nyu_bts": (45, 471, 41, 601),
-    "nyu_inpainted_eigen": (45, 471, 41, 601),
-    "nyu_densedepth": (20, 460, 24, 616),
-    "nyu_paper": (0, 228, 0, 304),
-    "nyu_sparse_to_dense": (0, 228, 0, 304),
-    "kitti_depth": (0, 352, 0, 1216),
-    "kitti_sparse": (0, 352, 0, 1216),
-    "kitti_paper": (0, 228, 0, 912),
-    "kitti_s2d_912x228": (0, 228, 0, 912),
-    "kitti_eigen_garg_raw": (153, 371, 44, 1197),  # of 375 x 1242
-    "kitti_eigen_garg_improved": (153, 371, 44, 1197),
-    "kitti_eigen_eigen": (124, 342, 44, 1197),
-}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_crop_of_every_protocol(name: str) -> None:
-    protocol = from_yaml(name)
-    size = protocol.size or ((375, 1242) if name.startswith("kitti") else (30, 40))
-    depth = torch.ones(1, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))[0, 0]
-    top, bottom, left, right = box(counts)
-    assert (top, bottom, left, right) == BOXES.get(name, (0, size[0], 0, size[1]))
-    assert counts.sum() == (bottom - top) * (right - left)
-    assert protocol.name == name
-    assert EvalProtocol(**protocol.as_dict()) == protocol
 
 
 @pytest.mark.parametrize(
@@ -63,7 +34,7 @@ def test_fractions_are_of_the_truths_own_size(
 ) -> None:
     protocol = from_yaml(name)
     depth = torch.ones(2, 1, *size)
-    counts = protocol.scored(depth, torch.ones_like(depth, dtype=torch.bool))
+    counts = protocol.valid_mask(depth, torch.ones_like(depth, dtype=torch.bool))
     assert box(counts[1, 0]) == protocol.crop_box(*size) == expected
     assert (protocol.min_depth, protocol.max_depth, protocol.average) == (1e-3, 80.0, "image")
 
@@ -72,37 +43,21 @@ def test_pasted_predictions_lie_where_the_image_was_cut_out() -> None:
     protocol = EvalProtocol("p", frame_crop=(4, 6), frame_anchor="bottom", paste=True)
     depth = torch.full((1, 1, 9, 11), 5.0)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    counts = protocol.scored(depth, mask)
+    counts = protocol.valid_mask(depth, mask)
     assert (
         box(counts[0, 0]) == protocol.pasted_box(9, 11) == (5, 9, 2, 8)
     )  # 11 - 6 is odd: one more on the right
     prediction = torch.arange(1.0, 25).view(1, 1, 4, 6).clamp(max=9)
-    ready = protocol.prepare(prediction, depth, counts)
+    ready = protocol.align(prediction, depth, counts)
     torch.testing.assert_close(ready[..., 5:9, 2:8], prediction)
     assert (ready[..., :5, :] == protocol.min_depth).all()
-    small = protocol.placed(prediction[..., ::2, ::2], (9, 11))
+    small = protocol.resize_to_gt(prediction[..., ::2, ::2], (9, 11))
     assert small.shape == depth.shape
     assert (small[~counts] == 0).all()
     centered = EvalProtocol("p", frame_crop=(4, 6), paste=True)
     assert centered.pasted_box(9, 11) == (2, 6, 2, 8)
     with pytest.raises(ValueError, match="does not fit into ground truth of 3x11"):
-        protocol.scored(depth[..., :3, :], mask[..., :3, :])
-
-
-def test_protocols_are_the_literatures() -> None:
-    bts, dense, sparse = (from_yaml(f"nyu_{name}") for name in ("bts", "densedepth", "sparse_to_dense"))
-    assert (bts.ground_truth, bts.min_depth, bts.max_depth, bts.average, bts.clamp, bts.flip) == (
-        "raw", 1e-3, 10.0, "image", True, "none",
-    )  # fmt: skip
-    assert (dense.ground_truth, dense.min_depth, dense.max_depth, dense.average, dense.flip) == (
-        "inpainted", 0.1, 10.0, "pixel", "mean",
-    )  # fmt: skip
-    assert (sparse.resize, sparse.frame_crop, sparse.clamp, sparse.average) == (
-        0.5,
-        (228, 304),
-        False,
-        "image",
-    )
+        protocol.valid_mask(depth[..., :3, :], mask[..., :3, :])
 
 
 def test_pixels_outside_the_crop_do_not_matter() -> None:
@@ -123,31 +78,13 @@ def test_range_is_strict_and_holes_do_not_count() -> None:
     protocol = EvalProtocol("p", min_depth=0.5, max_depth=4.0)
     depth = torch.tensor([0.0, 0.49, 0.5, 2.0, 4.0, 4.01, math.nan, math.inf]).view(1, 1, 1, 8)
     mask = torch.ones_like(depth, dtype=torch.bool)
-    assert protocol.scored(depth, mask).flatten().tolist() == [
-        False,
-        False,
-        False,
-        True,
-        False,
-        False,
-        False,
-        False,
-    ]
+    assert protocol.valid_mask(depth, mask).flatten().nonzero().tolist() == [[3]]
     mask[..., 3] = False
-    assert protocol.scored(depth, mask).sum() == 0
-
-
-def test_clamp() -> None:
-    depth = torch.full((1, 1, 8, 8), 5.0)
-    prediction = torch.full((1, 1, 8, 8), 50.0)
-    mask = torch.ones_like(depth, dtype=torch.bool)
-    assert scores(EvalProtocol("p", clamp=True), (prediction, depth, mask))["mae"] == 5.0
-    assert scores(EvalProtocol("p", clamp=False), (prediction, depth, mask))["mae"] == 45.0
-    assert scores(EvalProtocol("p", clamp=True), (-prediction, depth, mask))["mae"] == pytest.approx(4.999)
+    assert protocol.valid_mask(depth, mask).sum() == 0
 
 
 @pytest.mark.parametrize("value", [0.0, -5.0])
-def test_unclamped_nonsense_never_counts_as_right(value: float) -> None:
+def test_predictions_of_0_or_less_are_never_right(value: float) -> None:
     depth = torch.full((2, 1, 8, 8), 5.0)
     prediction = depth.clone()
     prediction[0] = value
@@ -172,7 +109,7 @@ def test_median_of_an_even_number_is_numpys() -> None:
     prediction[..., 0, :2] = torch.tensor([1.0, 2.0])
     mask = torch.zeros_like(depth, dtype=torch.bool)
     mask[..., 0, :2] = True
-    ready = EvalProtocol("p", scale="median").prepare(prediction, depth, mask)
+    ready = EvalProtocol("p", scale="median").align(prediction, depth, mask)
     torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
 
 
@@ -180,7 +117,7 @@ def test_median_of_an_even_number_is_numpys() -> None:
 def test_nearest_is_that_of_the_pixels_centers(size: tuple[int, int]) -> None:
     depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96
     protocol = EvalProtocol("p", interpolation="nearest")
-    ready = protocol.prepare(small, depth, torch.ones_like(depth, dtype=torch.bool))
+    ready = protocol.align(small, depth, torch.ones_like(depth, dtype=torch.bool))
     rows, cols = ((2 * np.arange(to) + 1) * of // (2 * to) for to, of in zip(size, (8, 12), strict=True))
     np.testing.assert_array_equal(ready[0, 0].numpy(), small[0, 0].numpy()[rows][:, cols])
 
@@ -190,7 +127,7 @@ def test_predictions_come_to_the_truths_size(interpolation: str) -> None:
     depth = torch.full((1, 1, 16, 24), 2.0)
     small = 1 + torch.rand(1, 1, 8, 12, generator=torch.Generator().manual_seed(0))
     mask = torch.ones_like(depth, dtype=torch.bool)
-    ready = EvalProtocol("p", interpolation=interpolation).prepare(small, depth, mask)
+    ready = EvalProtocol("p", interpolation=interpolation).align(small, depth, mask)
     order = {"bilinear": 1, "nearest": 0}[interpolation]
     expected = zoom(small[0, 0].numpy(), 2, order=order, mode="nearest", grid_mode=True)
     np.testing.assert_allclose(ready[0, 0].numpy(), expected, atol=1e-6)

@@ -14,9 +14,6 @@ from eldenet.results.score import ScoreSetup, score_and_record
 from support.networks import small_net
 from support.training import ONE_THREAD
 
-FOLDER = Path(__file__).parents[2] / "configs" / "protocol"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
-
 
 def from_yaml(name: str) -> EvalProtocol:
     return instantiate(compose("train", [f"protocol={name}"]).protocol)

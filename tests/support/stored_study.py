@@ -1,4 +1,4 @@
-"""A plan and stored runs of it as trainings leave them: what the tests of a study's tables share."""
+"""A plan and stored runs of it as trainings leave them."""
 
 import csv
 import json
@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from eldenet import config as cfg
 from eldenet.evaluation.metrics import METRICS
 from eldenet.results.studies.blocks import build_blocks
-from eldenet.results.studies.matching import compose_run
+from eldenet.results.studies.matching import resolve, run_overrides
 from eldenet.results.studies.plan import Study, read_study
 
 PLAN = """
@@ -28,21 +27,25 @@ rows:
 IMAGES = [f"room/{index}" for index in range(40)]
 
 
-def write_plan(folder: Path) -> Study:
-    (folder / "sweep.yaml").write_text(PLAN)
+def write_plan(folder: Path, old: str = "", new: str = "") -> Study:
+    (folder / "sweep.yaml").write_text(PLAN.replace(old, new))
     return read_study(folder)
 
 
+def settings_of(overrides: Sequence[str], name: str, seed: int = 0) -> dict[str, Any]:
+    """Resolved settings of a run of a study."""
+    return resolve(run_overrides(overrides, Path("f"), Path("r"), name=name, seed=seed))
+
+
 def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:
-    """A stored run as a training leaves it, with these figures of its images."""
+    """A stored run with this delta1 of its images."""
     (row,) = study.chosen(name)
-    overrides = [*study.overrides, *row.overrides, "optimizer.lr=1.0e-3"]
-    config = compose_run(overrides, Path("f"), Path("r"), name=name, seed=seed)
+    config = settings_of([*study.overrides_of(row), "optimizer.lr=1.0e-3"], name, seed)
     run = {
         "model": name,
         "seed": seed,
         **{"data": "rooms", "split": "test", "split_hash": "abc", "train_split_hash": "def"},
-        "protocol": cfg.plain(config.data.protocol) | {"crop_fractions": None},
+        "protocol": config["data"]["protocol"] | {"crop_fractions": None},
         "metrics": dict.fromkeys(METRICS, 0.5) | {"delta1": float(delta1.mean()), "images": len(delta1)},
         "constant_predictor": None,
         "cost": {"params": 100, "gmacs": 1.0, "gflops": 2.0, "latency_ms_p50": 7.0, "throughput_img_s": 9.0}
@@ -53,7 +56,7 @@ def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any
         "resources": {"precision": "bf16"},
         "date": "2026-01-01T00:00:00",
         "sources": {},
-        "config": cfg.plain(config),
+        "config": config,
     } | changes
     folder = study.stored(row, seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +83,7 @@ def figures(offset: float, seed: int) -> np.ndarray:
 
 
 def history(mse: Sequence[float]) -> list[dict[str, float]]:
-    """Of a training with this validation MSE after each epoch."""
+    """History of a training with this validation MSE after each epoch."""
     return [
         {"epoch": epoch, "train_total": value, "val_mse": value, "val_ssim": 0.9, "val_mae": value}
         for epoch, value in enumerate(mse, 1)

@@ -1,10 +1,13 @@
-"""A study of a few seconds: one plan, the rows it has, and how its table is read."""
+"""A study of a few seconds: its plan, how it is run, and how its table is read."""
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from eldenet.results.studies.plan import read_study
-from eldenet.results.studies.runner import run_row
+from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
+from eldenet.study import check_finished, train_run
 
 TINY = """
 overrides:
@@ -37,6 +40,7 @@ EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
 eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
 unknown,scratch,no code identified,,,,,
 """
+TRAINING = Training(train_run, check_finished)
 
 
 def write_tiny_study(folder: Path, cache: str) -> Path:
@@ -52,12 +56,21 @@ def short(plan: str) -> str:
 
 
 def cells(folder: Path) -> dict[str, dict[str, str]]:
-    """Rows of results.csv by their names, as title -> cell."""
+    """Rows of results.csv by block and name, as title -> cell."""
     with (folder / "results.csv").open(newline="") as lines:
         return {f"{line['block']}/{line['row']}": line for line in csv.DictReader(lines)}
 
 
+def run(
+    study: Study, name: str, runs: Path, say: Callable[[str], None] = lambda text: None, **options: Any
+) -> list[Outcome]:
+    """Run one row."""
+    (row,) = study.chosen(name)
+    return run_row(study, row, StudySetup(study.folder, runs, **options), TRAINING, say)
+
+
 def run_all(folder: Path, runs: Path) -> tuple[dict[str, str], list[str]]:
+    """Statuses of all runs, and what was printed."""
     study, said = read_study(folder), []
-    outcomes = [outcome for row in study.rows for outcome in run_row(study, row, runs, say=said.append)]
+    outcomes = [outcome for row in study.rows for outcome in run(study, row.name, runs, said.append)]
     return {outcome.run: outcome.status for outcome in outcomes}, said

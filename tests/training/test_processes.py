@@ -17,7 +17,7 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
-from eldenet.results.run_record import differences
+from eldenet.results.fingerprints import differences
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import constant

@@ -91,7 +91,7 @@ def test_meter_predicts_nyu(weights_dir: Path) -> None:
         truth = sample["depth"][None]
         with torch.inference_mode():
             depth = F.interpolate(model(sample["image"][None]), size=truth.shape[-2:], mode="bilinear")
-        counts = protocol.scored(truth, sample["mask"][None])
+        counts = protocol.valid_mask(truth, sample["mask"][None])
         predictions.append(depth[counts])
         truths.append(truth[counts])
     pairs = list(zip(predictions, truths, strict=True))

@@ -122,11 +122,11 @@ def test_resuming_another_training_is_refused(tmp_path):
     with pytest.raises(ValueError, match="belongs to another training"):
         fit(tmp_path, epochs=1, batch_size=8, ckpt_path=tmp_path)
     # the checkpoint's own learning rate would win without a word
-    with pytest.raises(ValueError, match="optimizer differ"):
+    with pytest.raises(ValueError, match=r"another training: optimizer"):
         fit(tmp_path, epochs=1, optimizer=partial(torch.optim.Adam, lr=1e-5), ckpt_path=tmp_path)
-    with pytest.raises(ValueError, match="scheduler differ"):
+    with pytest.raises(ValueError, match=r"another training: scheduler"):
         fit(tmp_path, epochs=1, scheduler=partial(cosine, final=0.5), ckpt_path=tmp_path)
-    with pytest.raises(ValueError, match="ema_decay differ"):
+    with pytest.raises(ValueError, match=r"another training: ema_decay"):
         fit(tmp_path, epochs=1, ema_decay=0.9, ckpt_path=tmp_path)
     # values of another metric, or of other frames, would be compared with the best so far
     for options, name in (
@@ -137,7 +137,7 @@ def test_resuming_another_training_is_refused(tmp_path):
         ({"resources": replace(ONE_THREAD, precision="bf16")}, "precision"),
         ({"sources": {"weights": "0" * 16}}, "sources"),
     ):
-        with pytest.raises(ValueError, match=f"{name} differ"):
+        with pytest.raises(ValueError, match=f"another training: {name}"):
             fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)
 
 

@@ -1,4 +1,4 @@
-"""The blocks of a study from its stored runs: one table per start class, nothing mixed, nothing invented."""
+"""The tables of a study from its stored runs: one block per start class, compared with no other."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
@@ -11,33 +11,40 @@ from eldenet.evaluation.metrics import LOWER_IS_BETTER
 from eldenet.results import statistics
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.statistics import Difference
-from eldenet.results.studies.latencies import Latencies
-from eldenet.results.studies.matching import outdated_search, stored_choice
+from eldenet.results.studies.latency import Latencies
+from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.results.studies.stored import stored_runs
 from eldenet.results.tables import heading, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
-COUNTED = ("params", "gmacs")  # what a busy machine cannot change; latencies are a benchmark's
+COUNTED = ("params", "gmacs")  # costs that a busy machine does not change; a benchmark measures latencies
 SEEN = "weights have seen"  # title of a column
-SEEDS_OF_A_VERDICT = 3  # fewer runs of a row tell nothing of the chance in a training
+SEEDS_OF_A_VERDICT = 3  # fewer runs of a row say nothing about the chance in a training
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
-@dataclass
+@dataclass(frozen=True)
 class Block:
-    """One table: rows of one start class, compared with each other and with no other block.
+    """One table: rows of one start class.
 
-    The columns from ``published`` on are figures of others: a table of its own where people read.
+    Attributes:
+        name: of the start class.
+        titles: of the columns.
+        rows: cells.
+        notes: lines below the table.
+        points: row, latency [ms] or GMACs, metric, for the plot.
+        differences: to the reference row, by row.
+        reference: that row; "" without one.
+        published: number of the first column of published figures, which are shown in a table of their own.
     """
 
     name: str
     titles: list[str]
     rows: list[list[str]]
     notes: list[str]
-    points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric
-    differences: dict[str, Difference]  # by row
-    reference: str  # the row that they are to; "" without one
+    points: list[tuple[str, float, float]]
+    differences: dict[str, Difference]
+    reference: str
     published: int
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
@@ -45,7 +52,7 @@ class Block:
         return self.titles[: self.published], [row[: self.published] for row in self.rows]
 
     def on_a_screen(self) -> tuple[list[str], list[list[str]]]:
-        """Those without the long texts of what weights have seen: they stand in the written table."""
+        """Titles and rows without the long texts of what weights have seen, too."""
         kept = [place for place, title in enumerate(self.titles[: self.published]) if title != SEEN]
         return [self.titles[place] for place in kept], [[row[place] for place in kept] for row in self.rows]
 
@@ -57,7 +64,7 @@ class Block:
 
 
 def read_expected(folder: Path) -> list[dict[str, str]]:
-    """Lines of ``expected.csv``: published figures with their sources, and what is known to be missing.
+    """Lines of ``expected.csv``: published figures with their sources, and rivals that cannot be run.
 
     Raises:
         ValueError: another header, or a figure without a source.
@@ -67,11 +74,9 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
         return []
     with path.open(newline="") as lines:
         reader = csv.DictReader(lines)
-        if tuple(reader.fieldnames or ()) != EXPECTED_HEADER:
-            raise ValueError(
-                f"{path} has the columns {reader.fieldnames}, needed are {list(EXPECTED_HEADER)}"
-            )
-        entries = list(reader)
+        header, entries = tuple(reader.fieldnames or ()), list(reader)
+    if header != EXPECTED_HEADER:
+        raise ValueError(f"{path} has the columns {list(header)}, needed are {list(EXPECTED_HEADER)}")
     for entry in entries:
         if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
             raise ValueError(f"{path}: {entry['row']} has a figure without its protocol and source")
@@ -80,51 +85,48 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class Member:
-    """A row of a block with what is known of it.
+    """A row of a block with its runs and published figures.
 
     Attributes:
         row: of the plan.
         grouped: its finished runs; None: there are none.
         files: their ``per_image.csv``.
-        expected: its line of ``expected.csv``, if it has one.
+        expected: its line of ``expected.csv``; empty if it has none.
         planned: False for a rival that has that line only.
-        outdated: a setting that its stored runs were not made with, and which the plan names today.
+        outdated: why its stored runs are not shown.
     """
 
     row: StudyRow
-    grouped: Row | None
-    files: list[Path]
-    expected: Mapping[str, str] | None
+    expected: Mapping[str, str]
+    grouped: Row | None = None
+    files: Sequence[Path] = ()
     planned: bool = True
     outdated: str | None = None
 
     @property
     def runs(self) -> Sequence[Mapping[str, Any]]:
-        """Of the row, one per finished seed."""
+        """One per finished seed."""
         return self.grouped.runs if self.grouped else []
 
     @property
     def status(self) -> str:
-        """How many seeds there are, or why there is none."""
+        """Number of seeds, or why there is none."""
         if self.outdated:
             return f"outdated: {self.outdated}"
         if self.runs:
             planned = len(self.row.seeds)
             return f"{len(self.runs)} of {planned}" if len(self.runs) < planned else str(planned)
         if self.row.given:
-            return self.row.missing_word
-        if self.planned or not self.expected:
-            return "not run"
-        return self.expected["status"] or "not run"
+            return self.row.not_given
+        return "not run" if self.planned else self.expected["status"] or "not run"
 
     def text(self, group: str, name: str) -> str:
         """Mean and spread of a metric or cost, "-" without runs."""
         return self.grouped.text(group, name) if self.grouped else "-"
 
     def published(self, name: str) -> str:
-        """A column of ``expected.csv``; its status where there is no source, such as "not published"."""
-        expected = self.expected or {}
-        return expected.get(name) or (expected.get("status") if name == "source" else None) or "-"
+        """A column of ``expected.csv``; without a source its status, such as "not published"."""
+        return self.expected.get(name) or (self.expected.get("status") if name == "source" else None) or "-"
 
 
 def build_blocks(study: Study) -> list[Block]:
@@ -140,17 +142,16 @@ def build_blocks(study: Study) -> list[Block]:
 
 def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Block:
     lines = {line["row"]: line for line in expected}
-    members = [_member(study, row, lines.get(row.name)) for row in study.rows if row.block == name]
-    known = {member.row.name for member in members}
-    for line in expected:  # rivals that have no run of ours
-        if line["row"] not in known:
-            members.append(Member(StudyRow(line["row"], block=name, seen="-"), None, [], line, planned=False))
+    members = [_member(study, row, lines.pop(row.name, {})) for row in study.rows if row.block == name]
+    for rival, line in lines.items():  # figures of others alone
+        members.append(Member(StudyRow(rival, block=name, seen="-"), line, planned=False))
     latencies = Latencies.read(study)
     for member in members:
         if latencies and member.runs:
             latencies.check(member.row, member.runs[0])
     every = [run for member in members for run in member.runs]
-    notes = _notes(every, latencies)
+    reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
+    differences = {} if reference is None else _differences(study, reference, members)
     columns: list[tuple[str, Callable[[Member], str]]] = [
         ("row", lambda member: member.row.name),
         ("seeds", lambda member: member.status),
@@ -159,24 +160,10 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     for metric in study.columns:
         title = heading(metric, every[0]) if every else metric
         columns.append((title, partial(Member.text, group="metrics", name=metric)))
-    reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
-    differences = _differences(study, reference, members)
     if reference is not None:
-        columns.append(
-            (
-                f"{study.compare} - {reference.row.name}'s [95 %]",
-                lambda member: differences[member.row.name].text if member.row.name in differences else "-",
-            )
-        )
-        notes.append(
-            f"difference in {study.compare} to {reference.row.name}: mean over the images, 95 % interval of "
-            f"the paired bootstrap ({statistics.DRAWS} draws): of the seeds of each row and of the images "
-            f'where both rows have {SEEDS_OF_A_VERDICT} seeds, "better" or "worse" where it leaves 0 out; '
-            f"else of the {statistics.IMAGES_ALONE}, which says too little for a verdict"
-        )
-    if study.epoch == "last" and every:
-        notes.append("figures of the last epoch: the kept one was chosen on these very frames")
-    notes += _searches(study, members)
+        shown = {row: difference.text for row, difference in differences.items()}
+        title = f"{study.compare} - {reference.row.name}'s [95 %]"
+        columns.append((title, lambda member: shown.get(member.row.name, "-")))
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
@@ -186,40 +173,53 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         for column in (*PUBLISHED, "protocol", "source"):
             columns.append((f"published {column}", partial(Member.published, name=column)))
     rows = [[cell(member) for _, cell in columns] for member in members]
-    for label, shown in constant_rows(every, study.columns):
-        cells = [label, "-", "depth of the training frames", *shown]
+    for label, metrics in constant_rows(every, study.columns):
+        cells = [label, "-", "depth of the training frames", *metrics]
         rows.append(cells + ["-"] * (len(columns) - len(cells)))
     points = [point for member in members if (point := _point(study, member, latencies))]
     compared = "" if reference is None else reference.row.name
+    notes = _notes(study, members, latencies, compared)
     return Block(name, [title for title, _ in columns], rows, notes, points, differences, compared, published)
 
 
-def _member(study: Study, row: StudyRow, expected: Mapping[str, str] | None) -> Member:
+def _member(study: Study, row: StudyRow, expected: Mapping[str, str]) -> Member:
     stored = stored_runs(study, row)
     if not stored.runs:
-        return Member(row, None, [], expected, outdated=stored.outdated)
+        return Member(row, expected, outdated=stored.outdated)
     try:
         grouped = group_rows(stored.runs)
         if len(grouped) > 1:
             raise ValueError(f"the stored runs have the names {', '.join(one.model for one in grouped)}")
     except ValueError as error:  # the other rows have their table
-        return Member(row, None, [], expected, outdated=f"{error}; train all of its seeds anew (rerun=true)")
-    return Member(row, grouped[0], stored.files, expected)
+        return Member(row, expected, outdated=f"{error}; train all of its seeds again (rerun=true)")
+    return Member(row, expected, grouped[0], stored.files)
 
 
-def _notes(runs: Sequence[Mapping[str, Any]], latencies: Latencies | None) -> list[str]:
-    """What makes the figures believable."""
+def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None, reference: str) -> list[str]:
+    """The protocol, the machines and the statistics behind the numbers."""
+    runs = [run for member in members for run in member.runs]
     if not runs:
         return ["no run is stored yet"]
     refuse_mixtures(runs, costs=False)
     sizes = sorted({(run["cost"]["height"], run["cost"]["width"]) for run in runs})
     inputs = ", ".join(f"{height} x {width}" for height, width in sizes)
     notes = [protocol_line(runs[0]), training_line(runs), f"GMACs at an input of {inputs}; 1 MAC = 2 FLOPs"]
-    return [*notes, latencies.line] if latencies else notes
+    if latencies:
+        notes.append(latencies.line)
+    if reference:
+        notes.append(
+            f"difference in {study.compare} to {reference}: mean over the images, with the 95 % interval "
+            f"of a paired bootstrap ({statistics.DRAWS} draws). Where both rows have {SEEDS_OF_A_VERDICT} "
+            'seeds, it draws seeds and images, and "better" or "worse" means that the interval excludes 0; '
+            f"elsewhere it draws {statistics.IMAGES_ALONE}, too little for a verdict"
+        )
+    if study.epoch == "last":
+        notes.append("metrics of the last epoch, since the best epoch was chosen on the same frames")
+    return notes + _searches(study, members)
 
 
 def _searches(study: Study, members: Sequence[Member]) -> list[str]:
-    """Notes on rows whose search for a learning rate ended at its edge, or was another one than today's."""
+    """Notes on rows whose search for a learning rate ended at its edge, or does not follow the plan."""
     edges, others = [], []
     for member in members:
         choice = stored_choice(study, member.row) if member.runs else None
@@ -228,21 +228,20 @@ def _searches(study: Study, members: Sequence[Member]) -> list[str]:
         if choice.at_the_edge:
             tried = f"tried: {choice.tried[0]:g} to {choice.tried[-1]:g}"
             edges.append(f"{member.row.name} ({choice.rate:g}; {tried})")
-        different = outdated_search(study, member.row, choice)
-        if different:
+        if different := outdated_search(study, member.row, choice):
             others.append(f"{member.row.name} ({'; '.join(different[:2])})")
     found = {
-        "learning rate at the edge of the search, a better one may lie beyond": edges,
-        "learning rate chosen by other trials than sweep.yaml plans, made anew by rerun=true": others,
+        "learning rate at the edge of the search, so a better one may lie beyond": edges,
+        "learning rate chosen by other trials than sweep.yaml plans; to repeat them, rerun=true": others,
     }
     return [f"{words}: {', '.join(rows)}" for words, rows in found.items() if rows]
 
 
-def _differences(study: Study, reference: Member | None, members: Sequence[Member]) -> dict[str, Difference]:
-    """Of every row with runs but the reference itself."""
+def _differences(study: Study, reference: Member, members: Sequence[Member]) -> dict[str, Difference]:
+    """Differences to the reference of every other row with runs."""
     found = {}
     for member in members:
-        if reference is None or member is reference or not member.runs:
+        if member is reference or not member.runs:
             continue
         ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
         seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
@@ -252,7 +251,7 @@ def _differences(study: Study, reference: Member | None, members: Sequence[Membe
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:
-    """Where a row lies in the plot: its benchmarked latency, else its multiply-adds."""
+    """Place of a row in the plot: its benchmarked latency or, without one, its multiply-adds."""
     if member.grouped is None:
         return None
     cost = latencies.of(member.row.name) if latencies else float(member.runs[0]["cost"]["gmacs"])

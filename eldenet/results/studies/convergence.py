@@ -1,4 +1,4 @@
-"""How fast and how steadily the runs of a study converged: curves, speed, fluctuation, and their table."""
+"""Convergence of a study's runs: curves, speed, fluctuation, and their table."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.results.studies.matching import stored_runs
 from eldenet.results.studies.plan import Study
-from eldenet.results.studies.stored import stored_runs
 
 SHARE = 0.9  # of a curve's own descent
-MARGIN = 1.15  # above the level that every run reaches: a second level, met earlier
+MARGIN = 1.15  # of a second level above the one that every run reaches
 WINDOW = 5  # epochs of the running mean
 CURVES = {"train_loss": "training loss", "val_loss": "validation loss", "val_mse": "MSE"}
-LOSSES = ("train_loss", "val_loss")  # they compare where the rows train with one loss
-FIGURES = ("epochs", "own", "early", "late", "fluctuation")
+LOSSES = ("train_loss", "val_loss")  # compare only if all runs train with the same loss
 TITLES = {
     "epochs": "epochs",
     "own": f"{SHARE:.0%} of its own descent [epoch]",
@@ -25,12 +24,12 @@ TITLES = {
     "fluctuation": "fluctuation",
 }
 NOTES = (
-    f"level: the last value of the worst run of the block, so that every run reaches it; {MARGIN:g} x level "
-    "and level: the first epoch at which a run is there or below",
-    f"{SHARE:.0%} of its own descent: the first epoch at which a run has done that much of its way from its "
+    f"level: the last value of the worst run of the block, so every run reaches it; at level, at {MARGIN:g} "
+    "x level: the first epoch at which a run is there or below",
+    f"{SHARE:.0%} of its own descent: the first epoch at which a run has made that much of its way from its "
     "first to its best value; a bad start makes it early, so it does not compare rows",
     f"fluctuation: mean absolute distance from the running mean over {WINDOW} epochs in the second half of "
-    "the training, relative to the mean there",
+    "the training, relative to its mean there",
     "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
     "mean ± sample standard deviation over the seeds; convergence.csv has every run",
 )
@@ -39,8 +38,8 @@ NOTES = (
 def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
     """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
 
-    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss of other terms, by their
-    classes, or of other maps than meters.
+    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss with other terms, a teacher
+    or maps in other units than meters.
     """
     ssim, mae = (np.nan if row.get(name) is None else row[name] for name in ("val_ssim", "val_mae"))
     values, loss = {"SSIMLoss": (1 - ssim) / 2, "L1Loss": mae}, 0.0
@@ -53,9 +52,9 @@ def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float |
 
 
 def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Training and validation curves of one run by their names, one value per validated epoch.
+    """Training and validation curves of one run by name, one value per validated epoch.
 
-    A curve with a gap is left out: sparse ground truth has no SSIM.
+    A curve with gaps is left out: sparse ground truth has no SSIM.
     """
     history = [row for row in run["training"]["history"] if "val_mse" in row]
     found: dict[str, list[float]] = {
@@ -71,35 +70,34 @@ def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
 
 
 def first_epoch(epochs: Sequence[float], values: Sequence[float], level: float) -> float | None:
-    """The first epoch at which a curve is at or below ``level``; None: at none."""
+    """The first epoch at which a curve is at or below ``level``; None: it never is."""
     return next((epoch for epoch, value in zip(epochs, values, strict=True) if value <= level), None)
 
 
 def own_descent(epochs: Sequence[float], values: Sequence[float], share: float = SHARE) -> float | None:
-    """First epoch at which a falling curve has done ``share`` of its way from its first to its best value."""
+    """First epoch at which a falling curve has made ``share`` of its way from its first to its best value."""
     return first_epoch(epochs, values, values[0] - share * (values[0] - min(values)))
 
 
 def fluctuation(values: Sequence[float]) -> float | None:
     """Mean absolute distance from the running mean in the second half of a curve, relative to the mean there.
 
-    A steady descent is none. None: the second half has no epoch with a whole window around it.
+    0 for a steady descent; None if no epoch of the second half has a whole window around it.
     """
     whole = np.asarray(values, dtype=float)
     first = max(len(whole) // 2, WINDOW // 2)
     last = len(whole) - WINDOW // 2
     if first >= last:
         return None
-    smooth = np.convolve(whole, np.full(WINDOW, 1 / WINDOW), mode="valid")  # of places WINDOW // 2 and on
+    smooth = np.convolve(whole, np.full(WINDOW, 1 / WINDOW), mode="valid")  # starts at WINDOW // 2
     half = whole[first:last]
     return float(np.abs(half - smooth[first - WINDOW // 2 :]).mean() / np.abs(half).mean())
 
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of one run in figures; None: it has none."""
+    """Figures of one curve of one run; None: it has none."""
 
-    block: str
     row: str
     seed: int
     curve: str
@@ -109,44 +107,35 @@ class Line:
 
 @dataclass(frozen=True)
 class Convergence:
-    """The curves of a study (``row/seed0`` -> name -> values) and what they come to."""
+    """Curves of a study (``row/seed0`` -> name -> values) and their figures."""
 
     curves: Mapping[str, Mapping[str, list[float]]]
     lines: Sequence[Line]
 
     def by_run(self) -> tuple[list[str], list[list[str]]]:
         """Titles and cells, a line for every curve of every run."""
-        titles = ["run", "curve", "level", *TITLES.values()]
-        return titles, [
-            [
-                f"{line.row}/seed{line.seed}",
-                CURVES[line.curve],
-                _text([line.level], "level"),
-                *(_text([line.figures[name]], name) for name in FIGURES),
-            ]
-            for line in self.lines
-        ]
+        cells = [[f"{line.row}/seed{line.seed}", CURVES[line.curve], *_cells([line])] for line in self.lines]
+        return ["run", "curve", "level", *TITLES.values()], cells
 
     def by_row(self) -> tuple[list[str], list[list[str]]]:
         """Titles and cells, seeds together: mean and sample standard deviation."""
         groups: dict[tuple[str, str], list[Line]] = {}
         for line in self.lines:
             groups.setdefault((line.row, line.curve), []).append(line)
-        titles = ["row", "curve", "seeds", "level", *TITLES.values()]
-        return titles, [
-            [
-                row,
-                CURVES[curve],
-                str(len(lines)),
-                _text([lines[0].level], "level"),
-                *(_text([line.figures[name] for line in lines], name) for name in FIGURES),
-            ]
-            for (row, curve), lines in groups.items()
+        cells = [
+            [row, CURVES[curve], str(len(lines)), *_cells(lines)] for (row, curve), lines in groups.items()
         ]
+        return ["row", "curve", "seeds", "level", *TITLES.values()], cells
+
+
+def _cells(lines: Sequence[Line]) -> list[str]:
+    """Level and figures of the runs of a row."""
+    figures = (_text([line.figures[name] for line in lines], name) for name in TITLES)
+    return [_text([lines[0].level], "level"), *figures]
 
 
 def _text(values: Sequence[float | None], name: str) -> str:
-    """Mean ± sample standard deviation; "-" if one run has no value: a mean over the others would mislead."""
+    """Mean ± sample standard deviation; "-" if one run has no value: the others would mislead."""
     known = [value for value in values if value is not None]
     if len(known) < len(values):
         return "-"
@@ -158,25 +147,29 @@ def _text(values: Sequence[float | None], name: str) -> str:
 
 
 def convergence(study: Study) -> Convergence:
-    """Speed and fluctuation of every stored run of a study; levels are a block's, as all comparisons are."""
+    """Speed and fluctuation of every stored run of a study; runs are compared at the level of their block."""
     blocks: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for row in study.rows:
         blocks.setdefault(row.block, []).extend((row.name, run) for run in stored_runs(study, row).runs)
-    found = {f"{name}/seed{run['seed']}": curves(run) for runs in blocks.values() for name, run in runs}
-    lines = []
-    for block, runs in blocks.items():
-        levels = _levels([run for _, run in runs], [found[f"{name}/seed{run['seed']}"] for name, run in runs])
-        for name, run in runs:
-            of_run = found[f"{name}/seed{run['seed']}"]
-            for curve in (key for key in CURVES if of_run.get(key)):
-                lines.append(_line(block, name, run["seed"], curve, of_run, levels[curve]))
+    found: dict[str, dict[str, list[float]]] = {}
+    lines: list[Line] = []
+    for runs in blocks.values():
+        of_block = {f"{name}/seed{run['seed']}": curves(run) for name, run in runs}
+        levels = _levels([run for _, run in runs], list(of_block.values()))
+        for (name, run), values in zip(runs, of_block.values(), strict=True):
+            lines += [
+                Line(name, run["seed"], curve, levels[curve], _figures(values, curve, levels[curve]))
+                for curve in CURVES
+                if values.get(curve)
+            ]
+        found |= of_block
     return Convergence(found, lines)
 
 
 def _levels(
     runs: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, list[float]]]
 ) -> dict[str, float | None]:
-    """The worst last value of each curve; None for losses that are not one and the same."""
+    """The worst last value of each curve; None for the losses of runs that train with different ones."""
     one_loss = len({json.dumps(run["config"]["loss"], sort_keys=True) for run in runs}) == 1
     return {
         key: max((curve[key][-1] for curve in found if curve.get(key)), default=None)
@@ -186,15 +179,12 @@ def _levels(
     }
 
 
-def _line(
-    block: str, name: str, seed: int, curve: str, found: Mapping[str, list[float]], level: float | None
-) -> Line:
+def _figures(found: Mapping[str, list[float]], curve: str, level: float | None) -> dict[str, float | None]:
     epochs, values = found["epoch"], found[curve]
-    figures = {
+    return {
         "epochs": float(epochs[-1]),
         "own": own_descent(epochs, values),
         "early": None if level is None else first_epoch(epochs, values, MARGIN * level),
         "late": None if level is None else first_epoch(epochs, values, level),
         "fluctuation": fluctuation(values),
     }
-    return Line(block, name, int(seed), curve, level, figures)

@@ -1,14 +1,17 @@
-"""The networks of a study's rows and their latency, for its accuracy-against-latency table and plot."""
+"""Latencies of a study's rows: the networks that a benchmark measures, and the file that it writes."""
 
+import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
-from eldenet.results.studies.matching import compose_run
-from eldenet.results.studies.plan import Study
+from eldenet.results.fingerprints import differences
+from eldenet.results.studies.matching import resolve, run_overrides
+from eldenet.results.studies.plan import Study, StudyRow
 from eldenet.system.files import write_rows
 
 if TYPE_CHECKING:
@@ -17,17 +20,20 @@ if TYPE_CHECKING:
 COSTS_FILE = "benchmark.csv"
 COLUMNS = ("runtime", "precision", "threads", "device", "batch", "height", "width", "params", "gmacs")
 FACTS = ("processor", "versions", "date", "command")
+# one value of each in a file: latencies of two machines or runtimes do not compare
+SAME = ("runtime", "precision", "threads", "device", "batch", "processor")
+COUNTED = ("params", "gmacs", "height", "width")  # of a network, both measured and trained
 
 
 @dataclass(frozen=True)
 class RowNetworks:
-    """The different networks of a study, each at the input that its rows train and score it with.
+    """The different networks of a study, each at the input size of its rows.
 
     Attributes:
         networks: initialized from seed 0, by the name of the first row with it.
-        sizes: (height, width) [px] of each one's input.
-        settings: of each, the ``model`` of a training's config.
-        network_of: row -> which of them it has.
+        sizes: (height, width) [px] of each network's input.
+        settings: ``model`` section of each network's config.
+        network_of: row -> name of its network.
     """
 
     networks: dict[str, "DepthNet"]
@@ -37,10 +43,9 @@ class RowNetworks:
 
 
 def row_networks(study: Study) -> RowNetworks:
-    """The networks of a study's rows.
+    """The networks of a study's rows; rows that differ in weights, loss or data alone share one.
 
-    Rows that differ in weights, loss or data alone share one. Options that only some trained run can give
-    (``pretrained`` weights) are left out: they change no latency.
+    Options that only a trained run can give (``pretrained`` weights) are left out: they change no latency.
 
     Raises:
         ValueError: a row's frames are not resized, so its input has no one size.
@@ -50,9 +55,10 @@ def row_networks(study: Study) -> RowNetworks:
     found = RowNetworks({}, {}, {}, {})
     first: dict[str, str] = {}
     for row in study.rows:
-        overrides = [*(row.owner or study).overrides, *row.overrides]
-        config = compose_run(overrides, Path("unused"), Path("unused"), name=row.name, seed=0)
-        settings, size = cfg.plain(config.model), cfg.plain(config.data.input_size)
+        nowhere = Path("unused")
+        overrides = run_overrides(study.overrides_of(row), nowhere, nowhere, name=row.name, seed=0)
+        config = resolve(overrides)
+        settings, size = config["model"], config["data"]["input_size"]
         if size is None:
             raise ValueError(
                 f"{study.name}, row {row.name}: data.input_size is null, so there is no one input to measure "
@@ -60,22 +66,22 @@ def row_networks(study: Study) -> RowNetworks:
             )
         name = first.setdefault(json.dumps([settings, size], sort_keys=True, default=str), row.name)
         if name == row.name:
-            torch.manual_seed(0)  # a benchmark knows what it measured by the weights
-            found.networks[name] = cfg.build_model(config.model).eval()
+            torch.manual_seed(0)  # a benchmark identifies networks by their weights
+            found.networks[name] = cfg.build_model(settings).eval()
             found.settings[name], found.sizes[name] = settings, tuple(size)
         found.network_of[row.name] = name
     return found
 
 
 def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNetworks) -> Path:
-    """Write ``benchmark.csv`` of a study: a line for each row whose network was measured, once each.
+    """Write ``benchmark.csv`` of a study: a line for each row whose network was measured.
 
     Raises:
-        ValueError: none was; the file that is there stays.
+        ValueError: none was; the existing file stays.
     """
-    by_network = {line["model"]: line for line in measured}
+    by_network = {line["model"]: line for line in measured if line["latency_ms_p50"] is not None}
     path = study.folder / (study.latency or COSTS_FILE)
-    if all(line["latency_ms_p50"] is None for line in measured):
+    if not by_network:
         reason = next((line["failed"] for line in measured if line.get("failed")), "nothing was measured")
         raise ValueError(f"no network of {study.name} has a latency, {path} stays as it is: {reason}")
     lines = [
@@ -84,7 +90,7 @@ def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNe
             json.dumps(rows.settings[name], default=str),
         ]
         for row, name in rows.network_of.items()
-        if (line := by_network.get(name)) and line["latency_ms_p50"] is not None
+        if (line := by_network.get(name))
     ]
     write_rows(path, ["row", "latency_ms_p50", *COLUMNS, *FACTS, "network"], lines)
     return path
@@ -93,3 +99,86 @@ def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNe
 def _text(fact: Any) -> Any:
     """Versions as words, in a cell."""
     return ", ".join(f"{name} {value}" for name, value in fact.items()) if isinstance(fact, Mapping) else fact
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """The lines of a study's benchmark file by row."""
+
+    lines: Mapping[str, Mapping[str, str]]
+
+    @classmethod
+    def read(cls, study: Study) -> "Latencies | None":
+        """Read the file that ``sweep.yaml`` names; None: it names none.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is empty, or was measured on different machines or runtimes.
+        """
+        if study.latency is None:
+            return None
+        path = study.folder / study.latency
+        if not path.is_file():
+            raise FileNotFoundError(f"{path} does not exist, but sweep.yaml names it as latency")
+        with path.open(newline="") as content:
+            lines = {line["row"]: line for line in csv.DictReader(content)}
+        if not lines:
+            raise ValueError(
+                f"{path} has no line: python -m eldenet.benchmark study={study.folder} writes it"
+            )
+        for name in SAME:
+            values = sorted({line[name] for line in lines.values()})
+            if len(values) > 1:
+                raise ValueError(f"{path}: {name} differs ({' | '.join(values)}): they do not compare")
+        return cls(lines)
+
+    def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
+        """Refuse a latency that was measured on another network than a row's run has, or at another input.
+
+        Raises:
+            ValueError: names what differs.
+        """
+        line = self.lines.get(row.name)
+        if line is None:
+            return
+        different = [
+            f"{name}={line[name]} (there {run['cost'][name]})"
+            for name in COUNTED
+            if not math.isclose(float(line[name]), run["cost"][name], rel_tol=1e-6)
+        ]
+        given = frozenset(setting.rpartition(".")[2] for setting in row.given.values())
+        network = json.loads(line["network"])
+        different += differences(network, run["config"]["model"], "model", ignored=given)
+        if different:
+            raise ValueError(
+                f"the latency of {row.name} was measured on another network than its runs have: "
+                f"{', '.join(different[:3])}. Measure it again (python -m eldenet.benchmark study=...)"
+            )
+
+    def of(self, row: str) -> float | None:
+        """Median latency of a row's network [ms], None where it was not measured."""
+        return float(self.lines[row]["latency_ms_p50"]) if row in self.lines else None
+
+    def text(self, row: str) -> str:
+        """The same for a table."""
+        latency = self.of(row)
+        return "-" if latency is None else f"{latency:.2f}"
+
+    @property
+    def title(self) -> str:
+        """Title of the column and of the plot's axis."""
+        return f"latency [ms] ({next(iter(self.lines.values()))['runtime']})"
+
+    @property
+    def line(self) -> str:
+        """One line on what they were measured on."""
+        facts = next(iter(self.lines.values()))
+        sizes = sorted({(int(line["height"]), int(line["width"])) for line in self.lines.values()})
+        inputs = " or ".join(f"{height} x {width}" for height, width in sizes)
+        inputs += ", each row at its own" if len(sizes) > 1 else ""
+        return (
+            f"latency: median of interleaved rounds, {facts['runtime']}, {facts['precision']}, "
+            f"{facts['threads']} threads, {facts['device']} ({facts['processor']}), "
+            f"input {inputs}, batch {facts['batch']}; {facts['date']}, "
+            f"`{facts['command']}`" + (f"; {facts['versions']}" if facts.get("versions") else "")
+        )

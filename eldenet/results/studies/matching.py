@@ -1,53 +1,65 @@
-"""From a study's row to the training config of one of its runs, and back to what a stored run lacks of it."""
+"""From a study's row to the settings of its runs, and the stored runs that were made with these settings."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from eldenet import config as cfg
+from eldenet.results.comparison import with_every_rule
 from eldenet.results.fingerprints import run_differences
-from eldenet.results.run_record import RUN_FILE, read_record
-from eldenet.results.studies.plan import RATE, RATE_FILE, STORED, Study, StudyRow
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+from eldenet.results.run_record import RUN_FILE, read_record, read_run
+from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
 
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 
 
-def compose_run(shared: Sequence[str], folder: Path, runs: Path, *, name: str, seed: int) -> "DictConfig":
-    """The training config of one run, as its command line would give it."""
+def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str, seed: int) -> list[str]:
+    """Overrides of ``eldenet.train`` for one run, as its command line would give them.
+
+    Args:
+        shared: overrides of the row, with ``{runs}`` and ``{seed}``.
+        folder: of the run.
+        runs: folder of the study's runs.
+        name: of the row.
+        seed: of the run.
+    """
     filled = [text.replace("{runs}", str(runs)).replace("{seed}", str(seed)) for text in shared]
-    own = [f"model_name='{name}'", f"seed={seed}", f"run_dir='{folder}'", "ckpt_path=auto"]
-    return cfg.compose("train", [*filled, *own])
+    return [*filled, f"model_name='{name}'", f"seed={seed}", f"run_dir='{folder}'", "ckpt_path=auto"]
+
+
+def resolve(overrides: Sequence[str]) -> dict[str, Any]:
+    """The resolved settings of a training with these overrides, as its ``run.json`` stores them."""
+    settings: dict[str, Any] = cfg.plain(cfg.compose("train", overrides))
+    return settings
 
 
 def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
-    """Refuse to start from, or be taught by, another row's run that is not finished below ``runs``.
+    """Refuse to start from the weights of another row, or to learn from it, before its run has finished.
 
     Raises:
-        FileNotFoundError: names its folder.
+        FileNotFoundError: names the run's folder below ``runs``.
     """
     texts = [text.replace("{seed}", str(seed)) for text in row.overrides]
     needed = [Path(runs / name).resolve() for text in texts for name in _NEEDED.findall(text)]
     missing = [path for path in needed if not (path / RUN_FILE).is_file()]
     if missing:
         raise FileNotFoundError(
-            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first; where its "
+            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first; if its "
             "results are stored already, with rerun=true"
         )
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The learning rate that the trials of a row chose, and all that were tried.
+    """The learning rate that the trials of a row chose.
 
     Attributes:
         rate: the best one.
-        tried: in ascending order.
-        record: all that is stored of the trials.
+        tried: all, in ascending order.
+        record: everything that is stored of the trials.
     """
 
     rate: float
@@ -57,14 +69,13 @@ class Choice:
     @property
     def at_the_edge(self) -> bool:
         """Whether a better one may lie beyond those that were tried."""
-        return self.rate in (min(self.tried), max(self.tried))
+        return self.rate in (self.tried[0], self.tried[-1])
 
 
 def stored_choice(study: Study, row: StudyRow) -> Choice | None:
-    """What is stored of a row's trials; None: nothing, or its learning rate is given."""
-    plan = row.owner or study
-    file = plan.folder / STORED / row.name / RATE_FILE
-    if row.learning_rate is not None or not plan.learning_rates or not file.is_file():
+    """The stored choice of a row's trials; None: there is none, or the row's learning rate is given."""
+    file = study.rate_file(row)
+    if not study.searches_rate(row) or not file.is_file():
         return None
     record = read_record(file)
     tried = tuple(sorted(float(rate) for rate in record["delta1"]))
@@ -72,56 +83,103 @@ def stored_choice(study: Study, row: StudyRow) -> Choice | None:
 
 
 def search_differences(
-    candidates: Sequence[float], trial: Mapping[str, Any], record: Mapping[str, Any], **options: Any
+    candidates: Sequence[float],
+    trial: Mapping[str, Any],
+    record: Mapping[str, Any],
+    given: frozenset[str] | None = None,
 ) -> list[str]:
-    """What tells a search for a learning rate from the one that led to a stored choice, in words.
+    """Differences between a search for a learning rate and the search behind a stored choice, in words.
 
     Args:
-        candidates: learning rates that are tried.
-        trial: resolved config of a trial, plain.
-        record: what is stored of the choice (``learning_rate.json``).
-        options: of :func:`eldenet.results.fingerprints.run_differences`.
+        candidates: learning rates to try.
+        trial: resolved settings of a trial.
+        record: the stored choice (``learning_rate.json``).
+        given: as :func:`~eldenet.results.fingerprints.run_differences` takes it.
     """
-    theirs = record["rule"]
-    found = []
-    if list(candidates) != theirs["candidates"]:
-        found.append(f"candidates={list(candidates)} (there {theirs['candidates']})")
-    ignored = options.pop("ignored", frozenset()) | {"lr"}
-    chosen = {"config": theirs["config"], "sources": record["sources"]}
-    return found + run_differences(trial, chosen, ignored=ignored, **options)
-
-
-def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
-    """What the plan says today of a stored run's settings, where that is something else; no data is needed.
-
-    Weights and teachers: whether there are any, and the content of those that come with the package; where
-    others lie, and what is given, knows the command that runs the row. The learning rate is the row's, or the
-    one that is stored as its choice.
-    """
-    choice = stored_choice(study, row)
-    rate = choice.rate if choice is not None else row.learning_rate
-    options = _without_data(row)
-    if rate is None:
-        options["ignored"] |= {"lr"}
-    config = _composed(study, row, [] if rate is None else [f"{RATE}={rate}"], seed=int(run["seed"]))
-    return run_differences(config, run, **options)
+    rule, found = record["rule"], []
+    if list(candidates) != rule["candidates"]:
+        found.append(f"candidates={list(candidates)} (there {rule['candidates']})")
+    chosen = {"config": rule["config"], "sources": record["sources"]}
+    return found + run_differences(trial, chosen, ignored=frozenset(("lr",)), given=given)
 
 
 def outdated_search(study: Study, row: StudyRow, choice: Choice) -> list[str]:
-    """What the plan says today of the trials behind a stored choice, as :func:`outdated` of its runs."""
-    plan = row.owner or study
-    trial = _composed(study, row, [*plan.rate_overrides, *row.rate_overrides], seed=0)
-    return search_differences(plan.learning_rates, trial, choice.record, **_without_data(row))
+    """Differences between the trials that the plan asks for and those behind a stored choice."""
+    trial = _planned(row, study.overrides_of(row, trial=True), seed=0)
+    candidates = study.owner_of(row).learning_rates
+    return search_differences(candidates, trial, choice.record, frozenset(row.given.values()))
 
 
-def _composed(study: Study, row: StudyRow, further: Sequence[str], *, seed: int) -> Any:
-    """The plan's config of a run, plain, where nobody knows the run folders."""
-    shared, nowhere = [*(row.owner or study).overrides, *row.overrides, *further], Path("unused")
-    return cfg.plain(compose_run(shared, nowhere, nowhere, name=row.name, seed=seed))
+def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
+    """Differences between the settings that the plan asks for and those of a stored run; needs no data.
+
+    Of weights and teachers, only their presence and the content of packaged ones are compared: where others
+    lie, only the command that runs the row knows. The learning rate is the row's, or its stored choice.
+    """
+    choice = stored_choice(study, row)
+    rate = row.learning_rate if choice is None else choice.rate
+    further = [] if rate is None else [f"{RATE}={rate}"]
+    settings = _planned(row, [*study.overrides_of(row), *further], seed=int(run["seed"]))
+    ignored = frozenset(("lr",)) if rate is None else frozenset()
+    return run_differences(settings, run, ignored=ignored, given=frozenset(row.given.values()))
 
 
-def _without_data(row: StudyRow) -> dict[str, Any]:
-    """Options of a comparison that knows neither the run folders nor what is given on a command line."""
-    given = frozenset((row.given or {}).values())
-    ignored = frozenset(setting.rpartition(".")[2] for setting in given)
-    return {"ignored": ignored, "elsewhere": given, "by_path": False}
+def _planned(row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
+    nowhere = Path("unused")
+    return resolve(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The stored runs of a row, if they were made with the settings that the plan asks for today.
+
+    Attributes:
+        runs: contents of ``run.json``, one per finished seed.
+        files: their ``per_image.csv``.
+        outdated: a setting that differs from the plan; there are no runs then.
+    """
+
+    runs: list[dict[str, Any]] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    outdated: str | None = None
+
+
+def stored_runs(study: Study, row: StudyRow) -> Stored:
+    """The stored runs of a row, for the tables and plots of the study."""
+    folders = [study.stored(row, seed) for seed in row.seeds]
+    folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
+    runs = [read_run(folder) for folder in folders]
+    for run in runs:
+        if different := outdated(study, row, run):
+            return Stored(outdated=different[0])
+    if study.epoch == "last":
+        runs = [run | {"metrics": last_metrics(run)} for run in runs]
+    return Stored([with_every_rule(run) for run in runs], [folder / "per_image.csv" for folder in folders])
+
+
+def last_metrics(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Metrics of a run after its last epoch, on the frames that it was validated on.
+
+    Raises:
+        ValueError: it was validated on other frames than the table's, so that the metrics of the kept epoch
+            differ, or not after its last epoch.
+    """
+    history = {row["epoch"]: row for row in run["training"]["history"]}
+    kept, last = history[run["training"]["best_epoch"]], history[max(history)]
+    who = f"{run['model']}, seed {run['seed']}"
+    if "val_delta1" not in last:
+        raise ValueError(f"{who} was not validated after its last epoch: epoch: last needs that")
+    known = {name for name in run["metrics"] if f"val_{name}" in last}  # not: images, pixels
+    other = [name for name in sorted(known) if not _close(kept.get(f"val_{name}"), run["metrics"][name])]
+    if other:
+        raise ValueError(
+            f"{who} was validated on other frames than those of its table ({', '.join(other)} of the kept "
+            "epoch differ): epoch: last has no metrics for the table"
+        )
+    return {**run["metrics"], **{name: last[f"val_{name}"] for name in known}}
+
+
+def _close(one: float | None, two: float | None) -> bool:
+    if one is None or two is None:
+        return one is two
+    return math.isclose(one, two, rel_tol=1e-3)

@@ -1,21 +1,21 @@
-"""What a study is: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
+"""The plan of a study: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from eldenet import config as cfg
 from eldenet.evaluation.metrics import METRICS
+from eldenet.system.files import read_yaml
 
 PLAN = "sweep.yaml"
-SHARED = ("seeds", "block", "seen", "learning_rate")  # of all rows that do not say otherwise
-STORED = "stored"  # results of finished runs, small enough for git
-RATE_FILE = "learning_rate.json"  # beside them: what the trials of a row chose
-RATE = "optimizer.lr"  # what `learning_rate` and `learning_rates` give
-KEPT = ("per_image.csv", "run.json")  # of each; the last one says that it is stored
-# of what a row needs, by its setting: "weights not given"; else data
+SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
+STORED = "stored"  # folder of the results of finished runs, small enough for git
+RATE_FILE = "learning_rate.json"  # the choice of a row's trials
+RATE = "optimizer.lr"  # the setting that `learning_rate` and `learning_rates` set
+KEPT = ("per_image.csv", "run.json")  # files of a stored run; the last one is copied last
+# a setting that must be given -> the table's "... not given"; "data" for any other
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
 
 
@@ -28,13 +28,13 @@ class StudyRow:
         overrides: of ``eldenet.train``, after the study's own; ``{runs}`` stands for the study's run folder,
             ``{seed}`` for the run's seed.
         seeds: one run each.
-        block: the start class (or data set) that the row is compared within.
-        seen: what its weights have seen before and during training.
-        given: name -> setting that must be given on the command line (``given.kitti=/data/kitti``) for the
-            row to run, such as ``{kitti: data.root}``.
-        learning_rate: of the optimizer; None: by the study's rule, if it has one.
-        rate_overrides: what its trials change beside the study's ``rate_overrides``.
-        owner: the study that the row is taken from: it is run by that study's settings, and stored there.
+        block: start class or data set; rows are compared within their block only.
+        seen: data that its weights have seen before and during training.
+        given: name -> setting that the command line must give (``given.kitti=/data/kitti``) before the row
+            can run, such as ``{kitti: data.root}``.
+        learning_rate: of the optimizer; None: the study's ``learning_rates`` are searched, if it has any.
+        rate_overrides: of its trials, after the study's ``rate_overrides``.
+        owner: the study that the row is taken from: it runs with that study's settings and is stored there.
     """
 
     name: str
@@ -42,39 +42,37 @@ class StudyRow:
     seeds: tuple[int, ...] = (0,)
     block: str = "scratch"
     seen: str = "the training frames alone"
-    given: Mapping[str, str] | None = None
+    given: Mapping[str, str] = field(default_factory=dict)
     learning_rate: float | None = None
     rate_overrides: tuple[str, ...] = ()
     owner: "Study | None" = None
 
     @property
-    def missing_word(self) -> str:
-        """What the table says while something the row needs was not given."""
-        settings = (self.given or {}).values()
-        return f"{next((WORDS[name] for name in settings if name in WORDS), 'data')} not given"
+    def not_given(self) -> str:
+        """Status in the table while something that the row needs is not given."""
+        return f"{next((WORDS[name] for name in self.given.values() if name in WORDS), 'data')} not given"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study's plan.
+    """The plan of a study.
 
     Attributes:
-        folder: where ``sweep.yaml`` lies and the results go.
+        folder: of ``sweep.yaml`` and of the results.
         rows: in the order of the tables.
         overrides: of ``eldenet.train``, shared by all rows.
-        learning_rates: values of ``optimizer.lr`` that every row tries; none: the optimizer's own is taken.
-        rate_overrides: what a trial of a learning rate changes: fewer epochs, and a part of the training
-            split that is held out of it as its ``data.test``.
+        learning_rates: values of ``optimizer.lr`` that every row tries; empty: the optimizer's own is used.
+        rate_overrides: of a trial: fewer epochs, and a held-out part of the training split as ``data.test``.
         reference: rows that the others of their block are compared with, image by image.
         compare: the metric of that comparison.
         columns: metrics of the tables.
-        epoch: "chosen": figures of the epoch whose weights a run kept; "last": of its last epoch, from the
-            training's history, where the table's frames are those that the epoch was chosen on. There are no
-            differences then: figures of single images are those of the kept weights.
-        plots: "pareto" (accuracy against latency, else multiply-adds), "differences" (to the reference rows,
-            with intervals), "convergence" (curves of epochs).
-        latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies, for
-            those that runs measured beside other work mislead.
+        epoch: "chosen": metrics of the epoch whose weights a run kept; "last": of its last epoch, from the
+            training's history, where the epoch was chosen on the frames of the table. There are no
+            differences then, since the metrics of single images are those of the kept weights.
+        plots: "pareto" (accuracy against latency or, without one, multiply-adds), "differences" (to the
+            reference rows, with intervals), "convergence" (curves over the epochs).
+        latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies,
+            since those that runs measure beside other work mislead.
     """
 
     folder: Path
@@ -91,11 +89,11 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The folder's, also where that is given as ``.``."""
+        """Name of the folder, also where that is given as ``.``."""
         return _name(self.folder)
 
     def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
-        """The rows of these names, all without; in the plan's order.
+        """The rows of these names in the plan's order; None: all.
 
         Raises:
             ValueError: there is no such row.
@@ -107,9 +105,27 @@ class Study:
             raise ValueError(f"rows={unknown}: {self.folder / PLAN} has the rows {', '.join(known)}")
         return [row for row in self.rows if wanted is None or row.name in wanted]
 
+    def owner_of(self, row: StudyRow) -> "Study":
+        """The study that runs and stores a row: this one, or the one that the row is taken from."""
+        return row.owner or self
+
+    def overrides_of(self, row: StudyRow, *, trial: bool = False) -> list[str]:
+        """Overrides of a row's trainings, or of its trials of learning rates."""
+        owner = self.owner_of(row)
+        shared = [*owner.overrides, *row.overrides]
+        return [*shared, *owner.rate_overrides, *row.rate_overrides] if trial else shared
+
+    def searches_rate(self, row: StudyRow) -> bool:
+        """Whether a row's learning rate is the best of several trials."""
+        return row.learning_rate is None and bool(self.owner_of(row).learning_rates)
+
     def stored(self, row: StudyRow, seed: int) -> Path:
-        """Where the results of one finished run are kept."""
-        return (row.owner or self).folder / STORED / row.name / f"seed{seed}"
+        """Folder of the results of one finished run."""
+        return self.owner_of(row).folder / STORED / row.name / f"seed{seed}"
+
+    def rate_file(self, row: StudyRow) -> Path:
+        """File of the learning rate that a row's trials chose."""
+        return self.owner_of(row).folder / STORED / row.name / RATE_FILE
 
 
 def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
@@ -117,7 +133,7 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it has an entry that it should not have, lacks rows, or gives a learning rate twice.
+        ValueError: it has no rows, an unknown or wrong entry, or two learning rates for a row.
     """
     folder = Path(folder)
     path = folder / PLAN
@@ -125,37 +141,31 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
         raise FileNotFoundError(
             f"no {PLAN} in {folder}: give a study's folder, such as study=experiments/ablations"
         )
-    content = cfg.read_yaml(path)
+    content = read_yaml(path)
     if not isinstance(content, dict) or not isinstance(content.get("rows"), dict) or not content["rows"]:
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
-    of_row = {field.name for field in fields(StudyRow)} - {"name", "owner"}
-    of_study = {field.name for field in fields(Study)} - {"folder", "rows"}
-    shared = {name: content.pop(name) for name in SHARED if name in content}
     described = content.pop("rows")
-    _refuse_unknown(path, content, of_study | {"rows", *SHARED})
+    shared = {name: content.pop(name) for name in SHARED if name in content}
+    of_study = {entry.name for entry in fields(Study)} - {"folder", "rows"}
+    of_row = {entry.name for entry in fields(StudyRow)} - {"name", "owner"}
+    entries = _checked(path, "", content, of_study, also=("rows", *SHARED))
     rows = []
     for name, entry in described.items():
         if entry and "from" in entry:
             rows.append(_taken_row(path, str(name), entry, _readers))
-            continue
-        entry = shared | (entry or {})
-        _refuse_unknown(path, entry, of_row | {"from"}, f"row {name}: ")
-        values = {key: _frozen(value) for key, value in entry.items()}
-        _check_kinds(path, values, f"row {name}: ")
-        rows.append(StudyRow(str(name), **values))
-    _check_kinds(path, {key: _frozen(value) for key, value in content.items()})
-    study = Study(folder, tuple(rows), **{key: _frozen(value) for key, value in content.items()})
+        else:
+            own = _checked(path, f"row {name}: ", shared | (entry or {}), of_row, also=("from",))
+            rows.append(StudyRow(str(name), **own))
+    study = Study(folder, tuple(rows), **entries)
     for row in study.rows:
         _refuse_second_rate(path, study, row)
     unknown = [name for name in study.reference if name not in described]
     if unknown:
-        raise ValueError(f"{path}: reference {unknown} are no rows of it")
-    metrics = [name for name in (*study.columns, study.compare) if name not in METRICS]
-    if metrics:
-        raise ValueError(f"{path}: {metrics} are no metrics, choose among {', '.join(METRICS)}")
+        raise ValueError(f"{path}: reference={unknown}: its rows are {', '.join(map(str, described))}")
     if study.epoch == "last" and study.reference:
         raise ValueError(
-            f"{path}: reference compares image by image, and epoch: last has no figures of images: drop one"
+            f"{path}: reference compares image by image, and epoch: last has no metrics of single images: "
+            "remove one of them"
         )
     return study
 
@@ -166,90 +176,74 @@ def _name(folder: Path) -> str:
 
 def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[str, ...]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
-    _refuse_unknown(path, entry, {"from", "block"}, f"row {name}, taken from another study: ")
+    _checked(path, f"row {name}, taken from another study: ", entry, {"from", "block"})
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} is taken in a circle: {' -> '.join((*readers, entry['from']))}")
     owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), readers)
     (row,) = owner.chosen(name)
-    return replace(row, block=entry.get("block", row.block), owner=row.owner or owner)
+    return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))
 
 
 def _refuse_second_rate(path: Path, study: Study, row: StudyRow) -> None:
-    """Refuse a learning rate among overrides where the row's own, or the search, would take its place."""
-    searched = row.learning_rate is None and bool(study.learning_rates)
+    """Refuse a learning rate among overrides that the row's own rate or the search would replace."""
+    searched = study.searches_rate(row)
     if row.owner is not None or not (searched or row.learning_rate is not None):
         return
-    texts = [*study.overrides, *row.overrides]
-    if searched:
-        texts += [*study.rate_overrides, *row.rate_overrides]
+    texts = study.overrides_of(row, trial=searched)
     written = next((text for text in texts if text.lstrip("+").startswith(f"{RATE}=")), None)
     if written is not None:
-        value = written.partition("=")[2]
         instead = "the search of learning_rates" if searched else f"learning_rate: {row.learning_rate:g}"
         raise ValueError(
-            f"{path}: row {row.name}: {instead} would take the place of the override {written}: write "
-            f"learning_rate: {value} as an entry of the row instead, which is then not searched, or take the "
-            "override out"
+            f"{path}: row {row.name}: {instead} replaces the override {written}: write learning_rate: "
+            f"{written.partition('=')[2]} as an entry of the row, which is then not searched, or remove the "
+            "override"
         )
 
 
-def _refuse_unknown(path: Path, entry: Mapping[str, Any], allowed: set[str], where: str = "") -> None:
-    unknown = sorted(set(entry) - allowed)
+def _checked(
+    path: Path, where: str, entries: Mapping[str, Any], allowed: set[str], also: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Entries of the plan with tuples for lists; refuse what would fail later or have no effect."""
+    unknown = sorted(set(entries) - allowed)
     if unknown:
-        raise ValueError(
-            f"{path}: {where}unknown entries {unknown}, allowed are {', '.join(sorted(allowed))}"
-        )
+        known = ", ".join(sorted({*allowed, *also}))
+        raise ValueError(f"{path}: {where}unknown entries {unknown}, allowed are {known}")
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
+    for name, value in values.items():
+        fits, words = _KINDS.get(name, (lambda _: True, ""))
+        if not fits(value):
+            raise ValueError(f"{path}: {where}{name}={value!r}: give {words}")
+    return values
 
 
-def _check_kinds(path: Path, values: Mapping[str, Any], where: str = "") -> None:
-    """Refuse what would only fail later, or do nothing."""
-    for name, (fits, words) in KINDS.items():
-        if name not in values or (values[name] is None and name == "learning_rate"):
-            continue
-        if not fits(values[name]):
-            raise ValueError(f"{path}: {where}{name}={values[name]!r}: give {words}")
-
-
-def _texts(value: Any) -> bool:
-    return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+def _all(value: Any, kind: type) -> bool:
+    return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
 
 
 def _rates(value: Any) -> bool:
-    return isinstance(value, tuple) and all(isinstance(one, float) and one > 0 for one in value)
+    return _all(value, float) and all(rate > 0 for rate in value)
 
 
-KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "overrides": (_texts, "a list of overrides, such as [model=eldenet]"),
-    "rate_overrides": (_texts, "a list of overrides, such as [trainer.epochs=6]"),
-    "reference": (_texts, "a list of rows"),
-    "columns": (_texts, "a list of metrics"),
+_PLOTS = {"pareto", "differences", "convergence"}
+_KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "overrides": (lambda value: _all(value, str), "a list of overrides, such as [model=eldenet]"),
+    "rate_overrides": (lambda value: _all(value, str), "a list of overrides, such as [trainer.epochs=6]"),
+    "reference": (lambda value: _all(value, str), "a list of rows"),
+    "columns": (lambda value: _all(value, str) and set(value) <= set(METRICS), f"some of {list(METRICS)}"),
+    "compare": (lambda value: value in METRICS, f"one of {', '.join(METRICS)}"),
     "seeds": (
-        lambda value: (
-            isinstance(value, tuple)
-            and all(isinstance(one, int) for one in value)
-            and 0 < len(value) == len(set(value))
-        ),
-        "a list of different seeds, such as [0, 1, 2]",
+        lambda value: _all(value, int) and 0 < len(value) == len(set(value)),
+        "different seeds: [0, 1]",
     ),
     "given": (lambda value: isinstance(value, Mapping), "a mapping, such as {kitti: data.root}"),
-    "learning_rate": (
-        lambda value: isinstance(value, float) and value > 0,
-        "a number above 0, such as 1.0e-3",
-    ),
+    "learning_rate": (lambda value: value is None or _rates((value,)), "a number above 0, such as 1.0e-3"),
     "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
     "epoch": (lambda value: value in ("chosen", "last"), "chosen or last"),
-    "plots": (
-        lambda value: _texts(value) and set(value) <= {"pareto", "differences", "convergence"},
-        "pareto, differences or convergence",
-    ),
+    "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto, differences or convergence"),
 }
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
 def row_names(study: str, rows: Sequence[str] | None = None) -> str:
-    """``a,b,c``: what Hydra's sweeper makes one job each of (see configs/study.yaml)."""
+    """Names of the chosen rows, ``a,b,c``: Hydra's sweeper runs a job for each (see configs/study.yaml)."""
     return ",".join(row.name for row in read_study(study).chosen(rows))

@@ -1,18 +1,27 @@
-"""What a study writes from its stored runs: ``results.md``, ``.csv``, ``.tex`` and its plots."""
+"""The report of a study from its stored runs: ``results.md``, ``.csv``, ``.tex`` and plots."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from eldenet.evaluation.metrics import LOWER_IS_BETTER
 from eldenet.results.plots import curves_plot, differences_plot, pareto_plot
+from eldenet.results.run_log import RunLog
 from eldenet.results.studies.blocks import Block, build_blocks
 from eldenet.results.studies.convergence import NOTES, convergence
-from eldenet.results.studies.latencies import Latencies
+from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.tables import WORDS, to_latex, to_markdown
 from eldenet.system.files import write_rows
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
+
+
+def report_study(folder: Path) -> None:
+    """Write the report of a study and print its tables."""
+    log = RunLog(folder)
+    for block in write_study_report(folder):
+        log.table(block.name, *block.on_a_screen())
+    log.say(f"written to {folder / 'results'}.md, .csv and .tex")
 
 
 def write_study_report(folder: str | Path) -> list[Block]:
@@ -58,7 +67,9 @@ def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
     tables = [("##", block.name, block.measured_here(), block.notes)]
     titles, rows = block.published_elsewhere()
     if rows:
-        notes = ["figures of others, with other data, sizes and starts: they compare with nothing above"]
+        notes = [
+            "published with other data, input sizes and initial weights: not comparable with the table above"
+        ]
         tables.append(("###", f"{block.name}: published elsewhere", (titles, rows), notes))
     return tables
 

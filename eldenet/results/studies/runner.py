@@ -1,4 +1,4 @@
-"""Runs of a study: finished ones are skipped, killed ones go on, a failed one does not stop the rest."""
+"""Runs of a study: finished ones are skipped, killed ones resume, a failed one does not stop the rest."""
 
 import fcntl
 import os
@@ -6,101 +6,139 @@ import shutil
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from eldenet.config import build_training
-from eldenet.results.run_record import RUN_FILE
-from eldenet.results.studies.matching import compose_run, refuse_missing
-from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
-from eldenet.results.studies.rates import learning_rate
-from eldenet.training.resume import finished_run
-from eldenet.training.run import train
+from eldenet.results.fingerprints import fingerprints, run_differences
+from eldenet.results.run_log import RunLog
+from eldenet.results.run_record import RUN_FILE, read_record, read_run
+from eldenet.results.studies.matching import refuse_missing, resolve, run_overrides, search_differences
+from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow, read_study
+from eldenet.system.files import write_json
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
+FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
+class StudySetup:
+    """Which runs of a study are trained, and where.
+
+    Attributes:
+        study: folder of ``sweep.yaml``; the results are stored there.
+        runs: run folders are made below ``<runs>/<study>/<row>``.
+        rows: names of the rows to run; None: all.
+        job: the one row of a sweep's job; None: all of ``rows``.
+        seeds: those of each row's seeds to run; None: all.
+        rerun: train also what is stored but not below ``runs``: for its weights, which are not stored, or
+            because other settings or weights made it; what is stored is replaced.
+        given: name -> value of what rows ask for.
+    """
+
+    study: str | Path
+    runs: Path
+    rows: Sequence[str] | None = None
+    job: str | None = None
+    seeds: Sequence[int] | None = None
+    rerun: bool = False
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a run is trained; both functions take the overrides of ``eldenet.train`` and a folder.
+
+    Attributes:
+        train: trains in the run folder; resumes what was begun there.
+        check_finished: compares a finished run with the overrides. Raises ValueError if it was made with
+            other settings, weights or frames, FileNotFoundError if the frames are not here.
+    """
+
+    train: Callable[[Sequence[str], Path], object]
+    check_finished: Callable[[Sequence[str], Path], object]
+
+
+@dataclass(frozen=True)
 class Outcome:
-    """What became of one run: "done", "finished before", "running elsewhere", "... not given", "failed"."""
+    """What became of a run: "done", "finished before", "running elsewhere", "... not given" or "failed"."""
 
     run: str
     status: str
     reason: str = ""
 
 
-def run_row(
-    study: Study,
-    row: StudyRow,
-    runs: Path,
-    *,
-    given: Mapping[str, Any] | None = None,
-    seeds: Sequence[int] | None = None,
-    rerun: bool = False,
-    say: Say = print,
-) -> list[Outcome]:
-    """All runs of one row: the learning rate's trials, then one run per seed.
+def run_study(setup: StudySetup, training: Training, log: RunLog) -> None:
+    """Run the chosen rows one after the other and print what became of each run.
 
-    Args:
-        study: whose results are stored beside its plan; of a row taken from another study, that one.
-        row: of it.
-        runs: folder for the run folders, ``<runs>/<study>/<row>/...``.
-        given: name -> value of what rows ask for.
-        seeds: those of the row's seeds to run; None: all. A row without any of them has nothing to do.
-        rerun: train what is stored, but not below ``runs``, too: for its weights, which are not stored, or
-            because it was made with other settings or weights; what is stored is replaced.
-        say: prints a line.
+    Raises:
+        ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
     """
-    study = row.owner or study
-    chosen = [seed for seed in row.seeds if seeds is None or seed in seeds]
-    if not chosen:
-        return []
-    settings = {}
-    for name, setting in (row.given or {}).items():
-        value = (given or {}).get(name)
-        if value is None:
-            plus = "" if given is None or name in given else "+"  # Hydra's word for a new name
-            say(f"{study.name}/{row.name}: {row.missing_word} ({plus}given.{name}=...)")
-            return [Outcome(f"{row.name}/seed{seed}", row.missing_word) for seed in chosen]
-        settings[setting] = value
-    folder = runs / study.name
-    shared = [*study.overrides, *row.overrides, *(f"{name}='{value}'" for name, value in settings.items())]
-    with sole(folder / row.name) as free:
-        if not free:
-            say(f"{study.name}/{row.name}: another process is at it")
-            return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in chosen]
-        try:
-            rate = learning_rate(study, row, shared, folder, say, rerun=rerun)
-        except Exception as error:
-            return [_failed(folder / row.name, f"{row.name}/learning rate", error, say)]
-        (folder / row.name / "failed.txt").unlink(missing_ok=True)
-        if rate is not None:
-            shared.append(f"{RATE}={rate}")
-        return [_run_seed(study, row, seed, shared, folder, rerun, say) for seed in chosen]
+    study = read_study(setup.study)
+    refuse_unknown_seeds(study.chosen(setup.rows), setup.seeds)  # a sweep's job runs one of these rows
+    rows = study.chosen(setup.rows if setup.job is None else setup.job)
+    outcomes = [outcome for row in rows for outcome in run_row(study, row, setup, training, log.say)]
+    log.table(f"study {study.name}", ("run", "status"), [(one.run, one.status) for one in outcomes])
+    failed = [f"{one.run} ({one.reason})" for one in outcomes if one.status == "failed"]
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(outcomes)} runs failed: {'; '.join(failed)}")
+    log.say(f"tables: python -m eldenet.report study={setup.study}")
 
 
 def refuse_unknown_seeds(rows: Sequence[StudyRow], seeds: Sequence[int] | None) -> None:
-    """Refuse seeds that nothing would be run for.
-
-    Raises:
-        ValueError: none of ``rows`` has such a seed.
-    """
+    """Raise ValueError for seeds that none of ``rows`` has."""
     known = sorted({seed for row in rows for seed in row.seeds})
     unknown = [seed for seed in seeds or () if seed not in known]
     if unknown:
         raise ValueError(
-            f"seeds={unknown}: the chosen rows have the seeds {', '.join(map(str, known))}; further ones are "
-            "added in sweep.yaml"
+            f"seeds={unknown}: the chosen rows have the seeds {', '.join(map(str, known))}; add others in "
+            "sweep.yaml"
         )
+
+
+def run_row(
+    study: Study, row: StudyRow, setup: StudySetup, training: Training, say: Say = print
+) -> list[Outcome]:
+    """All runs of one row: the trials of learning rates, then one run per seed.
+
+    Args:
+        study: that the row is of; a row taken from another study is run and stored as that one's.
+        row: of it.
+        setup: seeds, folder, ``rerun`` and what is given.
+        training: trains.
+        say: prints a line.
+    """
+    study = study.owner_of(row)
+    seeds = [seed for seed in row.seeds if setup.seeds is None or seed in setup.seeds]
+    shared, where = study.overrides_of(row), f"{study.name}/{row.name}"
+    for name, setting in row.given.items():
+        value = setup.given.get(name)
+        if value is None:
+            if seeds:
+                plus = "" if name in setup.given else "+"  # Hydra's sign for a new name
+                say(f"{where}: {row.not_given} ({plus}given.{name}=...)")
+            return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in seeds]
+        shared.append(f"{setting}='{value}'")
+    if not seeds:
+        return []
+    run = _RowRun(study, row, setup, training, say, setup.runs / study.name)
+    with sole(run.folder) as free:
+        if not free:
+            say(f"{where}: another process is running it")
+            return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in seeds]
+        try:
+            rate = run.learning_rate(shared)
+        except Exception as error:
+            return [run.failed(run.folder, f"{row.name}/learning rate", error)]
+        (run.folder / "failed.txt").unlink(missing_ok=True)
+        if rate is not None:
+            shared.append(f"{RATE}={rate}")
+        return [run.run_seed(seed, shared) for seed in seeds]
 
 
 @contextmanager
 def sole(folder: Path) -> Iterator[bool]:
-    """Whether this process alone works in ``folder`` within the block; the lock ends with its process."""
+    """Lock ``folder`` and yield whether that succeeded; the lock ends with the block or its process."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as file:
         try:
@@ -111,59 +149,172 @@ def sole(folder: Path) -> Iterator[bool]:
         yield True
 
 
-def _run_seed(
-    study: Study, row: StudyRow, seed: int, shared: list[str], runs: Path, rerun: bool, say: Say
-) -> Outcome:
-    name, stored = f"{row.name}/seed{seed}", study.stored(row, seed)
-    folder = runs / row.name / f"seed{seed}"
-    try:
-        config = compose_run(shared, folder, runs, name=row.name, seed=seed)
-        if not rerun and _finished(config, stored, f"{study.name}/{name}", say):
-            return Outcome(name, "finished before")
-        refuse_missing(row, runs, seed)
-        train(build_training(config, folder))
-        store(folder, stored)
-    except Exception as error:
-        return _failed(folder, name, error, say)
-    (folder / "failed.txt").unlink(missing_ok=True)
-    return Outcome(name, "done")
+@dataclass(frozen=True)
+class _RowRun:
+    """One row while it is run."""
 
+    study: Study
+    row: StudyRow
+    setup: StudySetup
+    training: Training
+    say: Say
+    runs: Path
 
-def _finished(config: "DictConfig", stored: Path, name: str, say: Say) -> bool:
-    """Whether this very run is stored; that takes its settings alone where its frames are not here.
+    @property
+    def folder(self) -> Path:
+        return self.runs / self.row.name
 
-    Raises:
-        ValueError: it was made with other settings, weights or frames.
-    """
-    if not all((stored / file).is_file() for file in KEPT):
-        return False
-    try:
-        finished_run(build_training(config, stored))
-    except FileNotFoundError as error:  # the settings were compared before
-        say(f"{name}: finished before; its frames are not here to be compared ({str(error).splitlines()[0]})")
+    def overrides(self, shared: Sequence[str], folder: Path, seed: int = 0) -> list[str]:
+        return run_overrides(shared, folder, self.runs, name=self.row.name, seed=seed)
+
+    def failed(self, folder: Path, name: str, error: Exception) -> Outcome:
+        """Record an error; the other runs continue."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "failed.txt").write_text(traceback.format_exc())
+        self.say(f"{name} failed: {error} (see {folder / 'failed.txt'})")
+        return Outcome(name, "failed", f"{type(error).__name__}: {error}")
+
+    # ------------------------------------------------------------------ one run per seed
+
+    def run_seed(self, seed: int, shared: Sequence[str]) -> Outcome:
+        """Train one run and store its results, unless they are stored already."""
+        name, stored = f"{self.row.name}/seed{seed}", self.study.stored(self.row, seed)
+        folder = self.folder / f"seed{seed}"
+        overrides = self.overrides(shared, folder, seed)
+        try:
+            if not self.setup.rerun and self._finished(overrides, stored, f"{self.study.name}/{name}"):
+                return Outcome(name, "finished before")
+            refuse_missing(self.row, self.runs, seed)
+            self.training.train(overrides, folder)
+            store(folder, stored)
+        except Exception as error:
+            return self.failed(folder, name, error)
+        (folder / "failed.txt").unlink(missing_ok=True)
+        return Outcome(name, "done")
+
+    def _finished(self, overrides: Sequence[str], stored: Path, name: str) -> bool:
+        """Whether this very run is stored; without its frames the settings alone are compared.
+
+        Raises:
+            ValueError: it was made with other settings, weights or frames.
+        """
+        if not all((stored / file).is_file() for file in KEPT):
+            return False
+        note = ""
+        try:
+            different = run_differences(resolve(overrides), read_run(stored))
+            if different:
+                raise ValueError(f"{stored} holds a run of other settings: {'; '.join(different[:5])}")
+            self.training.check_finished(overrides, stored)
+        except FileNotFoundError as error:
+            note = f"; its frames are not here to be compared ({str(error).splitlines()[0]})"
+        except ValueError as error:
+            raise ValueError(
+                f"{error}. To replace what is stored, remove the run folder, if there is one, and train "
+                "again with rerun=true"
+            ) from error
+        self.say(f"{name}: finished before{note}")
         return True
-    except ValueError as error:
-        raise ValueError(
-            f"{error}. Or remove its run folder, if there is one, and train it anew (rerun=true), which "
-            "replaces what is stored"
-        ) from error
-    say(f"{name}: finished before")
-    return True
+
+    # ------------------------------------------------------------------ the learning rate
+
+    def learning_rate(self, shared: Sequence[str]) -> float | None:
+        """The row's learning rate: fixed, or the best of a few short trials; None: the optimizer's own.
+
+        A trial is scored on a held-out part of the training split, so the split that is reported chooses
+        nothing. While the best candidate is the lowest or highest, the next one beyond it is tried too. The
+        choice is kept beside the stored runs with the score of every candidate.
+
+        Raises:
+            FileNotFoundError: the trials start from the run of another row, which has not finished.
+            ValueError: a choice made with other candidates, settings or weights is stored, and ``rerun`` is
+                not set; or every trial diverged.
+        """
+        study, row = self.study, self.row
+        if not study.searches_rate(row):
+            return row.learning_rate
+        trial = [*shared, *study.rate_overrides, *row.rate_overrides]
+        settings = resolve(self.overrides(trial, self.folder / "trial"))
+        rule = {"candidates": list(study.learning_rates), "further": FURTHER, "config": settings}
+        kept = self._kept_rate(settings)
+        if kept is not None:
+            return kept
+        refuse_missing(row, self.runs, seed=0)
+        scores: dict[float, float | None] = {}
+        record: dict[str, Any] = {}
+        waiting = list(study.learning_rates)
+        while waiting:
+            rate = waiting.pop(0)
+            self.say(f"{study.name}/{row.name}: trial of learning rate {rate:g}")
+            found = self._try(trial, rate)
+            scores[rate] = None if found is None else found["metrics"]["delta1"]
+            record = found or record
+            if not waiting and len(scores) < len(study.learning_rates) + FURTHER:
+                waiting = next_candidates(scores)
+        best = best_rate(scores)
+        if best is None:
+            raise ValueError(
+                f"every learning rate of {list(scores)} diverged: give lower ones in {study.folder}"
+            )
+        content = {
+            "learning_rate": best,
+            "delta1": {f"{rate:g}": scores[rate] for rate in sorted(scores)},
+            "protocol": record["protocol"]["name"],
+            "train_split_hash": record["train_split_hash"],
+            "held_out_split_hash": record["split_hash"],
+            "held_out_images": record["metrics"]["images"],
+            "sources": fingerprints(settings),
+            "rule": rule,
+        }
+        write_json(study.rate_file(row), content)
+        return best
+
+    def _kept_rate(self, trial: Mapping[str, Any]) -> float | None:
+        """The stored choice; None: there is none, or another search made it and ``rerun`` replaces it."""
+        file = self.study.rate_file(self.row)
+        if not file.is_file():
+            return None
+        kept = read_record(file)
+        different = search_differences(self.study.learning_rates, trial, kept)
+        if different and not self.setup.rerun:
+            raise ValueError(
+                f"{file} was chosen by another rule ({'; '.join(different[:5])}). Restore the rule, or "
+                "choose and train again with rerun=true, which replaces what is stored"
+            )
+        return None if different else float(kept["learning_rate"])
+
+    def _try(self, trial: Sequence[str], rate: float) -> dict[str, Any] | None:
+        """``run.json`` of a trial; None: it diverged."""
+        folder = self.folder / f"lr{rate:g}"
+        try:
+            self.training.train(self.overrides([*trial, f"{RATE}={rate}"], folder), folder)
+        except FloatingPointError:
+            return None
+        return read_run(folder)
+
+
+def best_rate(scores: Mapping[float, float | None]) -> float | None:
+    """The candidate of the highest score; None: all of them diverged."""
+    reached = {rate: score for rate, score in scores.items() if score is not None}
+    return max(reached, key=lambda rate: reached[rate]) if reached else None
+
+
+def next_candidates(scores: Mapping[float, float | None]) -> list[float]:
+    """The candidate beyond the best one if that lies at the edge: 1e-4 below 3e-4, 1e-2 above 3e-3."""
+    best, tried = best_rate(scores), sorted(scores)
+    if best is None or len(tried) < 2 or best not in (tried[0], tried[-1]):
+        return []
+    digit, _, exponent = f"{best:.0e}".partition("e")
+    if best == tried[0]:
+        return [float(f"1e{exponent}") if digit != "1" else float(f"3e{int(exponent) - 1}")]
+    return [float(f"1e{int(exponent) + 1}") if digit != "1" else float(f"3e{exponent}")]
 
 
 def store(folder: Path, stored: Path) -> None:
-    """Copy what tables are made of; a kill half way leaves no run that looks stored."""
+    """Copy the files that tables are made of; a kill halfway leaves no run that looks stored."""
     stored.mkdir(parents=True, exist_ok=True)
     for file in KEPT:
         shutil.copyfile(folder / file, stored / f"{file}.part")
-    (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's does not stand beside this one's files
+    (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's must not stand beside this one's files
     for file in KEPT:
         os.replace(stored / f"{file}.part", stored / file)
-
-
-def _failed(folder: Path, name: str, error: Exception, say: Say) -> Outcome:
-    """Note it: the other runs go on."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "failed.txt").write_text(traceback.format_exc())
-    say(f"{name} failed: {error} (see {folder / 'failed.txt'})")
-    return Outcome(name, "failed", f"{type(error).__name__}: {error}")

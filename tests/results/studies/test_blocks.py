@@ -1,4 +1,4 @@
-"""What the tables of a study say of its stored runs: means, verdicts, gaps, latencies."""
+"""Tables of a study from its stored runs: means, verdicts, gaps, latencies."""
 
 import json
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.stored_study import PLAN, figures, notes, store, table, write_plan
+from support.stored_study import figures, notes, store, table, write_plan
 
 from eldenet.results import statistics
 from eldenet.results.studies.blocks import build_blocks
-from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.studies.plan import Study
 from eldenet.results.studies.report import write_study_report
 from eldenet.system.files import write_rows
 
@@ -50,7 +50,7 @@ def test_the_difference_averages_the_seeds(study: Study) -> None:
     assert "latency [ms] ↓" not in rows["large"]
 
 
-def test_differences_are_drawn_as_the_table_says_them(study: Study) -> None:
+def test_the_plot_shows_the_differences_of_the_table(study: Study) -> None:
     for seed in range(3):
         store(study, "small", seed, np.linspace(0.4, 0.6, 40))
         store(study, "large", seed, np.linspace(0.6, 0.8, 40))
@@ -59,8 +59,7 @@ def test_differences_are_drawn_as_the_table_says_them(study: Study) -> None:
     assert (block.reference, found.verdict, found.seeds) == ("small", "better", True)
     assert found.mean == pytest.approx(0.2)
     assert found.text == table(study)["large"][DIFFERENCE]
-    plan = study.folder / "sweep.yaml"
-    plan.write_text(plan.read_text() + "plots: [differences]\n")
+    write_plan(study.folder, "rows:", "plots: [differences]\nrows:")
     write_study_report(study.folder)
     assert (study.folder / "differences.png").stat().st_size > 1000
     assert "(differences.png)" in (study.folder / "results.md").read_text()
@@ -82,7 +81,7 @@ def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
     assert statistics.paired_interval(ours, theirs, draw_seeds=False)[1] > 0
 
 
-def test_what_does_not_compare_is_refused(study: Study) -> None:
+def test_runs_that_do_not_compare_are_refused(study: Study) -> None:
     store(study, "small", 0, figures(0, 0))
     folder = store(study, "large", 0, figures(0, 1), split_hash="other")
     with pytest.raises(ValueError, match="split_hash differs"):
@@ -108,7 +107,7 @@ def test_what_does_not_compare_is_refused(study: Study) -> None:
         ({"model": "another"}, "have the names"),
     ],
 )
-def test_seeds_of_a_row_differ_in_nothing_else(study: Study, changes: dict[str, Any], word: str) -> None:
+def test_runs_of_a_row_differ_in_their_seed_only(study: Study, changes: dict[str, Any], word: str) -> None:
     store(study, "small", 0, figures(0, 0))
     store(study, "small", 1, figures(0, 1), **changes)
     store(study, "large", 0, figures(0, 1))
@@ -118,13 +117,11 @@ def test_seeds_of_a_row_differ_in_nothing_else(study: Study, changes: dict[str, 
     assert (rows["small"]["δ1 ↑"], rows["large"]["seeds"]) == ("-", "1 of 3")  # the others have their table
 
 
-def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
+def test_the_table_can_show_the_last_epoch(study: Study, tmp_path: Path) -> None:
     """Where an epoch was chosen on the table's frames, the last one is shown, and no single images."""
-    (tmp_path / "sweep.yaml").write_text(PLAN + "epoch: last\n")
-    with pytest.raises(ValueError, match="epoch: last has no figures of images"):
-        read_study(tmp_path)
-    (tmp_path / "sweep.yaml").write_text(PLAN.replace("reference: [small]", "epoch: last"))
-    study = read_study(tmp_path)
+    with pytest.raises(ValueError, match="epoch: last has no metrics of single images"):
+        write_plan(tmp_path, "rows:", "epoch: last\nrows:")
+    study = write_plan(tmp_path, "reference: [small]", "epoch: last")
     epochs = [{"epoch": epoch, "val_delta1": 0.3 * epoch, "val_rmse": 1.0 / epoch} for epoch in (1, 2, 3)]
     for seed, kept in enumerate((2, 3)):
         values = np.full(40, 0.3 * kept)
@@ -143,28 +140,17 @@ def test_the_last_epoch_in_the_table(study: Study, tmp_path: Path) -> None:
     cells = table(study)["small"]
     assert (cells["δ1 ↑"], cells["RMSE [m] ↓"]) == ("0.900 ± 0.000", "0.333 ± 0.000")
     assert not any("95 %" in title for title in cells)
-    assert any(note.startswith("figures of the last epoch") for note in notes(study))
+    assert any(note.startswith("metrics of the last epoch") for note in notes(study))
     del epochs[2]["val_delta1"]
     store(study, "small", 0, np.full(40, 0.6), training={"history": epochs, "best_epoch": 2})
     with pytest.raises(ValueError, match="not validated after its last epoch"):
         build_blocks(study)
 
 
-def test_constant_predictors_of_other_training_frames_are_told_apart(study: Study) -> None:
-    for name, rmse in (("small", 1.0), ("large", 1.5)):
-        store(study, name, 0, figures(0.0, 0), constant_predictor={"rmse": rmse, "delta1": 0.4})
-    rows = table(study)
-    assert rows["constant predictor of small"]["RMSE [m] ↓"] == "1.000"
-    assert rows["constant predictor of large"]["RMSE [m] ↓"] == "1.500"
-    store(study, "large", 0, figures(0.0, 0), constant_predictor={"rmse": 1.0, "delta1": 0.4})
-    assert table(study)["constant predictor"]["δ1 ↑"] == "0.400"
-
-
-def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path) -> None:
+def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) -> None:
     folder = store(study, "small", 0, figures(0, 0))
-    (tmp_path / "sweep.yaml").write_text(PLAN + "latency: benchmark.csv\n")
-    study = read_study(tmp_path)
-    with pytest.raises(FileNotFoundError, match="names it as its latency"):
+    study = write_plan(tmp_path, "rows:", "latency: benchmark.csv\nrows:")
+    with pytest.raises(FileNotFoundError, match="names it as latency"):
         build_blocks(study)
     line = {
         **{"row": "small", "latency_ms_p50": 3.25, "runtime": "onnxruntime", "precision": "fp32"},
@@ -172,6 +158,8 @@ def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path
         **{"gmacs": 1.0, "processor": "some", "date": "2026-01-01", "command": "benchmark.py"},
     }
     file = tmp_path / "benchmark.csv"
+    config = json.loads((folder / "run.json").read_text())["config"]["model"]
+    line["network"] = json.dumps(config)
     write_rows(file, list(line), [list(line.values())])
     assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
     write_study_report(tmp_path)
@@ -179,11 +167,8 @@ def test_benchmarked_latencies_say_what_they_are_of(study: Study, tmp_path: Path
     assert "latency: median of interleaved rounds, onnxruntime, fp32, 1 threads, cpu (some)" in text
     assert "costs: torch" not in text
     # the latency of another network, or at another input
-    config = json.loads((folder / "run.json").read_text())["config"]["model"]
     plain = json.loads(json.dumps(config))
     plain["backbone"]["shortcuts"] = not config["backbone"]["shortcuts"]
-    write_rows(file, [*line, "network"], [[*line.values(), json.dumps(config)]])
-    assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
     for change, words in (
         ({"params": 99}, r"params=99 \(there 100\)"),
         ({"gmacs": 1.1}, r"gmacs=1.1 \(there 1.0\)"),

@@ -1,4 +1,4 @@
-"""Plans of studies: what a wrong one says, and that every one there is can be run."""
+"""Plans of studies: errors in one are named, and every row of the repository's studies composes."""
 
 import importlib
 import itertools
@@ -7,22 +7,21 @@ import os
 from pathlib import Path
 
 import pytest
-from support.tiny_study import EXPECTED, cells, short
+from support.stored_study import settings_of
+from support.tiny_study import EXPECTED, cells, run, short
 
 from eldenet import config as cfg
 from eldenet.results.studies.blocks import read_expected
-from eldenet.results.studies.matching import compose_run
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
-from eldenet.results.studies.runner import run_row
 from eldenet.zoo import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
 
 
-def test_plans_are_checked(tiny, tmp_path):
+def test_errors_in_a_plan_are_named(tiny, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
         read_study(tmp_path)
     with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
@@ -52,6 +51,14 @@ def test_plans_are_checked(tiny, tmp_path):
             read_study(tiny)
     other = tmp_path / "other"
     other.mkdir()
+    for row, word in (
+        ("eldenet: {from: tiny, seeds: [1]}", "row eldenet, taken from another study: unknown entries"),
+        ("unknown: {from: tiny}", "has the rows eldenet_s, wrong"),
+    ):
+        (tiny / "sweep.yaml").write_text(whole)
+        (other / "sweep.yaml").write_text(f"rows: {{{row}}}")
+        with pytest.raises(ValueError, match=word):
+            read_study(other)
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
     (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
     with pytest.raises(ValueError, match="in a circle: tiny -> other -> tiny"):
@@ -78,7 +85,7 @@ def test_plans_are_checked(tiny, tmp_path):
         ("  - data.subset_seed=0", "  - optimizer.lr=2.0e-3", "search of learning_rates"),
     ],
 )
-def test_a_learning_rate_that_would_not_count_is_refused(tiny, old, new, word):
+def test_a_learning_rate_that_would_have_no_effect_is_refused(tiny, old, new, word):
     whole = (tiny / "sweep.yaml").read_text()
     assert old in whole
     (tiny / "sweep.yaml").write_text(whole.replace(old, new, 1))
@@ -102,27 +109,27 @@ def test_every_row_of_every_study_composes(folder):
     assert (folder / "README.md").is_file()
     known = list_models()
     for row in study.rows:
-        plan = row.owner or study
-        overrides = [*plan.overrides, *row.overrides]
+        overrides = study.overrides_of(row)
         network = next((text[6:] for text in overrides[::-1] if text.startswith("model=")), "eldenet")
         assert network in known, f"{row.name}: no network {network}"
-        tried = bool(plan.learning_rates) and row.learning_rate is None
-        trial = [*plan.rate_overrides, *row.rate_overrides] if tried else []
-        config = compose_run([*overrides, *trial], Path("f"), Path("r"), name=row.name, seed=0)
-        assert (config.model_name, config.ckpt_path, config.seed) == (row.name, "auto", 0)
-        assert cfg.plain(config.model)["_target_"].startswith("eldenet.")
-        if tried and config.data.name in SCORES_TRIALS:  # on a split of its own: other rooms, drives, cities
-            split = SCORES_TRIALS[config.data.name]
-            assert config.data.test.split == config.data.val.split == split != config.data.train.split
-            reported = compose_run(overrides, Path("f"), Path("r"), name=row.name, seed=0)
-            assert reported.data.test.split not in (split, reported.data.train.split)
-        elif tried:  # scored on training frames that it does not train on, nor does the table
-            assert config.data.val.split == config.data.test.split == config.data.train.split == "train"
-            assert config.data.subset.train[1] <= config.data.subset.test[0]
+        tried = study.searches_rate(row)
+        config = settings_of(study.overrides_of(row, trial=tried), row.name)
+        assert (config["model_name"], config["ckpt_path"], config["seed"]) == (row.name, "auto", 0)
+        assert config["model"]["_target_"].startswith("eldenet.")
+        data = config["data"]
+        splits = {name: data[name]["split"] for name in ("train", "val", "test")}
+        if tried and data["name"] in SCORES_TRIALS:  # on a split of its own: other rooms, drives, cities
+            split = SCORES_TRIALS[data["name"]]
+            assert splits["test"] == splits["val"] == split != splits["train"]
+            reported = settings_of(overrides, row.name)["data"]
+            assert reported["test"]["split"] not in (split, reported["train"]["split"])
+        elif tried:  # on training frames that neither the trial trains on nor the table reports
+            assert set(splits.values()) == {"train"}
+            assert data["subset"]["train"][1] <= data["subset"]["test"][0]
 
 
-def test_the_screening_is_balanced(monkeypatch):
-    """Any two changes are on together, apart and off together in three runs each: their effects part."""
+def test_the_screening_design_is_balanced(monkeypatch):
+    """Any two changes are on together, apart and off together in three runs each: effects separate."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
     effects = importlib.import_module("effects")
     rows = effects.designed(read_study(effects.HERE))
@@ -134,8 +141,8 @@ def test_the_screening_is_balanced(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_kitti_row_gets_from_given_folders_to_its_table(tmp_path):
-    """Two real frames: the way is shown, on another split and protocol than the row's own."""
+def test_a_row_with_given_folders_is_trained_and_reported(tmp_path):
+    """On two real frames, with another split and protocol than the row's own."""
     root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti" / "depth"
     if not os.environ.get("ELDENET_DATA") or not root.is_dir():
         pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
@@ -152,7 +159,7 @@ def test_a_kitti_row_gets_from_given_folders_to_its_table(tmp_path):
     (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
     study = read_study(folder)
     places = {"kitti": root, "kitti_raw": root.parent / "raw"}
-    outcomes = run_row(study, study.rows[0], tmp_path / "runs", given=places)
+    outcomes = run(study, "kitti_eldenet", tmp_path / "runs", given=places)
     assert [outcome.status for outcome in outcomes] == ["done"]
     write_study_report(folder)
     assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"

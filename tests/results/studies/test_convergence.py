@@ -3,10 +3,17 @@
 from pathlib import Path
 
 import pytest
-from support.stored_study import PLAN, figures, history, store, write_plan
+from support.stored_study import figures, history, store, write_plan
 
-from eldenet.results.studies.convergence import convergence
-from eldenet.results.studies.plan import Study, read_study
+from eldenet import config as cfg
+from eldenet.results.studies.convergence import (
+    convergence,
+    first_epoch,
+    fluctuation,
+    own_descent,
+    validation_loss,
+)
+from eldenet.results.studies.plan import Study
 
 
 @pytest.fixture
@@ -40,8 +47,7 @@ def test_rows_are_compared_at_a_level_that_every_run_reaches(study: Study) -> No
 
 
 def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_path: Path) -> None:
-    (tmp_path / "sweep.yaml").write_text(PLAN.replace("model=eldenet]", "model=eldenet, loss=berhu]"))
-    study = read_study(tmp_path)
+    study = write_plan(tmp_path, "model=eldenet]", "model=eldenet, loss=berhu]")
     for name in ("small", "large"):
         store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
     titles, rows = convergence(study).by_row()
@@ -54,3 +60,33 @@ def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> No
     epochs = [row | {"val_ssim": None} for row in history([3.0, 2.0, 1.0])]  # as run.json has NaN
     store(study, "small", 0, figures(0, 0), training={"history": epochs})
     assert set(convergence(study).curves["small/seed0"]) == {"epoch", "train_loss", "val_mse"}
+
+
+def test_speed_and_fluctuation_of_known_curves():
+    epochs = list(range(1, 11))
+    falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
+    assert own_descent(epochs, falling) == 10.0  # 0.9 is first reached at 0
+    assert own_descent(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
+    assert first_epoch(epochs, falling, 4.5) == 6
+    assert first_epoch(epochs, falling, -1.0) is None
+    assert fluctuation([1.0] * 10) == 0.0
+    assert fluctuation(falling) == pytest.approx(0.0, abs=1e-12)  # a descent is none
+    # places 5 to 7 of ten have a whole window; a zigzag of 2 and 1 lies 0.4 off its means 1.6 and 1.4 there
+    assert fluctuation([9, 9, 9, 2, 1, 2, 1, 2, 1, 2]) == pytest.approx(0.4 / (5 / 3))
+    assert fluctuation([1.0, 2.0]) is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["loss.terms.l1.weight=0.5"], 0.3),
+        (["loss=l1"], 0.4),
+        (["loss=berhu"], None),
+        (["loss.terms.l1.space=log"], None),
+        (["loss.terms.l1.loss._target_=eldenet.losses.pointwise.BerHuLoss"], None),
+    ],
+)
+def test_the_validation_loss_is_that_of_the_training_if_metrics_give_it(overrides, expected):
+    config = cfg.compose("train", ["model_name=a", "run_dir=b", *overrides])
+    run = {"config": {"loss": cfg.plain(config.loss)}}
+    assert validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(expected)
