@@ -6,11 +6,12 @@ Public names load at their first use, which keeps ``import eldenet`` fast.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from eldenet.config import list_models
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
     from eldenet.weights import list_weights
-    from eldenet.zoo import list_models, load
+    from eldenet.zoo import load
 
 __version__ = "0.1.0"
 __all__ = [
@@ -28,7 +29,7 @@ _MODULE_OF = {
     "DepthNet": "eldenet.model",
     "DepthPredictor": "eldenet.deploy.predictor",
     "EncoderDecoder": "eldenet.model",
-    "list_models": "eldenet.zoo",
+    "list_models": "eldenet.config",
     "list_weights": "eldenet.weights",
     "load": "eldenet.zoo",
     "runtimes": "eldenet.deploy.runtimes",

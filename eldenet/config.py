@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from eldenet.deploy.scoring import EvaluationSetup
     from eldenet.navigation.modes import ModeSetup
     from eldenet.perception.detector_training import DetectorTrainingSetup
+    from eldenet.results.comparison import ReportSetup
+    from eldenet.results.studies.plan import Composition
+    from eldenet.results.studies.runner import StudySetup
     from eldenet.training.setup import TrainingSetup
 
 SPLITS = ("train", "val", "test")
@@ -44,6 +47,11 @@ def config_folder() -> Path:
         if (folder / "train.yaml").is_file():
             return folder
     raise FileNotFoundError(f"no configs beside {package}: the installation is incomplete, reinstall eldenet")
+
+
+def list_models() -> list[str]:
+    """Return the names of networks that :func:`eldenet.load` builds."""
+    return sorted(path.stem for path in (config_folder() / "model").glob("*.yaml"))
 
 
 def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
@@ -306,7 +314,7 @@ def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
     )
 
 
-def build_model(config: DictConfig, **arguments: Any) -> Any:
+def build_model(config: Any, **arguments: Any) -> Any:
     """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
     return instantiate(config, **arguments)
 
@@ -403,8 +411,15 @@ def build_split(
     return dataset
 
 
-def build_report(config: DictConfig) -> Any:
-    """A :class:`~eldenet.results.comparison.ReportSetup`."""
+def training_composition() -> "Composition":
+    """How a study turns overrides of ``eldenet.train`` into settings and networks."""
+    from eldenet.results.studies.plan import Composition
+
+    return Composition(lambda overrides: plain(compose("train", overrides)), build_model)
+
+
+def build_report(config: DictConfig) -> "ReportSetup":
+    """What ``eldenet.report`` shows."""
     from eldenet.results.comparison import ReportSetup
 
     if config.study is not None:
@@ -417,8 +432,8 @@ def build_report(config: DictConfig) -> Any:
     )
 
 
-def build_study(config: DictConfig) -> Any:
-    """A :class:`~eldenet.results.studies.runner.StudySetup`."""
+def build_study(config: DictConfig) -> "StudySetup":
+    """Which runs of a study are trained, and where."""
     from eldenet.results.studies.runner import StudySetup
 
     return StudySetup(
@@ -610,7 +625,6 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         ValueError: a setting is wrong.
     """
     from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
-    from eldenet.zoo import list_models
 
     several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
     lists = {name: tuple(listed(config[name])) for name in several}
@@ -635,6 +649,7 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         models=tuple(map(str, models)),
         sizes=tuple(map(tuple, sizes)),
         output=Path(config.output).expanduser(),
+        composition=training_composition(),
     )
 
 

@@ -22,7 +22,7 @@ def main(config: "DictConfig", folder: Path) -> None:
             ("runs", "columns", "costs", "output"),
             "not read with study=, whose sweep.yaml says what its tables show",
         )
-        report_study(setup.study)
+        report_study(setup.study, cfg.training_composition())
     else:
         report_runs(setup)
 

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 @cfg.resolver("study_rows")
 def study_rows(study: str, rows: Any) -> str:
     """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
-    from eldenet.results.studies.plan import row_names
+    from eldenet.results.studies.plan import read_study
 
-    return row_names(study, cfg.plain(rows))
+    return ",".join(row.name for row in read_study(study, cfg.training_composition()).chosen(cfg.plain(rows)))
 
 
 @entry_point("study")
@@ -30,7 +30,11 @@ def main(config: "DictConfig", folder: Path) -> None:
         raise ValueError(
             "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
         )
-    run_study(cfg.build_study(config), Training(train_run, check_finished), RunLog(folder))
+    run_study(
+        cfg.build_study(config),
+        Training(train_run, check_finished, cfg.training_composition()),
+        RunLog(folder),
+    )
 
 
 def train_run(overrides: Sequence[str], folder: Path) -> None:

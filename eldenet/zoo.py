@@ -4,25 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldenet.config import list_models
 from eldenet.weights import list_weights, located
 
 if TYPE_CHECKING:
     from eldenet.losses.distillation import Teacher
     from eldenet.model import DepthNet
-
-
-def list_models() -> list[str]:
-    """Return the names of networks that :func:`load` builds."""
-    from eldenet.config import config_folder
-
-    return sorted(path.stem for path in (config_folder() / "model").glob("*.yaml"))
-
-
-def note_if_untrained(source: str | Path) -> str:
-    """Return a note for the user if ``source`` names a network without trained weights, else ``""``."""
-    if str(source) not in list_models():
-        return ""
-    return f"note: {source} is a freshly initialized network, so its depth is meaningless"
 
 
 def load(

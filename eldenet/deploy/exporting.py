@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import eldenet
 from eldenet.deploy import runtimes
 from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.deploy.quantize import read_pictures
@@ -61,14 +62,13 @@ def export(setup: ExportSetup) -> Path:
     """
     from eldenet.deploy.files import describe, write_onnx, write_openvino
     from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
-    from eldenet.results.run_log import RunLog
-    from eldenet.zoo import load, note_if_untrained
+    from eldenet.results.run_log import RunLog, untrained_note
 
-    model = load(setup.checkpoint, trusted_modules=setup.trusted_modules)
+    model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
     target = target_of(setup, model)
     size, output, log = target.size, target.output, RunLog(target.output.parent)
-    if note := note_if_untrained(setup.checkpoint):
-        log.say(note)
+    if setup.checkpoint in eldenet.list_models():
+        log.say(untrained_note(setup.checkpoint))
     pictures = read_pictures(setup.pictures, max(setup.checks, 1), "test")
     metadata = describe(model, target.name, size, camera_size=setup.camera, license=setup.license)
     metadata["precision"] = setup.precision

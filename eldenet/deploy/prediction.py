@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import eldenet
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
@@ -141,7 +142,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
     """
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
-    from eldenet.zoo import load, note_if_untrained
+    from eldenet.results.run_log import untrained_note
 
     checkpoint, size, max_side = setup.checkpoint, setup.input_size, setup.max_side
     resources = setup.resources
@@ -150,7 +151,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
         predictor = DepthPredictor(network, size, max_side=max_side)
     else:
-        model = load(checkpoint, trusted_modules=setup.trusted_modules)
+        model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
         if setup.engine in ("auto", "torch"):
             predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device)
         else:
@@ -158,8 +159,8 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
                 model, setup.engine, threads=resources.threads, device=resources.device, size=size
             )
             predictor = DepthPredictor(network, size, max_side=max_side)
-    if note := note_if_untrained(checkpoint):
-        log.say(note)
+    if checkpoint in eldenet.list_models():
+        log.say(untrained_note(checkpoint))
     elif predictor.input_size is None:
         log.say(
             f"note: {checkpoint} does not say at which size it was trained, so it sees pictures at their own "

@@ -66,7 +66,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
     Raises:
         ValueError: the settings do not fit the checkpoint or the protocol, or the folder holds a training.
     """
-    from eldenet.results.run_log import RunLog
+    from eldenet.results.run_log import RunLog, untrained_note
     from eldenet.results.score import ScoreSetup, score_and_record
     from eldenet.results.tables import closing_table
     from eldenet.system.resources import choose_resources
@@ -80,7 +80,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
     setup.folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(setup.folder)
     if setup.checkpoint in eldenet.list_models():
-        log.say(f"note: {setup.checkpoint} is a freshly initialized network: its depth means nothing")
+        log.say(untrained_note(setup.checkpoint))
     size = chosen_size(setup, model, log)
     scoring = ScoreSetup(
         folder=setup.folder,

@@ -17,6 +17,11 @@ from eldenet.system.files import write_rows
 LINE_EVERY_S = 15.0
 
 
+def untrained_note(source: str) -> str:
+    """Return a note for the user on a network that was built by name, where trained weights are expected."""
+    return f"note: {source} is a freshly initialized network, so its depth is meaningless"
+
+
 class RunLog:
     """Console, TensorBoard and images of one run folder; ``quiet`` (other processes) writes nothing.
 

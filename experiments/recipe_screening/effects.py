@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t
 
+from eldenet.config import training_composition
 from eldenet.results.run_record import read_run
 from eldenet.results.studies.plan import Study, StudyRow, read_study
 from eldenet.results.tables import to_markdown
@@ -78,7 +79,7 @@ def margin(values: list[float]) -> float:
 
 def main() -> None:
     """Write ``effects.md`` beside this file."""
-    study = read_study(HERE)
+    study = read_study(HERE, training_composition())
     found = effects(study)
     rows = [
         [name, *(f"{values[metric]:+.3f}" for metric in METRICS)]

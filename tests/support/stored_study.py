@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.config import training_composition
 from eldenet.evaluation.metrics import METRICS
 from eldenet.results.studies.blocks import build_blocks
-from eldenet.results.studies.matching import resolve, run_overrides
+from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, read_study
 
 PLAN = """
@@ -29,12 +30,14 @@ IMAGES = [f"room/{index}" for index in range(40)]
 
 def write_plan(folder: Path, old: str = "", new: str = "") -> Study:
     (folder / "sweep.yaml").write_text(PLAN.replace(old, new))
-    return read_study(folder)
+    return read_study(folder, training_composition())
 
 
 def settings_of(overrides: Sequence[str], name: str, seed: int = 0) -> dict[str, Any]:
     """Resolved settings of a run of a study."""
-    return resolve(run_overrides(overrides, Path("f"), Path("r"), name=name, seed=seed))
+    return training_composition().resolve(
+        run_overrides(overrides, Path("f"), Path("r"), name=name, seed=seed)
+    )
 
 
 def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:

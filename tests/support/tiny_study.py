@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from eldenet.config import training_composition
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
 from eldenet.study import check_finished, train_run
@@ -40,7 +41,7 @@ EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
 eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
 unknown,scratch,no code identified,,,,,
 """
-TRAINING = Training(train_run, check_finished)
+TRAINING = Training(train_run, check_finished, training_composition())
 
 
 def write_tiny_study(folder: Path, cache: str) -> Path:
@@ -71,6 +72,6 @@ def run(
 
 def run_all(folder: Path, runs: Path) -> tuple[dict[str, str], list[str]]:
     """Statuses of all runs, and what was printed."""
-    study, said = read_study(folder), []
+    study, said = read_study(folder, training_composition()), []
     outcomes = [outcome for row in study.rows for outcome in run(study, row.name, runs, said.append)]
     return {outcome.run: outcome.status for outcome in outcomes}, said

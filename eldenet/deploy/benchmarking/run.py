@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+import eldenet
 from eldenet.deploy.benchmarking.measure import Case, Network, measure_group, reason_of
 from eldenet.deploy.benchmarking.rows import (
     append_rows,
@@ -27,10 +28,10 @@ from eldenet.deploy.runtimes import TORCH, installed
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
-from eldenet.zoo import list_models, load
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
+    from eldenet.results.studies.plan import Composition
 
 DEFAULT_REFERENCE = "resnet18_upconv"  # of configs/benchmark.yaml; it may be absent
 
@@ -58,6 +59,7 @@ class BenchmarkSetup:
     trusted_modules: tuple[str, ...]
     overwrite: bool
     output: Path
+    composition: "Composition"
 
     @property
     def calibrated(self) -> str:
@@ -178,7 +180,7 @@ def study_models(setup: BenchmarkSetup) -> Networks:
     ]
     if several:
         raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
-    study = read_study(str(setup.study))
+    study = read_study(str(setup.study), setup.composition)
     if study.latency is not None and Path(study.latency).parent != Path():
         raise ValueError(
             f"{study.name} shows the latencies of another study, in {study.latency}: measure that one "
@@ -197,8 +199,8 @@ def load_models(setup: BenchmarkSetup) -> Networks:
     models: dict[str, DepthNet] = {}
     for source in setup.models:
         torch.manual_seed(0)
-        trusted = () if source in list_models() else setup.trusted_modules
-        model = load(source, trusted_modules=trusted)
+        trusted = () if source in eldenet.list_models() else setup.trusted_modules
+        model = eldenet.load(source, trusted_modules=trusted)
         name = str(model.info.get("model_name", Path(source).name))
         if name in models:
             raise ValueError(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import eldenet
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.stream import DepthStream
 from eldenet.system.resources import available_cores
@@ -73,9 +74,8 @@ def load(
         return _open(path, runtime, precision, threads, device)
     from eldenet.deploy.files import describe, write_onnx
     from eldenet.model import DepthNet, size_of_frames
-    from eldenet.zoo import load as load_model
 
-    model = source if isinstance(source, DepthNet) else load_model(source, trusted_modules=trusted_modules)
+    model = source if isinstance(source, DepthNet) else eldenet.load(source, trusted_modules=trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
     size = size or size_of_frames(model.info)
     name = str(model.info.get("model_name", "unnamed"))

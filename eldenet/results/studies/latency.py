@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet import config as cfg
 from eldenet.results.fingerprints import differences
-from eldenet.results.studies.matching import resolve, run_overrides
+from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, StudyRow
 from eldenet.system.files import write_rows
 
@@ -57,7 +56,7 @@ def row_networks(study: Study) -> RowNetworks:
     for row in study.rows:
         nowhere = Path("unused")
         overrides = run_overrides(study.overrides_of(row), nowhere, nowhere, name=row.name, seed=0)
-        config = resolve(overrides)
+        config = study.composition.resolve(overrides)
         settings, size = config["model"], config["data"]["input_size"]
         if size is None:
             raise ValueError(
@@ -67,7 +66,7 @@ def row_networks(study: Study) -> RowNetworks:
         name = first.setdefault(json.dumps([settings, size], sort_keys=True, default=str), row.name)
         if name == row.name:
             torch.manual_seed(0)  # a benchmark identifies networks by their weights
-            found.networks[name] = cfg.build_model(settings).eval()
+            found.networks[name] = study.composition.build_model(settings).eval()
             found.settings[name], found.sizes[name] = settings, tuple(size)
         found.network_of[row.name] = name
     return found

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eldenet import config as cfg
 from eldenet.results.comparison import with_every_rule
 from eldenet.results.fingerprints import run_differences
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
@@ -28,12 +27,6 @@ def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str,
     """
     filled = [text.replace("{runs}", str(runs)).replace("{seed}", str(seed)) for text in shared]
     return [*filled, f"model_name='{name}'", f"seed={seed}", f"run_dir='{folder}'", "ckpt_path=auto"]
-
-
-def resolve(overrides: Sequence[str]) -> dict[str, Any]:
-    """The resolved settings of a training with these overrides, as its ``run.json`` stores them."""
-    settings: dict[str, Any] = cfg.plain(cfg.compose("train", overrides))
-    return settings
 
 
 def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
@@ -105,7 +98,7 @@ def search_differences(
 
 def outdated_search(study: Study, row: StudyRow, choice: Choice) -> list[str]:
     """Differences between the trials that the plan asks for and those behind a stored choice."""
-    trial = _planned(row, study.overrides_of(row, trial=True), seed=0)
+    trial = _planned(study, row, study.overrides_of(row, trial=True), seed=0)
     candidates = study.owner_of(row).learning_rates
     return search_differences(candidates, trial, choice.record, frozenset(row.given.values()))
 
@@ -119,14 +112,14 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     choice = stored_choice(study, row)
     rate = row.learning_rate if choice is None else choice.rate
     further = [] if rate is None else [f"{RATE}={rate}"]
-    settings = _planned(row, [*study.overrides_of(row), *further], seed=int(run["seed"]))
+    settings = _planned(study, row, [*study.overrides_of(row), *further], seed=int(run["seed"]))
     ignored = frozenset(("lr",)) if rate is None else frozenset()
     return run_differences(settings, run, ignored=ignored, given=frozenset(row.given.values()))
 
 
-def _planned(row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
+def _planned(study: Study, row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
     nowhere = Path("unused")
-    return resolve(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
+    return study.composition.resolve(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
 
 
 @dataclass(frozen=True)

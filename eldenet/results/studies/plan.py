@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from eldenet.evaluation.metrics import METRICS
 from eldenet.system.files import read_yaml
@@ -53,6 +53,18 @@ class StudyRow:
         return f"{next((WORDS[name] for name in self.given.values() if name in WORDS), 'data')} not given"
 
 
+class Composition(NamedTuple):
+    """From overrides of ``eldenet.train`` to settings and networks; :mod:`eldenet.config` provides it.
+
+    Attributes:
+        resolve: overrides -> the resolved settings of that training, as its ``run.json`` stores them.
+        build_model: section ``model`` of such settings -> the network.
+    """
+
+    resolve: Callable[[Sequence[str]], dict[str, Any]]
+    build_model: Callable[[Mapping[str, Any]], Any]
+
+
 @dataclass(frozen=True)
 class Study:
     """The plan of a study.
@@ -73,10 +85,12 @@ class Study:
             reference rows, with intervals), "convergence" (curves over the epochs).
         latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies,
             since those that runs measure beside other work mislead.
+        composition: how a row's overrides become settings.
     """
 
     folder: Path
     rows: tuple[StudyRow, ...]
+    composition: Composition
     overrides: tuple[str, ...] = ()
     learning_rates: tuple[float, ...] = ()
     rate_overrides: tuple[str, ...] = ()
@@ -128,8 +142,8 @@ class Study:
         return self.owner_of(row).folder / STORED / row.name / RATE_FILE
 
 
-def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
-    """Read ``sweep.yaml``.
+def read_study(folder: str | Path, composition: Composition, _readers: tuple[str, ...] = ()) -> Study:
+    """Read ``sweep.yaml`` in ``folder``.
 
     Raises:
         FileNotFoundError: there is none.
@@ -146,17 +160,17 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
     described = content.pop("rows")
     shared = {name: content.pop(name) for name in SHARED if name in content}
-    of_study = {entry.name for entry in fields(Study)} - {"folder", "rows"}
+    of_study = {entry.name for entry in fields(Study)} - {"folder", "rows", "composition"}
     of_row = {entry.name for entry in fields(StudyRow)} - {"name", "owner"}
     entries = _checked(path, "", content, of_study, also=("rows", *SHARED))
     rows = []
     for name, entry in described.items():
         if entry and "from" in entry:
-            rows.append(_taken_row(path, str(name), entry, _readers))
+            rows.append(_taken_row(path, str(name), entry, composition, _readers))
         else:
             own = _checked(path, f"row {name}: ", shared | (entry or {}), of_row, also=("from",))
             rows.append(StudyRow(str(name), **own))
-    study = Study(folder, tuple(rows), **entries)
+    study = Study(folder, tuple(rows), composition, **entries)
     for row in study.rows:
         _refuse_second_rate(path, study, row)
     unknown = [name for name in study.reference if name not in described]
@@ -174,13 +188,15 @@ def _name(folder: Path) -> str:
     return Path(os.path.abspath(folder)).name
 
 
-def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[str, ...]) -> StudyRow:
+def _taken_row(
+    path: Path, name: str, entry: Mapping[str, Any], composition: Composition, readers: tuple[str, ...]
+) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     _checked(path, f"row {name}, taken from another study: ", entry, {"from", "block"})
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} is taken in a circle: {' -> '.join((*readers, entry['from']))}")
-    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), readers)
+    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), composition, readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))
 
@@ -242,8 +258,3 @@ _KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "epoch": (lambda value: value in ("chosen", "last"), "chosen or last"),
     "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto, differences or convergence"),
 }
-
-
-def row_names(study: str, rows: Sequence[str] | None = None) -> str:
-    """Names of the chosen rows, ``a,b,c``: Hydra's sweeper runs a job for each (see configs/study.yaml)."""
-    return ",".join(row.name for row in read_study(study).chosen(rows))

@@ -9,24 +9,24 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.studies.blocks import Block, build_blocks
 from eldenet.results.studies.convergence import NOTES, convergence
 from eldenet.results.studies.latency import Latencies
-from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.tables import WORDS, to_latex, to_markdown
 from eldenet.system.files import write_rows
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
 
 
-def report_study(folder: Path) -> None:
+def report_study(folder: Path, composition: Composition) -> None:
     """Write the report of a study and print its tables."""
     log = RunLog(folder)
-    for block in write_study_report(folder):
+    for block in write_study_report(folder, composition):
         log.table(block.name, *block.on_a_screen())
     log.say(f"written to {folder / 'results'}.md, .csv and .tex")
 
 
-def write_study_report(folder: str | Path) -> list[Block]:
+def write_study_report(folder: str | Path, composition: Composition) -> list[Block]:
     """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
-    study = read_study(folder)
+    study = read_study(folder, composition)
     blocks = build_blocks(study)
     tables = [table for block in blocks for table in _tables_of(block)]
     markdown = [f"# {study.name}", ""]

@@ -13,8 +13,8 @@ from typing import Any
 from eldenet.results.fingerprints import fingerprints, run_differences
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
-from eldenet.results.studies.matching import refuse_missing, resolve, run_overrides, search_differences
-from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow, read_study
+from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
+from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
 from eldenet.system.files import write_json
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
@@ -47,16 +47,18 @@ class StudySetup:
 
 @dataclass(frozen=True)
 class Training:
-    """How a run is trained; both functions take the overrides of ``eldenet.train`` and a folder.
+    """How a run is trained; the first two take the overrides of ``eldenet.train`` and a folder.
 
     Attributes:
         train: trains in the run folder; resumes what was begun there.
         check_finished: compares a finished run with the overrides. Raises ValueError if it was made with
             other settings, weights or frames, FileNotFoundError if the frames are not here.
+        composition: how overrides become settings.
     """
 
     train: Callable[[Sequence[str], Path], object]
     check_finished: Callable[[Sequence[str], Path], object]
+    composition: Composition
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def run_study(setup: StudySetup, training: Training, log: RunLog) -> None:
     Raises:
         ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
     """
-    study = read_study(setup.study)
+    study = read_study(setup.study, training.composition)
     refuse_unknown_seeds(study.chosen(setup.rows), setup.seeds)  # a sweep's job runs one of these rows
     rows = study.chosen(setup.rows if setup.job is None else setup.job)
     outcomes = [outcome for row in rows for outcome in run_row(study, row, setup, training, log.say)]
@@ -202,7 +204,7 @@ class _RowRun:
             return False
         note = ""
         try:
-            different = run_differences(resolve(overrides), read_run(stored))
+            different = run_differences(self.study.composition.resolve(overrides), read_run(stored))
             if different:
                 raise ValueError(f"{stored} holds a run of other settings: {'; '.join(different[:5])}")
             self.training.check_finished(overrides, stored)
@@ -234,7 +236,7 @@ class _RowRun:
         if not study.searches_rate(row):
             return row.learning_rate
         trial = [*shared, *study.rate_overrides, *row.rate_overrides]
-        settings = resolve(self.overrides(trial, self.folder / "trial"))
+        settings = study.composition.resolve(self.overrides(trial, self.folder / "trial"))
         rule = {"candidates": list(study.learning_rates), "further": FURTHER, "config": settings}
         kept = self._kept_rate(settings)
         if kept is not None:

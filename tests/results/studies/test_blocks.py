@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.stored_study import figures, notes, store, table, write_plan
 
+from eldenet.config import training_composition
 from eldenet.results import statistics
 from eldenet.results.studies.blocks import build_blocks
 from eldenet.results.studies.plan import Study
@@ -60,7 +61,7 @@ def test_the_plot_shows_the_differences_of_the_table(study: Study) -> None:
     assert found.mean == pytest.approx(0.2)
     assert found.text == table(study)["large"][DIFFERENCE]
     write_plan(study.folder, "rows:", "plots: [differences]\nrows:")
-    write_study_report(study.folder)
+    write_study_report(study.folder, training_composition())
     assert (study.folder / "differences.png").stat().st_size > 1000
     assert "(differences.png)" in (study.folder / "results.md").read_text()
     assert not (study.folder / "pareto.png").exists()
@@ -162,7 +163,7 @@ def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) 
     line["network"] = json.dumps(config)
     write_rows(file, list(line), [list(line.values())])
     assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
-    write_study_report(tmp_path)
+    write_study_report(tmp_path, training_composition())
     text = (tmp_path / "results.md").read_text()
     assert "latency: median of interleaved rounds, onnxruntime, fp32, 1 threads, cpu (some)" in text
     assert "costs: torch" not in text

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from eldenet.config import training_composition
 from eldenet.results.fingerprints import fingerprints
-from eldenet.results.studies.matching import resolve
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
 
@@ -26,7 +26,7 @@ Curve = dict[float, float | None]
 @pytest.fixture
 def study(tmp_path: Path) -> Study:
     (tmp_path / "sweep.yaml").write_text(PLAN)
-    return read_study(tmp_path)
+    return read_study(tmp_path, training_composition())
 
 
 class Trials:
@@ -37,7 +37,7 @@ class Trials:
         self.tried: list[tuple[float, int]] = []
 
     def train(self, overrides: Sequence[str], folder: Path) -> None:
-        settings = resolve(overrides)
+        settings = training_composition().resolve(overrides)
         rate, score = settings["optimizer"]["lr"], self.curve[settings["optimizer"]["lr"]]
         if folder.name.startswith("lr"):
             self.tried.append((rate, settings["trainer"]["epochs"]))
@@ -54,7 +54,7 @@ class Trials:
         self, study: Study, runs: Path, name: str = "small", rerun: bool = False, **given: object
     ) -> Outcome:
         setup = StudySetup(study.folder, runs, rerun=rerun, given=given)
-        training = Training(self.train, lambda overrides, folder: None)
+        training = Training(self.train, lambda overrides, folder: None, training_composition())
         return run_row(study, study.chosen(name)[0], setup, training, lambda text: None)[0]
 
 
@@ -103,7 +103,7 @@ def test_a_choice_by_another_rule_is_refused(study, tmp_path, old: str, new: str
     trials = Trials(GOOD)
     trials.run(study, tmp_path / "runs")
     (tmp_path / "sweep.yaml").write_text(PLAN.replace(old, new))
-    reason = trials.run(read_study(tmp_path), tmp_path / "runs").reason
+    reason = trials.run(read_study(tmp_path, training_composition()), tmp_path / "runs").reason
     assert "chosen by another rule (" in reason
     assert word in reason
 
@@ -133,7 +133,7 @@ def test_trials_wait_for_the_row_that_they_start_from(study, tmp_path, place: st
     """A run that is still training has weights already, but not those that will be compared."""
     trials = Trials(GOOD)
     (tmp_path / "sweep.yaml").write_text(PLAN + f'  next: {{overrides: ["weights={place}"]}}\n')
-    study = read_study(tmp_path)
+    study = read_study(tmp_path, training_composition())
     begun = tmp_path / "runs" / study.name / "small/seed0"
     (begun / "model").mkdir(parents=True)
     (begun / "model/model.safetensors").write_bytes(b"half")

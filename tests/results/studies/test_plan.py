@@ -11,6 +11,7 @@ from support.stored_study import settings_of
 from support.tiny_study import EXPECTED, cells, run, short
 
 from eldenet import config as cfg
+from eldenet.config import training_composition
 from eldenet.results.studies.blocks import read_expected
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
@@ -23,9 +24,9 @@ STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sw
 
 def test_errors_in_a_plan_are_named(tiny, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
-        read_study(tmp_path)
+        read_study(tmp_path, training_composition())
     with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
-        read_study(tiny).chosen(["none"])
+        read_study(tiny, training_composition()).chosen(["none"])
     whole = (tiny / "sweep.yaml").read_text()
     for old, new, word in (
         ("seeds: [0, 1]}", "sead: 1}", "sead"),
@@ -48,7 +49,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
     ):
         (tiny / "sweep.yaml").write_text(whole.replace(old, new))
         with pytest.raises(ValueError, match=word):
-            read_study(tiny)
+            read_study(tiny, training_composition())
     other = tmp_path / "other"
     other.mkdir()
     for row, word in (
@@ -58,11 +59,11 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
         (tiny / "sweep.yaml").write_text(whole)
         (other / "sweep.yaml").write_text(f"rows: {{{row}}}")
         with pytest.raises(ValueError, match=word):
-            read_study(other)
+            read_study(other, training_composition())
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
     (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
     with pytest.raises(ValueError, match="in a circle: tiny -> other -> tiny"):
-        read_study(tiny)
+        read_study(tiny, training_composition())
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
     with pytest.raises(ValueError, match="without its protocol and source"):
         read_expected(tiny)
@@ -90,7 +91,7 @@ def test_a_learning_rate_that_would_have_no_effect_is_refused(tiny, old, new, wo
     assert old in whole
     (tiny / "sweep.yaml").write_text(whole.replace(old, new, 1))
     with pytest.raises(ValueError, match=rf"{word}.*optimizer\.lr=2.*write learning_rate: 2\.0e-3"):
-        read_study(tiny)
+        read_study(tiny, training_composition())
 
 
 def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
@@ -98,13 +99,13 @@ def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
     (tiny / "sweep.yaml").write_text(
         plan.replace("[model=eldenet_s],", "[model=eldenet_s, optimizer.lr=2.0e-3],")
     )
-    row = read_study(tiny).chosen("eldenet_s")[0]
+    row = read_study(tiny, training_composition()).chosen("eldenet_s")[0]
     assert "optimizer.lr=2.0e-3" in row.overrides
 
 
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_every_row_of_every_study_composes(folder):
-    study = read_study(folder)
+    study = read_study(folder, training_composition())
     read_expected(folder)
     assert (folder / "README.md").is_file()
     known = list_models()
@@ -132,7 +133,7 @@ def test_the_screening_design_is_balanced(monkeypatch):
     """Any two changes are on together, apart and off together in three runs each: effects separate."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
     effects = importlib.import_module("effects")
-    rows = effects.designed(read_study(effects.HERE))
+    rows = effects.designed(read_study(effects.HERE, training_composition()))
     columns = [{row.name for row in rows if word in row.overrides} for word in effects.CHANGES.values()]
     columns.append(set(effects.NOTHING))
     assert len(rows) == 12
@@ -157,9 +158,9 @@ def test_a_row_with_given_folders_is_trained_and_reported(tmp_path):
     row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
     plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
     (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
-    study = read_study(folder)
+    study = read_study(folder, training_composition())
     places = {"kitti": root, "kitti_raw": root.parent / "raw"}
     outcomes = run(study, "kitti_eldenet", tmp_path / "runs", given=places)
     assert [outcome.status for outcome in outcomes] == ["done"]
-    write_study_report(folder)
+    write_study_report(folder, training_composition())
     assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"
