@@ -60,7 +60,7 @@ MODULES = {module_of(file) for file in FILES}
 
 
 def imported_modules(file: Path, *, typing: bool = True) -> Iterator[tuple[int, str]]:
-    """Line and module of every import, those inside functions too; ``typing``: those for type checkers too."""
+    """Line and module of every import, in functions too; ``typing``: those for type checkers too."""
     tree = ast.parse(file.read_text())
     if not typing:
         for node in ast.walk(tree):
