@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.system.checks import one_of
 from eldenet.system.resources import choose_resources, prepare_environment
+from eldenet.weights import list_weights
 
 prepare_environment()
 
@@ -155,6 +156,8 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
     """What ``python -m eldenet.train`` trains in ``folder``."""
     check_data_folders(config)
+    if not (folder / "run.json").is_file():  # a finished run needs them no more
+        check_sources(config, "weights", "teacher")
     from eldenet.training.setup import TrainingSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
@@ -183,6 +186,8 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
 def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
     check_data_folders(config)
+    check_sources(config, "checkpoint")
+    _split_node(config, config.split)
     from eldenet.deploy.scoring import EvaluationSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
@@ -250,10 +255,13 @@ def _named_modules(settings: Any) -> list[str]:
 
 def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
+    from eldenet.navigation.policy_files import policy_files
+
+    settings = plain(config)
+    policy_files((settings.get("policy") or {}).get("path"))
     from eldenet.navigation import modes
     from eldenet.navigation.episodes import EpisodeSettings
 
-    settings = plain(config)
     names = ("physics", "goal", "time_limit", "seed")
     common: dict[str, Any] = {
         "mode": config.mode,
@@ -462,6 +470,44 @@ def check_data_folders(config: DictConfig) -> None:
         raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
 
 
+def check_sources(config: DictConfig, *names: str) -> None:
+    """Check the networks that these settings name: a mistake in a path then costs no imports.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: there is no network of that name.
+    """
+    for name in names:
+        if config[name] is not None:
+            check_source(str(config[name]), name)
+
+
+def check_source(source: str, setting: str = "source") -> None:
+    """Raise unless ``source`` is a network's name, a path that exists, or may be a Hub id.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: there is no network of that name.
+    """
+    path = Path(source).expanduser()
+    if source in list_models() or source in list_weights() or path.exists():
+        return
+    if path.suffix in (".onnx", ".xml"):
+        raise FileNotFoundError(
+            f"{setting}={source} does not exist: python -m eldenet.export writes such files"
+        )
+    if "/" not in source:
+        raise ValueError(
+            f"unknown model {source!r}: choose one of {', '.join(list_models())}, trained weights "
+            f"({', '.join(list_weights())}), a folder or a Hub id 'owner/name'"
+        )
+    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1:
+        raise FileNotFoundError(
+            f"{setting}={source} is neither a folder here nor a Hub id 'owner/name': give a run folder or a "
+            "saved model"
+        )
+
+
 def build_check_data(config: DictConfig) -> "CheckDataSetup":
     """The :class:`~eldenet.data.inspection.CheckDataSetup` of ``check_data``.
 
@@ -519,6 +565,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy.prediction import PredictionSetup, find_source
     from eldenet.geometry import pinhole
 
+    check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
     one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
     one_of("on_error", str(config.on_error), ("stop", "skip"))
@@ -613,6 +660,7 @@ def build_export(config: DictConfig) -> "ExportSetup":
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
+    check_sources(config, "checkpoint")
     return _filled(
         ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
     )
@@ -638,10 +686,12 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
         raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
-    from eldenet.evaluation.metrics import METRICS
+    from eldenet.evaluation.metric_names import METRICS
 
     one_of("accuracy", str(config.accuracy), METRICS)
     models = list_models() if config.models is None else listed(config.models)
+    for model in models:
+        check_source(str(model), "models")
     return _filled(
         BenchmarkSetup,
         config,

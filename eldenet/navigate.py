@@ -18,9 +18,10 @@ MODES = ("record", "evaluate", "analyze_failures", "fit_noise", "train")
 @entry_point("navigate")
 def main(config: "DictConfig", folder: Path) -> None:
     """Run the mode that the config was composed for; results go to ``folder``."""
+    setup = build_navigation(config, folder)
     from eldenet.navigation.modes import run_mode
 
-    run_mode(build_navigation(config, folder))
+    run_mode(setup)
 
 
 def check_mode(words: Sequence[str]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.config import list_models
+from eldenet.config import check_source, list_models
 from eldenet.weights import list_weights, located
 
 if TYPE_CHECKING:
@@ -60,12 +60,8 @@ def load(
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides apply to networks built by name, but {source} is a saved model")
+    check_source(str(source))
     folder = located(source)
-    if "/" not in str(source) and not folder.is_dir():
-        raise ValueError(
-            f"unknown model {str(source)!r}: choose one of {', '.join(list_models())}, trained weights "
-            f"({', '.join(list_weights())}), a folder or a Hub id 'owner/name'"
-        )
     if revision is not None and folder.is_dir():
         raise ValueError(f"revision={revision!r} applies to Hub ids, but {source} is a folder here")
     found = folder if folder.is_dir() or folder.is_absolute() else source

@@ -4,14 +4,17 @@ import copy
 
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
-from torchvision.models.resnet import BasicBlock, Bottleneck
 
-from eldenet.backbones.resnet import ResNet
 from eldenet.decoders.upconv import PARITIES, UpConv2d
 from eldenet.layers import DepthwiseConv2d
 from eldenet.model import DepthNet
 
-RESNET_PARTS = (ResNet, BasicBlock, Bottleneck)
+# by name, as torchvision is loaded only for networks that are made of it
+RESNET_PARTS = {
+    "eldenet.backbones.resnet.ResNet",
+    "torchvision.models.resnet.BasicBlock",
+    "torchvision.models.resnet.Bottleneck",
+}
 PLAIN = (nn.Conv2d, DepthwiseConv2d)  # subclasses may do more
 
 
@@ -29,7 +32,7 @@ def fold(model: DepthNet) -> DepthNet:
     for part in list(folded.modules()):
         if isinstance(part, nn.Sequential):
             _fold_sequence(part)
-        elif isinstance(part, RESNET_PARTS):
+        elif RESNET_PARTS & {f"{kind.__module__}.{kind.__qualname__}" for kind in type(part).__mro__}:
             _fold_numbered(part)
     for part in list(folded.modules()):
         for name, child in list(part.named_children()):

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
-from eldenet.evaluation.metrics import METRICS, DepthMetrics
+from eldenet.evaluation.metric_names import METRICS
+from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.model import eval_mode
 

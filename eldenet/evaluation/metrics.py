@@ -7,12 +7,8 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
+from eldenet.evaluation.metric_names import CLASS_METRICS, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-
-METRICS = ("mse", "rmse", "mae", "abs_rel", "delta1", "delta2", "delta3", "log10", "silog", "ssim")
-LOWER_IS_BETTER = frozenset(("mse", "rmse", "mae", "abs_rel", "log10", "silog"))
-CLASS_METRICS = ("abs_rel", "rmse", "delta1")
-UNITS = {"mse": "m^2", "rmse": "m", "mae": "m"}  # the others are pure numbers
 
 
 def error_sums(prediction: Tensor, depth: Tensor, valid: Tensor, *, ssim_range: float) -> Tensor:

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NoReturn
-
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from eldenet.geometry import crop_corner
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # torch's "nearest" would shift the map by up to half a pixel
 _MODES: dict[str, dict[str, Any]] = {
@@ -143,7 +142,7 @@ class EvalProtocol:
         """Every rule by name, as ``run.json`` stores it."""
         return asdict(self)
 
-    def valid_mask(self, depth: Tensor, mask: Tensor) -> Tensor:
+    def valid_mask(self, depth: "Tensor", mask: "Tensor") -> "Tensor":
         """Bool mask ``(B, 1, H, W)`` of the pixels that are scored: known, within range, inside the crop.
 
         Raises:
@@ -159,7 +158,7 @@ class EvalProtocol:
         for box in (self.crop_box(height, width), self.pasted_box(height, width)):
             if box is not None:
                 top, bottom, left, right = box
-                inside = torch.zeros_like(valid)
+                inside = valid.new_zeros(valid.shape)
                 inside[..., top:bottom, left:right] = True
                 valid &= inside
         return valid
@@ -188,18 +187,20 @@ class EvalProtocol:
         top, left = crop_corner((height, width), (rows, cols), self.frame_anchor)
         return top, top + rows, left, left + cols
 
-    def resize_to_gt(self, values: Tensor, size: Sequence[int]) -> Tensor:
+    def resize_to_gt(self, values: "Tensor", size: Sequence[int]) -> "Tensor":
         """Resize an image or prediction ``(B, C, h, w)`` to the ground truth's ``(height, width)`` [px].
 
         With ``paste`` it returns to the place that the image was cropped from, with 0 around it.
         """
+        import torch.nn.functional as F
+
         box = self.pasted_box(size[0], size[1])
         top, bottom, left, right = box or (0, size[0], 0, size[1])
         if values.shape[-2:] != (bottom - top, right - left):
             values = F.interpolate(values, (bottom - top, right - left), **_MODES[self.interpolation])
         return values if box is None else F.pad(values, (left, size[1] - right, top, size[0] - bottom))
 
-    def align(self, prediction: Tensor, depth: Tensor, valid: Tensor) -> Tensor:
+    def align(self, prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Tensor":
         """Resize, scale and clamp a raw prediction ``(B, 1, h, w)`` [m] to the ground truth.
 
         Raises:
@@ -213,11 +214,11 @@ class EvalProtocol:
         prediction = self.resize_to_gt(prediction, depth.shape[-2:])
         if self.scale == "median":
             prediction = prediction * _median_ratio(prediction, depth, valid)
-        if not torch.isfinite(prediction[valid]).all():  # before the clamp, which would hide infinity
+        if not prediction[valid].isfinite().all():  # before the clamp, which would hide infinity
             raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 
-    def to_metric_space(self, prediction: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+    def to_metric_space(self, prediction: "Tensor", depth: "Tensor") -> tuple["Tensor", "Tensor"]:
         """Convert both to what the metrics compare: depth [m], or its inverse (infinite where unknown)."""
         if self.inverse_scale is None:
             return prediction, depth
@@ -228,7 +229,9 @@ def _is_box(box: Sequence[float], limits: Sequence[float]) -> bool:
     return len(box) == 4 and 0 <= box[0] < box[1] <= limits[0] and 0 <= box[2] < box[3] <= limits[1]
 
 
-def _median_ratio(prediction: Tensor, depth: Tensor, valid: Tensor) -> Tensor:
+def _median_ratio(prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Tensor":
+    import torch
+
     ratios = [
         _median(truth[known]) / _median(guess[known]) if known.any() else truth.new_ones(())
         for guess, truth, known in zip(prediction, depth, valid, strict=True)
@@ -236,7 +239,7 @@ def _median_ratio(prediction: Tensor, depth: Tensor, valid: Tensor) -> Tensor:
     return torch.stack(ratios).view(-1, 1, 1, 1)
 
 
-def _median(values: Tensor) -> Tensor:
+def _median(values: "Tensor") -> "Tensor":
     """Median as in NumPy: of an even number the mean of the middle two; torch takes the lower."""
     ordered = values.sort().values
     return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2

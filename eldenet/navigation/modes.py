@@ -9,7 +9,8 @@ from typing import Any
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, as_rows, run_episodes, summarize
 from eldenet.navigation.failures import KINDS, draw_worst, trace
-from eldenet.navigation.policy import POLICY, Navigator
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.range_errors import fit_errors, scan_along, scan_near
 from eldenet.navigation.sensors import Sensor

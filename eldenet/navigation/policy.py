@@ -17,12 +17,11 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
-DEFAULT_WEIGHTS = Path(__file__).resolve().parent.parent / "weights" / "arena_dqn.safetensors"
-POLICY = "policy.safetensors"  # in the run folder of a training
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
 
@@ -217,31 +216,12 @@ class Navigator:
         return speed, turn
 
 
-def policy_files(path: str | Path | Sequence[str | Path] | None) -> list[Path]:
-    """Files for :meth:`Navigator.load`: a run folder stands for its policy, None for the packaged one.
-
-    Raises:
-        ValueError: an empty list.
-    """
-    given = DEFAULT_WEIGHTS if path is None else path
-    paths = [given] if isinstance(given, str | Path) else given
-    if not paths:
-        raise ValueError("checkpoint=[]: give at least one run folder or policy file")
-    return [Path(each) / POLICY if Path(each).is_dir() else Path(each) for each in paths]
-
-
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     """Return the networks and the notes in a policy file.
 
     Raises:
-        FileNotFoundError: there is no such file.
         ValueError: the file is not a policy.
     """
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no policy at {path}: give a policy file or the run folder of a finished training (python -m "
-            "eldenet.navigate mode=train)"
-        )
     try:
         with safe_open(str(path), framework="pt") as file:
             notes = (file.metadata() or {}).get("navigator")

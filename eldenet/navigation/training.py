@@ -10,7 +10,8 @@ from typing import Any
 from eldenet.navigation.dqn import CHECKPOINT, DQN
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
-from eldenet.navigation.policy import POLICY, Navigator
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas

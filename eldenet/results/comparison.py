@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eldenet.evaluation.metrics import METRICS
+from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.fingerprints import KEYS, differences, sources_of
 from eldenet.results.run_log import RunLog

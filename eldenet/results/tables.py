@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from eldenet.evaluation.metrics import CLASS_METRICS, LOWER_IS_BETTER, UNITS
+from eldenet.evaluation.metric_names import CLASS_METRICS, LOWER_IS_BETTER, UNITS
 from eldenet.results.run_record import RUN_FILE
 
 if TYPE_CHECKING:

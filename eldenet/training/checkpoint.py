@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
+from eldenet.training.resume import checkpoint_file
 
 LAST, BEST = "last.pt", "best.pt"
 
@@ -168,21 +169,6 @@ def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     unfinished.replace(path)
-
-
-def checkpoint_file(path: str | Path) -> Path:
-    """``path`` itself, or the last checkpoint of the run folder ``path``.
-
-    Raises:
-        FileNotFoundError: there is none.
-    """
-    path = Path(path)
-    path = path / "checkpoints" / LAST if path.is_dir() else path
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
-        )
-    return path
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:

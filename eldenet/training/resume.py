@@ -72,8 +72,6 @@ def _refuse(folder: Path, held: str, different: list[str]) -> None:
 
 
 def _named_checkpoint(setup: "TrainingSetup") -> Path | None:
-    from eldenet.training.checkpoint import checkpoint_file
-
     if setup.ckpt_path is None:
         return None
     if setup.ckpt_path != "auto":
@@ -81,6 +79,21 @@ def _named_checkpoint(setup: "TrainingSetup") -> Path | None:
         return Path(setup.ckpt_path)
     own = setup.folder / OWN_CHECKPOINT
     return own if own.is_file() else None
+
+
+def checkpoint_file(path: str | Path) -> Path:
+    """``path`` itself, or the last checkpoint of the run folder ``path``.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    path = Path(path)
+    path = path / OWN_CHECKPOINT if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no checkpoint at {path}: give checkpoints/last.pt of a run, or its run folder"
+        )
+    return path
 
 
 def run_folder(checkpoint: Path) -> Path:

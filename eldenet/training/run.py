@@ -29,12 +29,7 @@ def train(setup: TrainingSetup) -> float:
         ValueError: the settings do not fit each other, or the folder holds another run.
         FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
     """
-    from eldenet.results.fingerprints import fingerprints
     from eldenet.results.run_log import RunLog
-    from eldenet.results.tables import closing_table
-    from eldenet.training.initialization import initial_model
-    from eldenet.training.normalization import normalization, write_normalization
-    from eldenet.training.trainer import TrainingData
 
     log = RunLog(setup.folder, quiet=not is_main_process())
     record = finished_run(setup)
@@ -43,6 +38,12 @@ def train(setup: TrainingSetup) -> float:
         best_value = record["training"]["best_value"]
         return math.nan if best_value is None else float(best_value)
     checkpoint = checkpoint_to_resume(setup)
+    from eldenet.results.fingerprints import fingerprints
+    from eldenet.results.tables import closing_table
+    from eldenet.training.initialization import initial_model
+    from eldenet.training.normalization import normalization, write_normalization
+    from eldenet.training.trainer import TrainingData
+
     resources = choose_resources(**setup.resources)
     # before the data, which may take minutes to render: a wrong setting shows at once
     trainer, loss = setup.make_trainer(), make_loss(setup)

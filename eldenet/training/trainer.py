@@ -12,7 +12,7 @@ from torch import Tensor
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import EpochSampler, to_device, training_loader
 from eldenet.evaluation.evaluator import evaluate, sample_rows
-from eldenet.evaluation.metrics import LOWER_IS_BETTER, METRICS
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum
 from eldenet.model import DepthNet

@@ -23,7 +23,8 @@ from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, run_episodes
-from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_record import environment

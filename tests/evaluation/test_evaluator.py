@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.constant_baseline import ConstantPredictor
 from eldenet.evaluation.evaluator import evaluate, predict_depth
-from eldenet.evaluation.metrics import METRICS
+from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.types import Frame
 

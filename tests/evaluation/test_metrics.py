@@ -12,7 +12,8 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 from support.scoring import assert_same, batch, from_yaml, scores
 from torch import Tensor
 
-from eldenet.evaluation.metrics import METRICS, DepthMetrics, metrics_of
+from eldenet.evaluation.metric_names import METRICS
+from eldenet.evaluation.metrics import DepthMetrics, metrics_of
 from eldenet.evaluation.protocol import EvalProtocol
 
 pytestmark = [

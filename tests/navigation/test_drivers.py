@@ -22,7 +22,8 @@ from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
-from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator, export_onnx
+from eldenet.navigation.policy import Navigator, export_onnx
+from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas

@@ -10,7 +10,8 @@ from eldenet.config import compose, instantiate
 from eldenet.navigate import MODES
 from eldenet.navigation.modes import refuse_to_replace
 from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS, NoisyRanges
-from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.range_errors import RangeErrors
 from eldenet.renames import renamed

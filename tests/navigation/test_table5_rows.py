@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.table5 import FOLDER, given, modules_of_table5
 
-from eldenet.navigation.policy import DEFAULT_WEIGHTS
+from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arenas import arenas_hash

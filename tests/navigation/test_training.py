@@ -7,7 +7,8 @@ import pytest
 
 from eldenet.navigation import training
 from eldenet.navigation.dqn import CHECKPOINT, DQN, DQNSettings
-from eldenet.navigation.policy import POLICY, Navigator
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.results.run_log import RunLog

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.config import training_composition
-from eldenet.evaluation.metrics import METRICS
+from eldenet.evaluation.metric_names import METRICS
 from eldenet.results.studies.blocks import build_blocks
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, read_study

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eldenet.evaluation.metrics import LOWER_IS_BETTER
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results import statistics
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.statistics import Difference

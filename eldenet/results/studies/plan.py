@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from eldenet.evaluation.metrics import METRICS
+from eldenet.evaluation.metric_names import METRICS
 from eldenet.system.files import read_yaml
 
 PLAN = "sweep.yaml"

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from eldenet.evaluation.metrics import LOWER_IS_BETTER
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results.plots import curves_plot, differences_plot, pareto_plot
 from eldenet.results.run_log import RunLog
 from eldenet.results.studies.blocks import Block, build_blocks
