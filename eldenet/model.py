@@ -173,7 +173,7 @@ class DepthNet(Configurable, nn.Module):
         except ValueError as error:  # not JSON, or not text
             raise ValueError(f"{folder / CONFIG_NAME} is not JSON: {error}") from error
         if not isinstance(config, dict) or "model" not in config:
-            raise ValueError(f"{folder} is no eldenet model folder: {CONFIG_NAME} has no entry 'model'")
+            raise ValueError(f"{folder} is not an eldenet model folder: {CONFIG_NAME} has no entry 'model'")
         model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
             raise ValueError(
@@ -228,7 +228,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         in_run = folder / "model"
         return _complete(in_run if (in_run / CONFIG_NAME).is_file() else folder, folder)
     if folder.is_absolute() or str(source).count("/") != 1:
-        raise FileNotFoundError(f"{source} is neither a folder here nor a Hub id of the form 'owner/name'")
+        raise FileNotFoundError(f"{source} is neither a local folder nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download
 
     try:
@@ -237,7 +237,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         )
     except Exception as error:  # the Hub client raises many kinds
         raise FileNotFoundError(
-            f"{source} is no folder here, and loading it from the Hub failed: {type(error).__name__}: {error}"
+            f"{source} is not a local folder, and the Hub failed: {type(error).__name__}: {error}"
         ) from error
     return _complete(folder, source)
 
@@ -245,7 +245,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
 def _complete(folder: Path, source: str | Path) -> Path:
     missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
     if missing:
-        raise FileNotFoundError(f"{source} is no eldenet model folder: it has no {' and no '.join(missing)}")
+        raise FileNotFoundError(f"{source} is not an eldenet model folder: it has no {' or '.join(missing)}")
     return folder
 
 

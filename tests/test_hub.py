@@ -23,7 +23,7 @@ def test_an_unreachable_hub_fails_within_seconds(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("huggingface_hub.snapshot_download", offline)
     start = time.perf_counter()
     with pytest.raises(
-        FileNotFoundError, match=r"somebody/depth is no folder here.*ConnectionError: no route"
+        FileNotFoundError, match=r"somebody/depth is not a local folder.*ConnectionError: no route"
     ):
         eldenet.load("somebody/depth")
     assert time.perf_counter() - start < 5
@@ -43,14 +43,14 @@ def test_a_hub_id_loads_like_a_folder(saved: Path, monkeypatch: pytest.MonkeyPat
         "repo_id": "somebody/depth", "revision": "v2", "allow_patterns": ["config.json", "model.safetensors"],
     }  # fmt: skip
     (saved / "model.safetensors").unlink()
-    with pytest.raises(FileNotFoundError, match=r"no eldenet model folder: it has no model\.safetensors"):
+    with pytest.raises(FileNotFoundError, match=r"not an eldenet model folder: it has no model\.safetensors"):
         eldenet.load("somebody/depth")
 
 
 @pytest.mark.parametrize("source", ["/no/such/folder", "a/b/c", "./nothing/here"])
 def test_missing_paths_are_not_looked_up_on_the_hub(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **__: pytest.fail("asked the Hub"))
-    with pytest.raises(FileNotFoundError, match="neither a folder here nor a Hub id"):
+    with pytest.raises(FileNotFoundError, match="neither a local folder nor a Hub id"):
         eldenet.load(source)
 
 

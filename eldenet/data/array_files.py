@@ -27,13 +27,13 @@ def read_text(path: Path, advice: str = "fetch it again") -> str:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no text.
+        ValueError: the file is not text.
     """
     _check_file(path, advice)
     try:
         text = path.read_text(encoding="utf-8-sig")  # some editors start files with a byte-order mark
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text file: {advice}") from error
+        raise ValueError(f"{path} is not a text file: {advice}") from error
     if "\0" in text:
         raise ValueError(f"{path} is damaged (it contains zero bytes): {advice}")
     return text
@@ -50,7 +50,7 @@ def read_array(path: Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut, damaged or holds Python objects.
+        ValueError: the file is truncated or damaged, or holds Python objects.
     """
     content = read_bytes(path)
     if content.startswith(b"PK"):
@@ -60,7 +60,7 @@ def read_array(path: Path) -> np.ndarray:
         return np.load(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # a damaged header raises anything from SyntaxError to MemoryError
         raise ValueError(
-            f"{path} is cut or is no plain .npy file ({_short(error)}): fetch or write it again"
+            f"{path} is truncated or not a plain .npy file ({_short(error)}): fetch or write it again"
         ) from error
 
 
@@ -72,16 +72,16 @@ def read_pfm(path: Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut or is no PFM.
+        ValueError: the file is truncated or not a PFM.
     """
     content = read_bytes(path)
     header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+]?[\d.]+(?:[eE][-+]?\d+)?)[ \t\r]*\n", content)
     if header is None:
-        raise ValueError(f"{path} is no PFM file, or is cut in its header: fetch or write it again")
+        raise ValueError(f"{path} is not a PFM file, or truncated in its header: fetch or write it again")
     shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
     wanted, have = 4 * math.prod(shape), len(content) - header.end()
     if have < wanted:
-        raise ValueError(f"{path} is cut ({have} of {wanted} bytes of pixels): fetch or copy it again")
+        raise ValueError(f"{path} is truncated ({have} of {wanted} bytes of pixels): fetch or copy it again")
     order = "<f4" if header[4].startswith(b"-") else ">f4"
     values = np.frombuffer(content, order, wanted // 4, header.end()).reshape(shape)[::-1].astype(np.float32)
     return values[..., 0] if shape[2] == 1 else values
@@ -93,7 +93,7 @@ def read_exr(path: Path) -> np.ndarray:
     Raises:
         FileNotFoundError: there is no such file.
         ImportError: OpenEXR is not installed (OpenCV's wheels do not include it).
-        ValueError: the file is cut, damaged, or its channels differ.
+        ValueError: the file is truncated or damaged, or its channels differ.
     """
     read_bytes(path)
     try:
@@ -105,7 +105,7 @@ def read_exr(path: Path) -> np.ndarray:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     except Exception as error:  # the library raises several types
         raise ValueError(
-            f"{path} is cut or is no OpenEXR file ({_short(error)}): fetch or write it again"
+            f"{path} is truncated or not an OpenEXR file ({_short(error)}): fetch or write it again"
         ) from error
     if not channels:
         raise ValueError(f"{path} has no channels: store depth as one channel")

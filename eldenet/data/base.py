@@ -93,7 +93,7 @@ class DepthDataset(Dataset[DepthSample]):
         nearest = self.depth_range[0] if min_depth is None else min_depth
         farthest = self.depth_range[1] if max_depth is None else max_depth
         if nearest is None or farthest is None:
-            raise ValueError("min_depth or max_depth is missing: give the depth that counts as known [m]")
+            raise ValueError("min_depth or max_depth is missing: give the range of known depth [m]")
         self.min_depth, self.max_depth = nearest, farthest
         self.names = list(names)
         self.skipped: dict[str, str] = {}

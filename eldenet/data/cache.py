@@ -109,7 +109,7 @@ class FrameCache(FrameStore):
         except OSError as error:
             self._warn(
                 "full",
-                f"the frame cache {self.path or 'in memory'} is full ({error}): the others are read "
+                f"the frame cache {self.path or 'in memory'} is full ({error}): all other frames are read "
                 "from their files; free some space, or set $ELDENET_CACHE to another folder",
             )
 
@@ -148,7 +148,7 @@ def _identity(dataset: "DepthDataset") -> dict[str, Any]:
         sources = sorted({Path(inspect.getfile(base)) for base in own})
     except (TypeError, OSError) as error:
         raise ValueError(
-            f"{kind.__name__} is defined in no file, so a disk cache cannot notice when its code changes: "
+            f"{kind.__name__} is not defined in a file, so a disk cache cannot notice when its code changes: "
             "move it into a module, or set cache=ram"
         ) from error
     return {

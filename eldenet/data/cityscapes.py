@@ -106,7 +106,7 @@ class Cityscapes(FileDataset):
             found = not lost
             if lost:
                 _LOG.warning(
-                    "labels=auto: no labels are read, as %d are missing, such as %s", len(lost), lost[0]
+                    "labels=auto: no labels are read, because %d are missing, such as %s", len(lost), lost[0]
                 )
         if wanted_labels(labels, found, f"gtFine/{part} in {root}"):
             self.class_names = tuple(CLASS_IDS)
@@ -133,7 +133,7 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut, or a number is missing or impossible.
+        ValueError: the file is truncated, or a number is missing or impossible.
     """
     text = read_text(path, "fetch camera_trainvaltest.zip")
     try:
@@ -143,7 +143,7 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         baseline = float(content["extrinsic"]["baseline"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} is cut or is no Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
+            f"{path} is not a complete Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
         ) from error
     if not (min(fx, fy, baseline) > 0 and np.isfinite([fx, fy, cx, cy, baseline]).all()):
         raise ValueError(

@@ -56,7 +56,7 @@ def read_label_array(path: Path, classes: int) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or holds numbers that are no class.
+        ValueError: the file is damaged, or holds numbers that are not classes.
     """
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:

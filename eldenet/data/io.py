@@ -126,7 +126,7 @@ def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) ->
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut, damaged, or no picture with 8 bits (or no color picture, if required).
+        ValueError: the file is truncated or damaged, does not have 8 bits or, if required, color.
     """
     import cv2
 
@@ -153,7 +153,7 @@ def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut, damaged, or not in this encoding.
+        ValueError: the file is truncated, damaged or not in this encoding.
     """
     return decode_depth(read_raw_depth(path), encoding, path)
 
@@ -163,7 +163,7 @@ def read_raw_depth(path: str | Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is cut, damaged, or has several channels.
+        ValueError: the file is truncated or damaged, or has several channels.
     """
     path = Path(path)
     reader = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}.get(path.suffix.lower())
@@ -222,12 +222,12 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     content = read_bytes(path)
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None:
-        raise ValueError(f"{path} is no JPEG, PNG, BMP, TIFF or binary PPM/PGM file ({len(content)} bytes)")
+        raise ValueError(f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF or binary PPM/PGM")
     fault = check(content)
     if not fault:
         picture, fault = decode_picture(content, flags)
     if fault:
-        raise ValueError(f"{path} is cut or damaged ({fault}): fetch or copy it again")
+        raise ValueError(f"{path} is truncated or damaged ({fault}): fetch or copy it again")
     if picture is None:
         raise ValueError(f"{path} is complete but cannot be decoded: convert it to PNG")
     return picture

@@ -20,7 +20,7 @@ def read_calibration(path: Path) -> dict[str, np.ndarray]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no text or has no such line.
+        ValueError: the file is not text or has no such line.
     """
     entries = {}
     text = read_text(path, "fetch it again, from KITTI's calibration zip of that date")
@@ -31,7 +31,7 @@ def read_calibration(path: Path) -> dict[str, np.ndarray]:
         except ValueError:
             continue
     if not entries:
-        raise ValueError(f"{path} has no line 'key: numbers': is it KITTI's? fetch it again")
+        raise ValueError(f"{path} has no line 'key: numbers': is it KITTI's? If so, fetch it again")
     return entries
 
 
@@ -83,16 +83,16 @@ def read_scan(path: Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is empty, cut, or holds numbers that are no points.
+        ValueError: the file is empty or truncated, or its numbers cannot be points.
     """
     content = read_bytes(path)
     if not content or len(content) % 16:
         raise ValueError(
-            f"{path} is cut or is no scan ({len(content)} bytes, a point has 16): fetch it again"
+            f"{path} is truncated or not a scan ({len(content)} bytes; a point has 16): fetch it again"
         )
     points = np.frombuffer(content, "<f4").reshape(-1, 4)
     if not np.isfinite(points).all() or not 1 < np.abs(points[:, :3]).max() <= 1000:
-        raise ValueError(f"{path} holds numbers that are no points within 1 km: fetch it again")
+        raise ValueError(f"{path} has coordinates that are not within 1 km: fetch it again")
     return points
 
 

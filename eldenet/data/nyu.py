@@ -116,7 +116,7 @@ class NYUDenseDepth(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing.
-        ValueError: the split is unknown, or a line of the CSV is no pair.
+        ValueError: the split is unknown, or a line of the CSV is not a pair.
     """
 
     ground_truth = "inpainted"
@@ -150,7 +150,7 @@ class NYULabelled(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing.
-        ValueError: the split is unknown, or a file name is no frame number.
+        ValueError: the split is unknown, or a file name is not a frame number.
     """
 
     ground_truth = "inpainted"
@@ -193,7 +193,7 @@ class NYUSync(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing, or a picture has no depth.
-        ValueError: a line of the list is no pair, or has another camera's focal length.
+        ValueError: a line of the list is not a pair, or has another camera's focal length.
     """
 
     ground_truth = "raw"
@@ -242,7 +242,7 @@ def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
         # joined to the root, a path that starts with "/" would replace it
         pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
     if not pairs:
-        raise ValueError(f"{list_file} is empty: list_file must name the list of frames")
+        raise ValueError(f"{list_file} is empty: set list_file to a list of frames")
     return pairs
 
 

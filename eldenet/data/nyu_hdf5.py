@@ -46,7 +46,7 @@ class NYUHDF5(FileDataset):
 
     Raises:
         FileNotFoundError: there is no such folder.
-        ValueError: the split is unknown; on reading: a file is cut, or a key is missing.
+        ValueError: the split is unknown; on reading: a file is truncated, or a key is missing.
     """
 
     ground_truth = "inpainted"
@@ -117,7 +117,7 @@ class NYUMat(DepthDataset):
             self.numbers = _split_numbers(folder / "splits.mat", split)
         if max(self.numbers, default=0) > count:
             raise ValueError(
-                f"{self.path} has {count} frames, split {split!r} has frame {max(self.numbers)}: is it cut?"
+                f"{self.path} has {count} frames, not {max(self.numbers)} as {split!r} needs: fetch it again"
             )
         super().__init__([f"{number:04d}" for number in self.numbers], **options)
 
@@ -170,7 +170,7 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
     Raises:
         FileNotFoundError: there is no such file.
         ImportError: h5py is not installed.
-        ValueError: the file is cut or no HDF5 file.
+        ValueError: the file is truncated or not an HDF5 file.
     """
     if isinstance(file, Path) and not file.is_file():
         raise FileNotFoundError(f"{source} does not exist: check root, or fetch the file again")
@@ -181,7 +181,7 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
     try:
         return h5py.File(file, "r")
     except (OSError, RuntimeError, ValueError) as error:
-        raise ValueError(f"{source} is cut or is no HDF5 file ({error}): fetch it again") from error
+        raise ValueError(f"{source} is truncated or not an HDF5 file ({error}): fetch it again") from error
 
 
 def _take(file: Any, key: str, source: object) -> Any:
@@ -222,14 +222,14 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
     from scipy.io import loadmat
 
     if not path.is_file():
-        raise FileNotFoundError(f"{path} is no file: fetch it again")
+        raise FileNotFoundError(f"{path} is not a file: fetch it again")
     try:
         found = loadmat(path)
         parts = {key: [int(number) for number in found[key].ravel()] for key in ("trainNdxs", "testNdxs")}
     except Exception as error:  # the reader raises many kinds
         reason = f"{type(error).__name__}: {str(error)[:200]}"
         raise ValueError(
-            f"{path} is cut or is no official split with trainNdxs and testNdxs ({reason}): fetch it again"
+            f"{path} is truncated or has no trainNdxs and testNdxs ({reason}): fetch it again"
         ) from error
     every = parts["trainNdxs"] + parts["testNdxs"]
     if not every or min(every) < 1 or len(set(every)) < len(every):

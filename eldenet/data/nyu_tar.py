@@ -52,8 +52,8 @@ class NYUTar(DepthDataset):
 
     Raises:
         FileNotFoundError: there are no shards.
-        ValueError: the split is unknown, or a shard is cut (with ``on_error: skip`` its whole frames are
-            used, and ``skipped`` names the shard); on reading: a frame is damaged.
+        ValueError: the split is unknown, or a shard is truncated (with ``on_error: skip`` its whole frames
+            are used, and ``skipped`` names the shard); on reading: a frame is damaged.
     """
 
     ground_truth = "inpainted"
@@ -84,14 +84,14 @@ class NYUTar(DepthDataset):
             found, fault = shard_members(shard, cache)
             if fault and options.get("on_error") != "skip":
                 raise ValueError(
-                    f"{shard} is cut ({fault}): fetch it again, or use its whole frames (on_error: skip)"
+                    f"{shard} is truncated ({fault}): fetch it again, or use what is whole (on_error: skip)"
                 )
             if fault:
-                cut[f"data/{shard.name}"] = f"{shard} is cut ({fault})"
+                cut[f"data/{shard.name}"] = f"{shard} is truncated ({fault})"
             members += found
         by_name = {_frame_name(part, member.name): member for member in members}
         if len(by_name) < len(members):
-            raise ValueError(f"{self.root / 'data'} has frames twice: remove the shards that repeat others")
+            raise ValueError(f"{self.root / 'data'} has frames twice: remove the repeated shards")
         names = sorted(by_name)
         names = [names[i] for i in hold_out(names, split)]
         super().__init__(names, **options)
@@ -111,7 +111,7 @@ class NYUTar(DepthDataset):
         content = os.pread(self._shard(member.shard), member.size, member.start)
         if len(content) < member.size:
             raise ValueError(
-                f"{source} is cut ({len(content)} of {member.size} bytes): fetch the shard again"
+                f"{source} is truncated ({len(content)} of {member.size} bytes): fetch the shard again"
             )
         with open_hdf5(io.BytesIO(content), source) as file:
             return read_hdf5_frame(file, source, self.names[index])
@@ -134,7 +134,7 @@ class NYUTar(DepthDataset):
 
 
 def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
-    """Return the ``.h5`` files of a shard and, if it is cut, how; from the cache if the shard is the same."""
+    """Return the ``.h5`` files of a shard and how it is truncated, if it is; cached per shard."""
     state = shard.stat()
     path = str(shard.resolve())
     key = [path, state.st_size, state.st_mtime_ns]
@@ -160,7 +160,7 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
 
 
 def _walk(shard: Path) -> tuple[list[Member], str]:
-    """Read all headers; tarfile alone would take the end of a cut file for the end of the archive."""
+    """Read all headers; tarfile alone would take the end of a truncated file for the end of the archive."""
     members: list[Member] = []
     length, end = shard.stat().st_size, 0
     try:

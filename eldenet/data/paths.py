@@ -86,7 +86,7 @@ def csv_pairs(table: Path) -> list[tuple[str, str]]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: a line is no pair, or the file is no text or empty.
+        ValueError: a line is not a pair, or the file is empty or not text.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")

@@ -73,7 +73,7 @@ def predict(setup: PredictionSetup) -> Results:
     Raises:
         ValueError: a picture cannot be read, or the network cannot run here.
         KeyboardInterrupt: Ctrl-C, after the current picture; a camera ends without.
-        OSError: the source broke off; results up to there are written.
+        OSError: the source ended early; earlier results are written.
     """
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import GracefulStop
@@ -91,7 +91,7 @@ def predict(setup: PredictionSetup) -> Results:
         else:
             predict_pictures(setup, predictor, log, stop)
     if broken:
-        raise OSError(f"{broken}; what came before that is in {results.folder}")
+        raise OSError(f"{broken}; earlier results are in {results.folder}")
     if not source.is_live:
         stop.obey()
     return results
@@ -197,6 +197,6 @@ def predict_pictures(
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate
     if not results.images and not stop:
-        raise ValueError(f"none of {len(pictures)} pictures could be read, such as: {results.skipped[0]}")
+        raise ValueError(f"none of {len(pictures)} pictures could be read; the first: {results.skipped[0]}")
     of = f" of {len(pictures)}" if stop else ""
     results.say(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)

@@ -58,7 +58,7 @@ class DepthStream:
         frames_per_second: as the source states it, 30 where it does not.
         announced: frames that the source announces; 0 where it has no end or does not say. Many formats
             estimate the number from the length, so there may be fewer.
-        ended_too_soon: why the source ended early ("broke off after 90 frames: ..."); empty while it runs,
+        ended_too_soon: why the source ended early ("stopped after 90 frames: ..."); empty while it runs,
             and where it is complete.
 
     Raises:
@@ -197,9 +197,9 @@ class DepthStream:
 
         def fault(frames: int) -> str:
             if not self.announced:
-                return f"broke off after {frames} frames: the camera or its connection is lost"
+                return f"stopped after {frames} frames: the camera or its connection was lost"
             if frames + SLACK * self.frames_per_second < self.announced:
-                return f"broke off: {frames} of {self.announced} frames could be read"
+                return f"stopped early: {frames} of {self.announced} frames could be read"
             return ""
 
         self._fault = fault

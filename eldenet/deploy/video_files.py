@@ -74,19 +74,19 @@ class VideoFile:
             self._stream = self._container.streams.video[0]
         except (av.error.FFmpegError, IndexError) as error:
             raise ValueError(
-                f"{path} holds no frame that can be read: it is cut, damaged or no video"
+                f"{path} holds no frame that can be read: it is truncated, damaged or not a video"
             ) from error
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
         self._seconds = (self._container.duration or 0) / 1e6
-        if self._container.format.name == "avi" and rate:  # a cut one suggests a shorter length
+        if self._container.format.name == "avi" and rate:  # a truncated file suggests a shorter length
             self._seconds = max(self._seconds, self._stream.frames / rate)
         self._stated = self._stream.frames
         self._slack = MATROSKA_SLACK if "matroska" in self._container.format.name else SLACK
         self.announced = self._stated or round(self._seconds * self.frames_per_second)
         self._end = 0.0  # of the last packet of any stream, for sound outlasts pictures [s]
-        self._broken = 0  # packets that are cut or cannot be decoded
+        self._broken = 0  # packets that are truncated or cannot be decoded
 
     def frames(self) -> Generator[tuple[np.ndarray, float], None, None]:
         """Yield each frame ``(H, W, 3)`` uint8 RGB and its time [s], the first at 0."""
@@ -134,4 +134,4 @@ class VideoFile:
         ends_early = self._end + slack < self._seconds
         if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
             return ""
-        return f"is cut or damaged: {frames} of {self.announced} frames could be read"
+        return f"is truncated or damaged: {frames} of {self.announced} frames could be read"

@@ -60,9 +60,9 @@ def predict_video(
                     break
             if not results.images and not stop:
                 raise ValueError(
-                    f"{shown} gave no frame: another program uses it, or it sends nothing"
+                    f"{shown} gave no frame: another program may be using it, or it sends nothing"
                     if stream.drop
-                    else f"{shown} holds no frame that can be read: it is cut, damaged or no video"
+                    else f"{shown} holds no frame that can be read: it is truncated, damaged or not a video"
                 )
             speed, too_soon = bar.rate, stream.ended_too_soon
     origin = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")

@@ -85,8 +85,8 @@ class TrainingState:
         """Raise FloatingPointError where a weight is NaN or infinite."""
         if not is_finite(self.model.state_dict()):
             raise FloatingPointError(
-                f"the weights are not finite at step {self.progress.step}; nothing was written over the last "
-                "good checkpoint. Try a lower optimizer.lr or trainer.max_grad_norm=1"
+                f"the weights are not finite at step {self.progress.step}; the last good "
+                "checkpoint was kept. Try a lower optimizer.lr or trainer.max_grad_norm=1"
             )
 
     def restore(self, path: Path) -> None:
@@ -187,7 +187,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     except Exception as error:  # torch raises many kinds for a damaged or foreign file
         raise ValueError(f"{path} can't be read as a checkpoint ({type(error).__name__}: {error})") from error
     if not isinstance(state, dict) or "progress" not in state:
-        raise ValueError(f"{path} is no training checkpoint of eldenet: it has no entry 'progress'")
+        raise ValueError(f"{path} is not a training checkpoint of eldenet: it has no entry 'progress'")
     return state
 
 

@@ -65,7 +65,7 @@ def test_everything_wrong_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         "12 frames without all of their files",
         "depths/f009.*",
         "... and 2 more",
-        "f020.png is cut",
+        "f020.png is truncated",
     ):
         assert text in shown
     assert "holds uint8, encoding 'mm' needs uint16" in shown

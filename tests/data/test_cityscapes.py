@@ -102,7 +102,7 @@ def test_what_is_missing_or_cut_is_named(tmp_path: Path, kind: str) -> None:
     file = next((root / kind / "val").rglob("*.*"))
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match=f"{file.name} is cut"):
+    with pytest.raises(ValueError, match=f"{file.name} is (truncated|not a complete)"):
         data[0]
     file.unlink()
     with pytest.raises(FileNotFoundError, match=f"1 of 3 files are missing: .*{file.name}"):

@@ -96,7 +96,7 @@ def test_a_cut_shard_is_named(root: Path, kept: int) -> None:
     end = content.rstrip(b"\0")
     kept = len(end) // 512 * 512 + kept if kept < 0 else kept
     shard.write_bytes(content[:kept])
-    with pytest.raises(ValueError, match=r"train-000001\.tar is cut"):
+    with pytest.raises(ValueError, match=r"train-000001\.tar is truncated"):
         NYUTar(root, split="trainval")
     data = NYUTar(root, split="trainval", on_error="skip")
     assert data.names == ["train/kitchen_0001/00001"]

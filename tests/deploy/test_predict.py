@@ -120,13 +120,13 @@ def test_an_unreadable_picture_stops_the_command_or_is_listed(
     bad = save(tmp_path / "in/b.png", photo())
     bad.write_bytes(bad.read_bytes()[:200])
     with pytest.raises(
-        ValueError, match=r"b\.png is cut or damaged .*1 of 2 pictures are done; on_error=skip"
+        ValueError, match=r"b\.png is truncated or damaged .*1 of 2 pictures are done; on_error=skip"
     ):
         run(model_folder, tmp_path / "in", tmp_path / "strict")
     results = run(model_folder, tmp_path / "in", tmp_path / "out", "on_error=skip")
     assert (results.images, len(results.skipped)) == (1, 1)
     said = capsys.readouterr().out
-    for words in ("1 picture: depth + color in", "images/s", "skipped 1:\n", "b.png is cut"):
+    for words in ("1 picture: depth + color in", "images/s", "skipped 1:\n", "b.png is truncated"):
         assert words in said
     (tmp_path / "in/a.png").unlink()
     with pytest.raises(ValueError, match="none of 1 pictures could be read"):
@@ -147,7 +147,7 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
 def test_the_error_names_a_cut_picture(model_folder: Path, tmp_path: Path, ending: str, share: float) -> None:
     path = save(tmp_path / f"cut{ending}", RNG.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    with pytest.raises(ValueError, match=f"cut{ending} is cut or damaged"):
+    with pytest.raises(ValueError, match=f"cut{ending} is truncated or damaged"):
         run(model_folder, path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -169,7 +169,7 @@ def test_the_error_names_a_cut_picture(model_folder: Path, tmp_path: Path, endin
         (["depth_range=[5,1]"], "near < far"),
         (["input_size=[32]"], "input_size"),
         (["engine=tvm"], "engine='tvm': give one of auto, torch"),
-        (["checkpoint=nothing/of/this/name"], "neither a folder here"),
+        (["checkpoint=nothing/of/this/name"], "neither a local folder"),
     ],
 )
 def test_wrong_settings_are_refused(
@@ -188,7 +188,7 @@ def test_wrong_sources_are_refused(model_folder: Path, tmp_path: Path) -> None:
     for source, message in (
         ("nothing.jpg", "does not exist"),
         ("empty", "holds no pictures"),
-        ("text.png", r"text\.png is no JPEG"),
+        ("text.png", r"text\.png is not a JPEG"),
         ("text.mp4", r"text\.mp4 holds no frame"),
     ):
         with pytest.raises((ValueError, FileNotFoundError), match=message):

@@ -99,7 +99,7 @@ def test_a_stream_of_a_video_file(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video at all")
     for wrong, message in (
         (tmp_path / "none.mp4", "does not exist"),
-        (tmp_path / "text.mp4", "no video"),
+        (tmp_path / "text.mp4", "not a video"),
         ("camera:x", "camera:0"),
         ("/dev/video99", "no such camera"),
     ):
@@ -132,11 +132,11 @@ class Capture:
 @pytest.mark.parametrize(
     ("source", "announced", "said"),
     [
-        ("camera:0", -1, "broke off after 5 frames"),
-        ("/dev/video0", -1, "broke off after 5 frames"),
-        ("rtsp://host/street", 0, "broke off after 5 frames"),
+        ("camera:0", -1, "stopped after 5 frames"),
+        ("/dev/video0", -1, "stopped after 5 frames"),
+        ("rtsp://host/street", 0, "stopped after 5 frames"),
         ("http://host/walk.mp4", 5, ""),
-        ("http://host/walk.mp4", 90, "broke off: 5 of 90 frames could be read"),
+        ("http://host/walk.mp4", 90, "stopped early: 5 of 90 frames could be read"),
     ],
 )
 def test_a_live_source_that_breaks_off_is_reported(

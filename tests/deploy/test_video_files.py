@@ -89,7 +89,7 @@ def test_a_cut_file_is_reported(tmp_path: Path, ending: str, share: float) -> No
         copy_packets(path, movflags="faststart")  # else the index at the end is lost
     times, fault = stream_of(cut(path, share))
     assert 20 < len(times) < (40 if share == 0.6 else 60)
-    assert fault == f"is cut or damaged: {len(times)} of 60 frames could be read"
+    assert fault == f"is truncated or damaged: {len(times)} of 60 frames could be read"
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".avi"])
@@ -101,7 +101,7 @@ def test_a_hole_in_a_file_is_reported(tmp_path: Path, ending: str) -> None:
     path.write_bytes(content)
     times, fault = stream_of(path)
     assert len(times) > 40  # frames behind the hole are read too
-    assert "cut or damaged" in fault
+    assert "truncated or damaged" in fault
 
 
 def test_a_trimmed_video_is_whole(tmp_path: Path) -> None:
@@ -118,7 +118,10 @@ def test_the_frames_of_a_cut_video_are_kept_and_the_command_fails(
     frames = len(read_video(tmp_path / "out/walk_depth.mp4")[0])
     assert 20 < frames < 40
     assert f"{frames} frames of walk.mkv: color in out" in done.stdout
-    assert f"error: walk.mkv is cut or damaged: {frames} of 60 frames could be read; what" in done.stderr
+    assert (
+        f"error: walk.mkv is truncated or damaged: {frames} of 60 frames could be read; earlier"
+        in done.stderr
+    )
     assert done.returncode == 1
     first = run_command(
         "predict", f"checkpoint={model_folder}", "source=walk.mkv", "output=ten", "frames=10", cwd=tmp_path

@@ -73,7 +73,7 @@ def test_an_address_is_read_live(model_folder: Path, tmp_path: Path, capsys) -> 
     assert 1 <= results.images <= 5
     said = capsys.readouterr().out
     assert f"of walk.mp4 ({5 - results.images} dropped): color" in said
-    assert "broke off" not in said  # it announces its five frames
+    assert "stopped after" not in said  #  it announces its five frames
     (name,) = listed(tmp_path / "out")
     assert name.endswith("walk_mp4_depth.mp4")
     assert read_video(tmp_path / "out" / name)[1] == 12.0
@@ -87,7 +87,7 @@ class SlowCamera(DepthStream):
     def __init__(self, source, predictor) -> None:
         self.predictor, self.drop = predictor, True
         self.dropped, self.announced, self.frames_per_second = 5, 0, 10.0
-        self.ended_too_soon = "broke off after 8 frames"
+        self.ended_too_soon = "stopped after 8 frames"
         self._times = [0.0]
 
     def __iter__(self):
@@ -106,7 +106,7 @@ def test_the_video_of_a_camera_plays_in_real_time(
     model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr("eldenet.deploy.videos.DepthStream", SlowCamera)
-    with pytest.raises(OSError, match=r"rtsp://host/street broke off after 8 frames; what came before that"):
+    with pytest.raises(OSError, match=r"rtsp://host/street stopped after 8 frames; earlier results"):
         run(model_folder, "rtsp://me:se@cret@host/street", tmp_path / "out", "depth_range=[0.1,10]")
     assert listed(tmp_path / "out") == ["rtsp_host_street_depth.mp4"]
     frames, rate = read_video(tmp_path / "out/rtsp_host_street_depth.mp4")

@@ -200,7 +200,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no checkpoint at"):
         load_checkpoint(tmp_path / "none.pt")
     save_checkpoint(tmp_path / "foreign.pt", {"weights": torch.zeros(2)})
-    with pytest.raises(ValueError, match="no training checkpoint"):
+    with pytest.raises(ValueError, match="not a training checkpoint"):
         load_checkpoint(tmp_path / "foreign.pt")
     whole = (tmp_path / "foreign.pt").read_bytes()
     (tmp_path / "cut.pt").write_bytes(whole[: len(whole) // 2])
