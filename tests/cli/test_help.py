@@ -75,7 +75,11 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
     [
         ("report", ["study=x", "columns=[rmse]"], "columns: not read with study="),
         ("report", ["runs=nowhere"], "no such file or folder: nowhere"),
-        ("predict", ["checkpoint=a", "source=b", "perception.detector.path=c"], "with boxes=true alone"),
+        (
+            "predict",
+            ["checkpoint=a", "source=b", "perception.detector.path=c"],
+            "only boxes=true makes 3D boxes",
+        ),
         ("benchmark", ["study=x", "models=eldenet"], "models: not read with study="),
         ("benchmark", ["study=x", "sizes=[[64,64]]"], "sizes: not read with study="),
         (
