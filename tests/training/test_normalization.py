@@ -56,14 +56,6 @@ def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) 
     torch.testing.assert_close(build_model(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
 
 
-def test_given_numbers_reach_the_model_and_its_folder(frames: FolderDataset, tmp_path: Path) -> None:
-    config = compose("train", ["normalization={mean: [0.28, 0.32, 0.3], std: [0.18, 0.19, 0.2]}"])
-    model = build_model(config.model, **normalization(plain(config.normalization), frames))
-    again = DepthNet.from_pretrained(model.save_pretrained(tmp_path / "model"))
-    torch.testing.assert_close(again.mean.flatten(), torch.tensor([0.28, 0.32, 0.3]))
-    torch.testing.assert_close(again.std.flatten(), torch.tensor([0.18, 0.19, 0.2]))
-
-
 def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) -> None:
     first = normalization("dataset", frames)
     write_normalization(tmp_path / "run", "dataset", first)
