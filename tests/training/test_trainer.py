@@ -112,17 +112,11 @@ def test_settings_that_make_no_sense_are_refused(name):
 
 
 def test_an_epochs_last_update_averages_the_batches_it_has(tmp_path):
-    def weights(accumulate_grad_batches):
-        plain = partial(torch.optim.SGD, lr=1e-2)
-        return fit(
-            tmp_path / str(accumulate_grad_batches),
-            epochs=1,
-            accumulate_grad_batches=accumulate_grad_batches,
-            optimizer=plain,
-            scheduler=constant,
-        )[1].state_dict()
-
-    whole, cut = weights(4), weights(8)  # an epoch has four batches
+    options = {"epochs": 1, "optimizer": partial(torch.optim.SGD, lr=1e-2), "scheduler": constant}
+    whole, cut = (  # an epoch has four batches
+        fit(tmp_path / str(batches), accumulate_grad_batches=batches, **options)[1].state_dict()
+        for batches in (4, 8)
+    )
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
 
 
@@ -153,8 +147,7 @@ def test_tensorboard_keeps_every_epoch(tmp_path):
     class StoppingTrainer(Trainer):
         def _end_epoch(self, epoch):
             super()._end_epoch(epoch)
-            if epoch == 0:
-                raise Stopped
+            raise Stopped
 
     settings = {"optimizer": partial(torch.optim.Adam, lr=3e-3), "scheduler": cosine, "epochs": 2}
     with pytest.raises(Stopped):
