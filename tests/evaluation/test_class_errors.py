@@ -10,7 +10,7 @@ from support import layouts
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.config import build_split, compose
-from eldenet.data.base import DepthDataset, resize_frame
+from eldenet.data.base import resize_frame
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.data.cityscapes_labels import CLASS_IDS
 from eldenet.data.resize_crop import ResizeCrop
@@ -18,7 +18,6 @@ from eldenet.data.transforms import Augmentation
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.evaluation.constant_baseline import ConstantPredictor
 from eldenet.evaluation.evaluator import evaluate
-from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
@@ -77,24 +76,6 @@ def test_errors_by_class_are_those_of_its_pixels(root: Path) -> None:
     assert evaluate(ConstantPredictor(guess), none, PROTOCOL).classes == {}
     without = evaluate(ConstantPredictor(guess), none, PROTOCOL).metrics
     assert without == pytest.approx(result.metrics, nan_ok=True)
-
-
-def test_classes_of_batches_add_up() -> None:
-    names = ("a", "b", "never met")
-    generator = torch.Generator().manual_seed(1)
-    depth = torch.rand(4, 1, 16, 16, generator=generator) * 20 + 0.5
-    labels = torch.randint(0, 2, depth.shape, generator=generator).to(torch.uint8)
-    labels[0] = 255
-    together, apart = DepthMetrics(PROTOCOL, classes=names), DepthMetrics(PROTOCOL, classes=names)
-    together.update(depth * 1.1, depth, depth > 0, labels)
-    for i in range(4):
-        apart.update(depth[i : i + 1] * 1.1, depth[i : i + 1], depth[i : i + 1] > 0, labels[i : i + 1])
-    for name, errors in together.by_class().items():
-        assert apart.by_class()[name] == pytest.approx(errors, rel=1e-12)
-        assert errors["abs_rel"] == pytest.approx(0.1, rel=1e-5)
-    assert set(together.by_class()) == {"a", "b"}
-    scored = PROTOCOL.valid_mask(depth[1:], depth[1:] > 0).sum().item()
-    assert sum(errors["pixels"] for errors in together.by_class().values()) == scored
 
 
 def test_labels_move_with_the_depth() -> None:
@@ -164,19 +145,13 @@ def test_missing_and_wrong_labels_are_named(root: Path) -> None:
         Cityscapes(root, split="official_val", labels="yes")
 
 
-@pytest.mark.parametrize(("labels", "read"), [("auto", True), ("true", True), ("false", False)])
-def test_config_chooses(root: Path, labels: str, read: bool) -> None:
-    config = compose(
-        "evaluate", ["checkpoint=x", "data=cityscapes", f"data.root={root}", f"data.labels={labels}"]
-    )
-    parts: dict[str, DepthDataset] = {
-        split: build_split(config, split, PROTOCOL, score=True) for split in ("train", "val", "test")
-    }
-    assert {split: "labels" in data[0] for split, data in parts.items()} == {
-        "train": False,
-        "val": False,
-        "test": read,
-    }
+@pytest.mark.parametrize(("labels", "read"), [("auto", {"test"}), ("false", set())])
+def test_labels_are_read_where_they_are_scored(root: Path, labels: str, read: set[str]) -> None:
+    words = ["checkpoint=x", "data=cityscapes", f"data.root={root}", f"data.labels={labels}"]
+    config = compose("evaluate", words)
+    splits = ("train", "val", "test")
+    data = {split: build_split(config, split, PROTOCOL, score=True) for split in splits}
+    assert {split for split in splits if "labels" in data[split][0]} == read
 
 
 def test_evaluate_writes_and_shows_them(root: Path, run_command, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from eldenet.navigation.evaluation import (
     Episode,
@@ -52,19 +53,18 @@ def test_a_saved_policy_decides_the_same_once_loaded(tmp_path):
     torch.manual_seed(0)
     navigator = Navigator(QNetwork(39, 5, (16,)), {}, info={"note": "x"})
     navigator.save(tmp_path / "policy.safetensors")
-    loaded = Navigator.load(tmp_path / "policy.safetensors")
-    assert loaded.info == {"note": "x"}
+    loaded = Navigator.load(tmp_path)  # a run folder, or the file in it
+    assert loaded.info == Navigator.load(tmp_path / "policy.safetensors").info == {"note": "x"}
     rng = np.random.default_rng(0)
     for _ in range(20):
-        ranges, goal = (
-            rng.uniform(0.3, 10, ROBOT.columns),
-            (float(rng.uniform(1, 10)), float(rng.uniform(-3, 3))),
-        )
+        ranges = rng.uniform(0.3, 10, ROBOT.columns)
+        goal = float(rng.uniform(1, 10)), float(rng.uniform(-3, 3))
         assert navigator.step(ranges, goal, (0.0, 0.0, 0.0)) == loaded.step(ranges, goal, (0.0, 0.0, 0.0))
     with pytest.raises(FileNotFoundError, match="no policy"):
         Navigator.load(tmp_path / "none.safetensors")
-    from safetensors.torch import save_file
-
+    (tmp_path / "dqn.pt").write_bytes(b"PK" * 100)
+    with pytest.raises(ValueError, match=r"dqn\.pt is not a \.safetensors file .*: give a training's run"):
+        Navigator.load(tmp_path / "dqn.pt")
     save_file({"a": torch.zeros(1)}, str(tmp_path / "other.safetensors"))
     with pytest.raises(ValueError, match="is not a navigation policy"):
         Navigator.load(tmp_path / "other.safetensors")
@@ -212,16 +212,3 @@ def test_times_are_compared_on_arenas_that_all_methods_solved():
     assert summary["success"] + summary["collision"] + summary["timeout"] == 100
     with pytest.raises(ValueError, match="different arenas"):
         solved_by_all([table("success"), table("success", "success")])
-
-
-def test_a_policy_is_a_file_or_its_run_folder(tmp_path):
-    folder = tmp_path / "run"
-    Navigator.load().save(folder / "policy.safetensors")
-    options = Navigator.load(folder).observer.options
-    assert options == Navigator.load(str(folder / "policy.safetensors")).observer.options
-    with pytest.raises(FileNotFoundError, match=r"no policy at .*policy\.safetensors: give a policy file"):
-        Navigator.load(tmp_path)
-    wrong = folder / "dqn.pt"
-    wrong.write_bytes(b"PK" * 100)
-    with pytest.raises(ValueError, match=r"dqn\.pt is not a \.safetensors file .*: give a training's run"):
-        Navigator.load(wrong)

@@ -7,11 +7,8 @@ import pytest
 
 from eldenet.navigation.cameras import camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
-from eldenet.navigation.evaluation import run_episodes
-from eldenet.navigation.failures import trace
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
-from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.sensors import Drift, Ranges
@@ -57,18 +54,19 @@ def test_a_wall_that_fills_the_view_is_never_missed():
         assert (without_missed(wall, errors, np.random.default_rng()) == wall).all()
 
 
-@pytest.mark.parametrize(("degrees", "width"), [(60.0, 640), (55.0, 640), (69.4, 32)])
-def test_a_camera_with_too_small_a_view_is_refused(degrees, width):
-    focal = width / 2 / math.tan(math.radians(degrees / 2))
-    intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
-    with pytest.raises(ValueError, match=r"34\.7 degrees to each side, at least 46 px"):
-        Navigator.load().step(np.full((120, width), 9.0), (8.0, 0.0), (0.0, 0.0, 0.0), intrinsics=intrinsics)
+def intrinsics_of(width: int, view: float) -> np.ndarray:
+    """Of a camera with a horizontal field of view [rad]."""
+    focal = width / 2 / math.tan(view / 2)
+    return np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
 
 
-def test_the_smallest_allowed_camera_is_enough():
-    for width in (46, 48, 160, 640):
-        focal = width / 2 / math.tan(ROBOT.field_of_view / 2)
-        intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, 60.0], [0, 0, 1]])
+def test_a_camera_with_too_small_a_view_is_refused():
+    for degrees, width in ((60.0, 640), (69.4, 32)):
+        intrinsics, depth = intrinsics_of(width, math.radians(degrees)), np.full((120, width), 9.0)
+        with pytest.raises(ValueError, match=r"34\.7 degrees to each side, at least 46 px"):
+            Navigator.load().step(depth, (8.0, 0.0), (0.0, 0.0, 0.0), intrinsics=intrinsics)
+    for width in (46, 640):
+        intrinsics = intrinsics_of(width, ROBOT.field_of_view)
         assert (depth_to_ranges(np.full((120, width), 8.0), intrinsics) > 7).all()
     with pytest.raises(ValueError, match="32 px wide"):
         camera(size=(24, 32))
@@ -116,23 +114,6 @@ def test_each_seed_in_a_list_belongs_to_one_slot():
         env.reset(seed=[1, 2, 3])
 
 
-def test_a_failure_finds_the_pedestrian_that_was_hit():
-    """A fast pedestrian crosses in front of the robot."""
-    traced = 0
-    for number in range(12):
-        x = 1.5 + 0.05 * number
-        walker = Obstacle("person", x, 2.0, 0.0, (0.25, 0.25), 1.7, ((x, 2.0), (x, -2.0)), 0.9)
-        arena = Arena("", 0, number, (walker,), (0.0, 0.0, 0.0), ((6.0, 0.0),))
-        make = lambda robots: Straight(robots=robots)  # noqa: E731
-        rows = run_episodes([arena], make, Ranges(), EpisodeSettings("wheels"))
-        if rows[0].outcome == "collision":
-            (failure,) = trace([arena], rows, make, Ranges(), EpisodeSettings("wheels"))
-            assert (failure.kind, failure.touched) == ("walker", "person")
-            assert failure.seconds == pytest.approx(rows[0].seconds)
-            traced += 1
-    assert traced > 3
-
-
 def test_a_goal_by_odometry_drifts_with_the_odometry():
     drift = Drift(0.05, math.radians(3.0))
     sensed = {}
@@ -145,11 +126,8 @@ def test_a_goal_by_odometry_drifts_with_the_odometry():
     np.testing.assert_array_equal(sensed["known"].odometry, sensed["odometry"].odometry)
     for goal, pose in (("known", episodes.poses[0]), ("odometry", sensed["odometry"].odometry[0])):
         distance, bearing = sensed[goal].goal[0]
-        x, y = (
-            pose[0] + distance * math.cos(pose[2] + bearing),
-            pose[1] + distance * math.sin(pose[2] + bearing),
-        )
-        assert (x, y) == pytest.approx((8.0, 0.0))
+        ahead = np.array([math.cos(pose[2] + bearing), math.sin(pose[2] + bearing)])
+        assert pose[:2] + distance * ahead == pytest.approx([8.0, 0.0])
     assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
     with pytest.raises(ValueError, match="goal='gps': choose one of known, fixes, odometry"):
         EpisodeSettings(goal="gps")

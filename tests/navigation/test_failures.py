@@ -5,7 +5,7 @@ import pytest
 
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import as_rows, run_episodes
-from eldenet.navigation.failures import draw_worst, touched_spot, trace
+from eldenet.navigation.failures import draw_worst, trace
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
@@ -16,18 +16,14 @@ def straight(robots: int) -> Straight:
     return Straight(robots=robots)
 
 
-class Backwards(Straight):
-    """Backs up, blindly."""
+def blind(speed: float):
+    """Return a maker of drivers that keep a speed [m/s], ahead or back."""
 
-    def commands(self, senses, robots=None):
-        return np.tile([-0.5, 0.0], (len(senses.goal), 1))
+    class Blind(Straight):
+        def commands(self, senses, robots=None):
+            return np.tile([speed, 0.0], (len(senses.goal), 1))
 
-
-class Crawling(Straight):
-    """Straight ahead at 0.15 m/s."""
-
-    def commands(self, senses, robots=None):
-        return np.tile([0.15, 0.0], (len(senses.goal), 1))
+    return lambda robots: Blind(robots=robots)
 
 
 def arena(*obstacles: Obstacle, start=(0.0, 0.0, 0.0), goal=(6.0, 0.0)) -> Arena:
@@ -48,9 +44,9 @@ TUNNEL = (
     ("world", "make", "kind", "touched", "bearing"),
     [
         (arena(AHEAD), straight, "in view", "box", 0),
-        (arena(BEHIND), lambda robots: Backwards(robots=robots), "unseen", "cylinder", 180),
+        (arena(BEHIND), blind(-0.5), "unseen", "cylinder", 180),
         (arena(WALKER), straight, "walker", "person", None),
-        (arena(*TUNNEL), lambda robots: Crawling(robots=robots), "boxed in", "box", None),
+        (arena(*TUNNEL), blind(0.15), "boxed in", "box", None),
         (arena(start=(8.0, 0.0, 3.1415927), goal=(-11.0, 0.0)), straight, "in view", "wall", 0),
     ],
 )
@@ -76,25 +72,15 @@ def test_time_outs_are_failures_and_successes_are_not():
         trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=60.0))
 
 
-@pytest.mark.parametrize("follows", [False, True])
-def test_a_learnt_driver_s_failures_are_traced_too(follows):
+def test_a_learnt_driver_s_failures_are_traced_too():
     def packaged(robots: int) -> Navigator:
-        return Navigator.load(walkers=follows, slows_within=1.0, robots=robots)
+        return Navigator.load(walkers=True, slows_within=1.0, robots=robots)
 
     worlds = [arena(goal=(9.0, 0.0))]
     rows = run_episodes(worlds, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
     (failure,) = trace(worlds, rows, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
     assert failure.kind == "timeout"
     assert failure.remaining == pytest.approx(9.0 - 3.0, abs=1.5)
-
-
-def test_the_spot_lies_between_robot_and_obstacle():
-    kind, spot = touched_spot(arena(AHEAD), np.array([2.4, 0.1, 0.0]), 0.0)
-    assert kind == "box"
-    assert spot == pytest.approx([2.7, 0.1], abs=0.15)
-    kind, spot = touched_spot(arena(AHEAD), np.array([0.0, 9.7, 1.5707963]), 0.0)
-    assert kind == "wall"
-    assert spot[1] == pytest.approx(10.0, abs=0.01)
 
 
 def test_the_worst_are_drawn_and_listed():

@@ -15,7 +15,7 @@ from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.range_errors import RangeErrors
 from eldenet.renames import renamed
-from eldenet.results.fingerprints import PACKAGED
+from eldenet.weights import PACKAGED
 
 EVALUATES = ("evaluate", "analyze_failures")
 DRIVES = ("record", *EVALUATES)
@@ -35,24 +35,13 @@ def read_run(folder) -> dict:
         ((*DRIVES, "fit_noise"), "density=20"),
         (DRIVES, "checkpoint=runs/driver"),
         (DRIVES, "policy.walkers=true"),
-        (DRIVES, "physics=kinematic"),
-        (DRIVES, "split=val"),
         ((*DRIVES, "train"), "policy=paper_literal"),
-        ((*DRIVES, "train"), "pedestrians=5"),
-        ((*DRIVES, "train"), "goal=fixes"),
         ((*EVALUATES, "fit_noise"), "episodes=20"),
         (EVALUATES, "robots=4"),
-        (("record",), "world=3"),
-        (("record",), "course=triangle"),
         (("record",), "video=mp4"),
         (("fit_noise",), "fit_noise.places=near"),
-        (("train",), "observer.walkers=true"),
         (("train",), "learner.total_timesteps=100"),
-        (("train",), "training.arenas.repeats=2"),
         (MODES, "sensor=noisy"),
-        (MODES, "seed=3"),
-        (MODES, "runtime.threads=1"),
-        ((), "runtime.device=cuda"),
     ],
 )
 def test_each_mode_accepts_its_own_settings_only(modes, setting):
@@ -91,18 +80,14 @@ def test_settings_of_earlier_versions_are_renamed():
 @pytest.mark.parametrize(("arguments", "message"), [
     (["mode=fly"], "error: mode=fly: choose one of record, evaluate, analyze_failures, fit_noise, train\n"),
     (["mode=watch"], "train; watch is now record"),
-    (["mode=diagnose"], "train; diagnose is now analyze_failures"),
-    (["mode=measure"], "train; measure is now fit_noise"),
     (["density=500"], "density=500"),
     (["density=[5,20]"], "records one arena"),
     (["video=avi"], "video='avi': give one of gif, mp4"),
     (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
     (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
-    (["checkpoint=[]"], "give at least one run folder or policy file"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),
-    (["mode=train", "policy=dqn", "checkpoint=a"], "mode=train trains a new driver"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(run_command, arguments, message):
     finished = run_command("navigate", *arguments)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.pedestrians import AHEAD, MAX_AGE, RADIUS, Walkers, marks, slim_segments
-from eldenet.navigation.policy import Navigator
+from eldenet.navigation.pedestrians import MAX_AGE, RADIUS, Walkers
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, Obstacle
 from eldenet.simulation.robot import ROBOT
@@ -65,25 +64,6 @@ def test_pedestrians_out_of_view_are_kept_for_a_while():
     assert walkers.update(*far) == []
 
 
-def test_slim_segments_have_a_pedestrian_s_width():
-    points, ranges = points_of(world_of(*STANDING, Obstacle("box", 6.0, 0.0, 0.0, (0.2, 0.7), 1.0)))
-    found = slim_segments(points, ranges)
-    middles = [points[columns].mean(axis=0) for columns in found]
-    assert any(math.dist(middle, (2.8, -0.75)) < 0.2 for middle in middles)
-    assert not any(math.dist(middle, (5.8, 0.0)) < 0.5 for middle in middles)
-    assert slim_segments(np.zeros((ROBOT.columns, 2)), np.full(ROBOT.columns, ROBOT.far)) == []
-
-
-def test_marks_lie_on_a_pedestrian_s_path():
-    _, moving = drive(world_of(WALKER), 11)
-    eye = np.array([ROBOT.camera_ahead, 0.0])
-    around = marks(moving, eye).reshape(len(AHEAD), -1, 2).mean(axis=1)
-    steps = np.diff(around, axis=0)
-    assert steps == pytest.approx(np.tile([0.0, 0.8 * AHEAD[1]], (len(AHEAD) - 1, 1)), abs=0.12)
-    assert around[0] == pytest.approx(WALKER.position(10 * ROBOT.period), abs=0.3)
-    assert marks([], eye).shape == (0, 2)
-
-
 def test_the_memory_forgets_a_pedestrian_s_trail_and_marks_its_path():
     episode = Obstacle("person", 2.2, -1.2, 0.0, (0.25, 0.25), 1.7, ((2.2, -1.2), (2.2, 6.0)), 0.8)
     seen = {}
@@ -114,10 +94,3 @@ def test_tracking_changes_nothing_without_pedestrians():
         first, second = (observer.observe(senses) for observer in observers)
         np.testing.assert_array_equal(first, second)
         world.advance(0.3, 0.1, ROBOT.period)
-
-
-def test_any_driver_can_track_pedestrians():
-    assert Navigator.load().observer.options["walkers"] is False
-    assert Navigator.load(walkers=True, robots=2).observer.options["walkers"] is True
-    with pytest.raises(ValueError, match="was trained with the observer"):
-        Navigator.load(observer={"memory": 0})

@@ -3,14 +3,9 @@
 import sys
 
 import pytest
-from support.table5 import FOLDER, modules_of_table5
+from support.table5 import FOLDER
 
 from eldenet.navigation.evaluation import Episode
-
-
-@pytest.fixture
-def study(monkeypatch):
-    yield from modules_of_table5(monkeypatch)
 
 
 def episodes(solved: list[bool], seconds: float = 10.0) -> list[Episode]:

@@ -1,25 +1,12 @@
 """Figures of tables 5 and 6: ways from above, success and time against density."""
 
-import numpy as np
-import pytest
 from matplotlib.axes import Axes
-from support.table5 import modules_of_table5
 
 from eldenet.navigation.tasks import frozen_arenas
 
 
-@pytest.fixture
-def study(monkeypatch):
-    yield from modules_of_table5(monkeypatch)
-
-
-@pytest.fixture
-def methods(study):
-    return study("methods")
-
-
-def test_ways_are_drawn_with_their_end(study, methods):
-    trajectories = study("trajectories")
+def test_ways_are_drawn_with_their_end(study):
+    trajectories, methods = study("trajectories"), study("methods")
     (arena,) = frozen_arenas(40, 1, split="val")
     picture = trajectories.panel(arena, "straight", methods.PLANNERS["straight"](1))
     assert picture.shape == (trajectories.TITLE + trajectories.SIDE, trajectories.SIDE, 3)
@@ -27,16 +14,6 @@ def test_ways_are_drawn_with_their_end(study, methods):
     column, row = scene.pixel(*arena.start[:2])
     assert picture[row + trajectories.TITLE, column].tolist() == [30, 100, 220]  # the dot at the start
     assert (picture[: trajectories.TITLE] < 255).any()
-
-
-def test_panels_of_ways_fit_a_page(study):
-    trajectories = study("trajectories")
-    panels = [np.full((5, 4, 3), shade, np.uint8) for shade in range(7)]
-    lines = trajectories.lines_of(panels)
-    side = trajectories.GAP + 4
-    assert [line.shape for line in lines] == [(5 + trajectories.GAP, trajectories.COLUMNS * side, 3)] * 2
-    assert [int(lines[1][0, at * side, 0]) for at in range(4)] == [4, 5, 6, 255]
-    assert trajectories.heading("arena", panels).shape[1] == lines[0].shape[1]
 
 
 def test_no_method_hides_another_in_the_figures(study, tmp_path, monkeypatch):

@@ -79,14 +79,3 @@ def test_a_training_that_lacks_only_its_record_keeps_its_version(tmp_path):
     assert not (tmp_path / training.RECORD).exists()
     train(tmp_path, version=2)
     assert record(tmp_path)["version"] == 1
-
-
-def test_a_training_without_a_version_is_not_continued(tmp_path):
-    with pytest.raises(Stopped):
-        train(tmp_path, stop_after=1)
-    progress = tmp_path / training.PROGRESS
-    note = json.loads(progress.read_text())
-    del note["version"]
-    progress.write_text(json.dumps(note))
-    with pytest.raises(ValueError, match="version None started"):
-        train(tmp_path)

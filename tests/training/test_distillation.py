@@ -206,24 +206,6 @@ def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tm
         fit(tmp_path / "part", network, ckpt_path=tmp_path / "part")
 
 
-def test_a_student_learns_without_labels(networks):
-    student, network = networks
-    seed_everything(0)
-    teacher = Teacher(network)
-    loss = WeightedSum({"distilled": DistilledTerm(L1Loss(), teacher)})
-    frames = SyntheticDepth(2, size=SHAPE[-2:])
-    image = torch.stack([frames[index]["image"] for index in range(2)])
-    optimizer = torch.optim.Adam(student.parameters(), lr=1e-3)
-    values = []
-    for _ in range(40):
-        total, _ = loss(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image)
-        optimizer.zero_grad()
-        total.backward()
-        optimizer.step()
-        values.append(float(total.detach()))
-    assert values[-1] < 0.5 * values[0]
-
-
 TINY = (
     *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 8, val: 4, test: 4}"),
     *("trainer.epochs=1", "trainer.batch_size=4", "model=eldenet_s"),

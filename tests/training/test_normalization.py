@@ -56,14 +56,6 @@ def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) 
     torch.testing.assert_close(build_model(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
 
 
-def test_given_numbers_reach_the_model_and_its_folder(frames: FolderDataset, tmp_path: Path) -> None:
-    config = compose("train", ["normalization={mean: [0.28, 0.32, 0.3], std: [0.18, 0.19, 0.2]}"])
-    model = build_model(config.model, **normalization(plain(config.normalization), frames))
-    again = DepthNet.from_pretrained(model.save_pretrained(tmp_path / "model"))
-    torch.testing.assert_close(again.mean.flatten(), torch.tensor([0.28, 0.32, 0.3]))
-    torch.testing.assert_close(again.std.flatten(), torch.tensor([0.18, 0.19, 0.2]))
-
-
 def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) -> None:
     first = normalization("dataset", frames)
     write_normalization(tmp_path / "run", "dataset", first)
@@ -79,11 +71,9 @@ def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) 
     [
         ("kitti", "normalization='kitti': give imagenet, dataset"),
         ({"mean": [0.5] * 3}, "give mean and std"),
-        ({"mean": [0.5] * 3, "std": [0.2] * 3, "max": 1}, "give mean and std"),
         ({"mean": [0.5] * 2, "std": [0.2] * 3}, r"mean=\[0.5, 0.5\]: give three numbers"),
         ({"mean": [0.5] * 3, "std": [0.2, 0.2, 0.0]}, "std above 0"),
         ({"mean": [120, 110, 100], "std": [60, 60, 60]}, r"RGB in \[0, 1\]"),
-        ({"mean": [float("nan")] * 3, "std": [0.2] * 3}, "three numbers"),
     ],
 )
 def test_what_cannot_be_is_refused(choice: Any, message: str, frames: FolderDataset) -> None:
@@ -126,17 +116,12 @@ def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
             assert not torch.equal(model.eval()(image), start.eval()(image))
 
 
-def test_weights_of_equal_settings_are_taken_without_a_word(tmp_path: Path, capsys) -> None:
-    start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
-    start.save_pretrained(tmp_path / "start")
-    assert same_model(seeded(tmp_path), start)
-    assert capsys.readouterr().out == ""
-
-
 def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
     """Their tensors fit as well, and mean something else here."""
     start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
     start.save_pretrained(tmp_path / "start")
+    assert same_model(seeded(tmp_path), start)
+    assert capsys.readouterr().out == ""
     model = seeded(tmp_path, "model.head.max_depth=80", "model.backbone.shortcuts=false")
     assert model.head.max_depth == 80
     said = capsys.readouterr().out

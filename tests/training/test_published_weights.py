@@ -13,6 +13,7 @@ from support.networks import picture
 import eldenet
 from eldenet.baselines import meter
 from eldenet.baselines.meter import METER
+from eldenet.config import build_protocol, build_split, compose
 from eldenet.model import DepthNet
 
 
@@ -28,15 +29,8 @@ def weights_dir() -> Path:
 
 def published(folder: Path, which: str) -> DepthNet:
     overrides = [f"model.network.weights={folder / f'meter_xxs_{which}.pth'}", "model/head=scaled"]
-    overrides += {
-        "nyu": ["model.head.scale=0.01"],
-        "kitti": [
-            "model.head.scale=0.1",
-            "model.head.max_depth=80",
-            "+model.mean=[0,0,0]",
-            "+model.std=[1,1,1]",
-        ],
-    }[which]
+    kitti = ("model.head.scale=0.1", "model.head.max_depth=80", "+model.mean=[0,0,0]", "+model.std=[1,1,1]")
+    overrides += {"nyu": ("model.head.scale=0.01",), "kitti": kitti}[which]
     return eldenet.load("meter_xxs", overrides=overrides)
 
 
@@ -79,8 +73,6 @@ def test_meter_predicts_nyu(weights_dir: Path) -> None:
     These frames belong to NYU's training split, which METER was most likely trained on, so this is no test
     result: it shows that every tensor is in its place.
     """
-    from eldenet.config import build_protocol, build_split, compose
-
     real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
     config = compose("train", ["data=nyu_labelled", "data.input_size=[192,256]"])
     protocol = build_protocol(config)

@@ -1,6 +1,5 @@
 """After Ctrl-C or ``systemctl stop`` videos play, no file is half written, and the exit status tells."""
 
-import json
 import signal
 from pathlib import Path
 
@@ -58,10 +57,6 @@ def test_a_stopped_video_is_playable_up_to_there(
     assert len(read_video(tmp_path / "out/walk_depth.mp4")[0]) == 3
     assert listed(tmp_path / "out/walk") == [f"00000{number}_depth.png" for number in range(3)]
     assert f"stopped by {called}: 3 frames of walk.mp4: color + depth in" in capsys.readouterr().out
-    (path,) = (tmp_path / "out/.predict").iterdir()
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    assert {"name": "walk", "file": "walk_depth.mp4"}.items() <= lines[-2].items()
-    assert lines[-1] == {"ended": called, "images": 3}
 
 
 def test_a_stopped_folder_reports_how_many_images_are_done(
@@ -80,7 +75,7 @@ def test_stopping_a_camera_is_success(model_folder: Path, tmp_path: Path, third_
     """A camera has no other end."""
     third_picture(signal.SIGTERM)
     # frames that arrive too fast are dropped: enough for three predictions on a busy machine
-    source = write_video(tmp_path / "walk.ts", 4000)
+    source = write_video(tmp_path / "walk.ts", 1500)
     results = run(model_folder, f"file://{source}", tmp_path / "out")  # type: ignore[arg-type]
     assert results.images == 3
 
@@ -95,7 +90,7 @@ def test_a_second_ctrl_c_interrupts_at_once() -> None:
 
 
 def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: Path, run_command) -> None:
-    write_video(tmp_path / "walk.mp4", 4000)
+    write_video(tmp_path / "walk.mp4", 1500)
     begun = "out/.walk_depth.part.mp4"
     done = run_command(
         "predict", f"checkpoint={model_folder}", "source=walk.mp4", "output=out", interrupt_at=begun
@@ -103,5 +98,5 @@ def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: P
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr
     frames = len(read_video(tmp_path / "out/walk_depth.mp4")[0])
-    assert 1 <= frames < 4000
+    assert 1 <= frames < 1500
     assert f"stopped by Ctrl-C: {frames} frame" in done.stdout
