@@ -63,20 +63,20 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("place", range(5))
-@pytest.mark.parametrize("target", HOSTILE)
 def test_foreign_targets_are_refused_wherever_they_stand(
-    target: str, place: int, saved: Path, foreign_module: str
+    place: int, saved: Path, foreign_module: str
 ) -> None:
-    def change(content: dict[str, Any]) -> None:
+    rewrite(saved, lambda content: content["model"].pop("refine"))
+    whole = (saved / "config.json").read_text()
+    before = set(sys.modules)
+    for target in HOSTILE:
+        content = json.loads(whole)
         places = list(nodes(content["model"]))
         assert len(places) == 5  # DepthNet, EncoderDecoder, backbone, decoder, head
         places[place]["_target_"] = target
-
-    rewrite(saved, lambda content: content["model"].pop("refine"))
-    rewrite(saved, change)
-    before = set(sys.modules)
-    with pytest.raises(ValueError, match=r"refused to build|cannot build"):
-        DepthNet.from_pretrained(saved)
+        (saved / "config.json").write_text(json.dumps(content))
+        with pytest.raises(ValueError, match=r"refused to build|cannot build"):
+            DepthNet.from_pretrained(saved)
     assert foreign_module not in sys.modules
     assert not (saved.parent / "mark").exists()
     assert {name for name in set(sys.modules) - before if not name.startswith("eldenet")} == set()

@@ -168,18 +168,6 @@ def test_a_saved_network_gives_the_same_depth(name: str, tmp_path: Path) -> None
         assert torch.equal(back(picture(64, 96)), model(picture(64, 96)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ONE_OF_EACH)
-def test_an_onnx_export_gives_the_same_depth(name: str, tmp_path: Path) -> None:
-    onnxruntime = pytest.importorskip("onnxruntime")
-    model, image = eldenet.load(name), picture(64, 96)
-    torch.onnx.export(model, (image,), tmp_path / "model.onnx", dynamo=True)
-    session = onnxruntime.InferenceSession(tmp_path / "model.onnx", providers=["CPUExecutionProvider"])
-    (depth,) = session.run(None, {session.get_inputs()[0].name: image.numpy()})
-    with torch.inference_mode():
-        torch.testing.assert_close(torch.from_numpy(depth), model(image), rtol=1e-3, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -1,5 +1,6 @@
 """Every data set by its YAML, in a tiny tree of its layout: it builds, is scored, drawn from, damaged."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -56,9 +57,14 @@ def test_every_data_set_is_tested() -> None:
     assert names - set(TREES) <= elsewhere
 
 
-@pytest.mark.parametrize("name", sorted(TREES))
-def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
-    config = compose("train", [f"data={name}", *TREES[name](tmp_path)])
+@pytest.fixture(scope="module", params=sorted(TREES))
+def given(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The overrides for a data set in a tiny tree."""
+    return [f"data={request.param}", *TREES[request.param](tmp_path_factory.mktemp("data"))]
+
+
+def test_data_builds_and_can_be_scored(given: list[str]) -> None:
+    config = compose("train", given)
     protocol = build_protocol(config)
     train = build_split(config, "train", protocol, augment=True)
     parts = {split: build_split(config, split, protocol) for split in ("val", "test")}
@@ -75,10 +81,28 @@ def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
 
 
-@pytest.mark.parametrize("name", sorted(TREES))
-def test_subset_draws_whole_frames(name: str, tmp_path: Path) -> None:
-    overrides = [f"data={name}", *TREES[name](tmp_path)]
-    split = "val" if name == "kitti_selection" else "train"
+def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
+    given = [
+        override for override in given if not re.match(r"data\.(root|selection_root|test_root)=", override)
+    ]
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    for root, message in (
+        (None, r"set data\.\w*root"),
+        (tmp_path / "nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
+        (tmp_path, r"has no (.|\n)*Expected tree|no frames"),
+    ):
+        words = [] if root is None else [f"data.root={root}"]
+        config = compose("train", [*given, *words])
+        with pytest.raises((FileNotFoundError, ValueError), match=message):
+            build_split(config, "train", build_protocol(config))
+    config = compose("train", [*given, "data.train.split=testing", f"data.root={tmp_path}"])
+    with pytest.raises(ValueError, match="split='testing'"):
+        build_split(config, "train", build_protocol(config))
+
+
+def test_subset_draws_whole_frames(given: list[str]) -> None:
+    overrides = given
+    split = "val" if "data=kitti_selection" in given else "train"
     config = compose("train", overrides)
     whole = build_split(config, split, build_protocol(config))
     for seed in range(3):
@@ -181,36 +205,3 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
         build_split(typo, "train", protocol)
     with pytest.raises(FileNotFoundError, match=r"set data\.root"):
         build_split(compose("train", ["data=folder"]), "train", protocol)
-
-
-# --- the real frames ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def real() -> Path:
-    return layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
-
-
-def test_real_labelled_frames_build(real: Path) -> None:
-    config = compose("train", ["data=nyu_labelled"])
-    protocol = build_protocol(config)
-    assert len(build_split(config, "train", protocol, augment=True)) == 665
-    val = build_split(config, "val", protocol)
-    assert len(val) == 130
-    assert protocol.valid_mask(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
-
-
-def test_real_mat_reads(real: Path) -> None:
-    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
-    if not (real / file).exists():
-        pytest.skip(f"{file} is not there")
-    overrides = ["data=nyu_mat", f"data.file={file}", "data.train.split=all"]
-    raw = compose("train", overrides)
-    with pytest.raises(ValueError, match="has no 'rawDepths'"):  # repacked without it
-        build_split(raw, "train", build_protocol(raw))
-    config = compose("train", [*overrides, "data.ground_truth=inpainted", "protocol=nyu_inpainted_eigen"])
-    protocol = build_protocol(config)
-    data = build_split(config, "train", protocol, augment=True)
-    assert (len(data), data.ground_truth) == (6, protocol.ground_truth)
-    assert data[0]["image"].shape == (3, 240, 320)
-    assert data[0]["mask"].float().mean() > 0.5

@@ -1,9 +1,7 @@
 """KITTI in every layout: frames, intrinsics, Eigen's lists, errors that name the file."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -190,17 +188,6 @@ def test_wrong_lines_of_a_list_are_named(tmp_path: Path) -> None:
         frame_list(path)
     with pytest.raises(FileNotFoundError, match=r"absent\.txt"):
         frame_list(tmp_path / "absent.txt")
-
-
-@pytest.mark.parametrize("dataset", [KITTIDepth, KITTIRaw, KITTISelection])
-def test_missing_root_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset: Callable[..., Any]
-) -> None:
-    monkeypatch.delenv("ELDENET_DATA", raising=False)
-    with pytest.raises(FileNotFoundError, match=r"data\.root.*ELDENET_DATA(.|\n)*Expected tree"):
-        dataset()
-    with pytest.raises(FileNotFoundError, match=r"has no (.|\n)*Expected tree"):
-        dataset(tmp_path)
 
 
 def test_unknown_settings_are_refused(tmp_path: Path) -> None:

@@ -79,13 +79,6 @@ def test_models_run_without_a_file(trained_model, images, reference, runtime: st
     assert differences(network(images), reference)["max_relative"] < ROUNDING
 
 
-def test_a_training_or_model_folder_runs(trained_model, images, reference, tmp_path: Path) -> None:
-    trained_model.save_pretrained(tmp_path / "run" / "model")
-    for folder in (tmp_path / "run", tmp_path / "run" / "model"):
-        depth = runtimes.load(folder, threads=1)(images)
-        assert differences(depth, reference)["max_relative"] < ROUNDING
-
-
 @pytest.mark.slow
 def test_compiled_torch_agrees(trained_model, images, reference) -> None:
     depth = runtimes.load(trained_model, "torch_compile", threads=1)(images)
@@ -231,15 +224,6 @@ def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str)
     assert differences(of_images, expected)["max_relative"] < ROUNDING
     with pytest.raises(ValueError, match=r"sees \[32, 64\] only"):
         DepthPredictor(network, (64, 64))
-
-
-def test_files_of_any_batch_have_no_fixed_batch(trained_model, files) -> None:
-    for source, runtime in (
-        (files["onnx"], "onnxruntime"),
-        (files["xml"], "openvino"),
-        (trained_model, "torch"),
-    ):
-        assert runtimes.load(source, runtime, threads=1).fixed_batch is None
 
 
 def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) -> None:

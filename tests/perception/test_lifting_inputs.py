@@ -7,9 +7,9 @@ import pytest
 from support.blocks import CAMERA, block, detection
 
 from eldenet.boxes import Detections2D
-from eldenet.perception.foreground import Foreground, trusted_edges
+from eldenet.perception.foreground import trusted_edges
 from eldenet.perception.ground import flat_ground
-from eldenet.perception.lifter import METHODS, BoxLifter, sigma_by_side
+from eldenet.perception.lifter import METHODS, BoxLifter
 
 
 def two_cars(x: float):
@@ -41,16 +41,6 @@ def test_an_edge_at_a_nearer_box_is_not_trusted():
     assert trusted_edges(apart, (240, 640))[0].all()
     projected = replace(found, box_style="projected")
     assert trusted_edges(projected, (240, 640))[0].all()
-
-
-def test_the_depth_error_grows_as_objects_shrink():
-    boxes = np.array(
-        [[0, 0, 300, 100.0], [0, 0, 10, 50], [0, 0, 32, 31.622777], [0, 0, 1, 1], [0, 0, 9e3, 9e3]]
-    )
-    sigma = sigma_by_side(boxes, 0.06, 0.24)
-    np.testing.assert_allclose(sigma[:3], [0.06, 0.24, 0.12], rtol=1e-6)
-    np.testing.assert_allclose(sigma[3:], [0.24 * 2**0.60206, 0.06], rtol=1e-3)  # below half of SMALL alike
-    np.testing.assert_allclose(sigma_by_side(boxes, 0.06, None), 0.06)
 
 
 @pytest.mark.parametrize("size", [(8.5, 2.5, 3.1), (5.2, 1.9, 1.9)])
@@ -106,14 +96,6 @@ def known_at(depth, xyxy, count: int, seed: int = 0):
     sparse[top - 1 : bottom + 1, left - 1 : right + 1] = 0
     sparse[rows[chosen] + top, columns[chosen] + left] = depth[rows[chosen] + top, columns[chosen] + left]
     return sparse
-
-
-def test_the_median_depth_ignores_padding():
-    found = Foreground(np.zeros((4, 5, 3)), np.full((4, 5), 1.0), np.zeros((4, 5)))
-    found.depth[0, :3], found.weight[0, :3] = [9.0, 7.0, 30.0], 1.0
-    found.depth[1, :2], found.weight[1, :2] = [40.0, 42.0], 1.0
-    found.depth[2, 3], found.weight[2, 3] = 8.0, 1.0
-    np.testing.assert_array_equal(found.median_depth(5.0), [9, 41, 8, 5])
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 20, 39])

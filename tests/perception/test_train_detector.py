@@ -115,18 +115,6 @@ def test_a_run_folder_holds_one_training(tmp_path):
         )
 
 
-def test_the_config_shows_every_option():
-    import inspect
-    from dataclasses import fields
-
-    node = compose("train_detector", [])
-    options = set(inspect.signature(LibreYoloDetector).parameters)
-    assert options == {name for name in node.detector if name != "_target_"}
-    assert {field.name for field in fields(YoloTraining)} - {"workers", "device", "seed"} == set(
-        node.training
-    )
-
-
 def test_random_weights_are_seeded_and_the_exported_file_agrees(tmp_path):
     pytest.importorskip("libreyolo", reason=NEEDED)
     from eldenet.perception.onnx_detector import OnnxDetector
