@@ -86,18 +86,19 @@ def test_data_builds_and_can_be_scored(given: list[str]) -> None:
 def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
     given = [word for word in given if not re.match(r"data\.(root|selection_root|test_root)=", word)]
     monkeypatch.delenv("ELDENET_DATA", raising=False)
+    config = compose("train", given)
+    protocol = build_protocol(config)
     for root, message in (
         (None, r"set data\.\w*root"),
-        (tmp_path / "nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
-        (tmp_path, r"(has no|none of) (.|\n)*Expected tree|no frames"),
+        (f"{tmp_path}/nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
+        (str(tmp_path), r"(has no|none of) (.|\n)*Expected tree|no frames"),
     ):
-        words = [] if root is None else [f"data.root={root}"]
-        config = compose("train", [*given, *words])
+        config.data.root = root
         with pytest.raises((FileNotFoundError, ValueError), match=message):
-            build_split(config, "train", build_protocol(config))
-    config = compose("train", [*given, "data.train.split=testing", f"data.root={tmp_path}"])
+            build_split(config, "train", protocol)
+    config.data.train.split = "testing"
     with pytest.raises(ValueError, match="split='testing'"):
-        build_split(config, "train", build_protocol(config))
+        build_split(config, "train", protocol)
 
 
 def test_worker_processes_read_the_same_frames(given: list[str]) -> None:

@@ -23,7 +23,7 @@ from support.layouts import (
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_files import frame_list
-from eldenet.data.kitti_lidar import project_scan, rectified_intrinsics, velodyne_to_image
+from eldenet.data.kitti_lidar import rectified_intrinsics, velodyne_to_image
 from eldenet.geometry import back_project
 
 
@@ -256,14 +256,3 @@ def test_projection_equals_point_by_point(tmp_path: Path, projection: str) -> No
         assert frame.intrinsics is not None
         points = back_project(frame.depth, frame.intrinsics)[frame.depth > 0]
         assert np.isfinite(points).all()
-
-
-def test_nearest_wins_whatever_the_order() -> None:
-    matrix = np.array([[100.0, 0, 0, 0], [0, 100, 0, 0], [0, 0, 1, 0]]) @ np.array(
-        [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]]
-    )
-    points = np.array([[20.0, -2, -2], [10, -1, -1], [30, -3, -3], [-5, 1, 1]])
-    for order in ([0, 1, 2, 3], [2, 1, 0, 3], [1, 2, 0, 3]):
-        depth = project_scan(points[order], matrix, (20, 20))
-        assert depth[10, 10] == 10
-        assert np.count_nonzero(depth) == 1
