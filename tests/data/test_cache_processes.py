@@ -45,12 +45,12 @@ class Counted(SyntheticDepth):
 
 @pytest.mark.parametrize("kind", ["ram", "disk"])
 def test_workers_share_one_copy(kind: str, tmp_path: Path) -> None:
-    frames = 24
+    frames = 12
     data = Counted(tmp_path / "notes", frames, cache=kind, transform=Augmentation(affine=0.0))
     plain = SyntheticDepth(frames, transform=Augmentation(affine=0.0))
     sampler = EpochSampler(frames, 4, seed=0)
     loader = training_loader(data, sampler, workers=2)
-    for epoch in range(3):
+    for epoch in range(2):
         sampler.epoch = epoch
         seen = 0
         for batch in loader:

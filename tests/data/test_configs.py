@@ -11,6 +11,7 @@ from support import layouts
 from torch.utils.data import DataLoader
 
 from eldenet.config import build_protocol, build_split, compose, config_folder, plain
+from eldenet.data.base import DepthDataset
 from eldenet.data.folder import FolderDataset
 
 FULL = layouts.content((480, 640))
@@ -113,24 +114,26 @@ def test_worker_processes_read_the_same_frames(given: list[str]) -> None:
 
 
 def test_subset_draws_whole_frames(given: list[str]) -> None:
-    overrides = given
     split = "val" if "data=kitti_selection" in given else "train"
-    config = compose("train", overrides)
-    whole = build_split(config, split, build_protocol(config))
+    config = compose("train", given)
+    protocol = build_protocol(config)
+    whole = build_split(config, split, protocol)
+
+    def subset(span: int | list[int], seed: int) -> DepthDataset:
+        config.data.subset[split], config.data.subset_seed = span, seed
+        return build_split(config, split, protocol)
+
     for seed in range(3):
-        drawing = compose("train", [*overrides, f"data.subset.{split}=1", f"data.subset_seed={seed}"])
-        drawn = build_split(drawing, split, build_protocol(drawing))
+        drawn = subset(1, seed)
         assert len(drawn) == 1
         assert drawn[0]["name"] == drawn.names[0]
         expected = whole[whole.names.index(drawn.names[0])]
         assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
     if len(whole) > 1:
-        rest = compose("train", [*overrides, f"data.subset.{split}=[1,{len(whole)}]", "data.subset_seed=2"])
-        others = build_split(rest, split, build_protocol(rest))
+        others = subset([1, len(whole)], 2)
         assert sorted([*others.names, *drawn.names]) == sorted(whole.names)
-    greedy = compose("train", [*overrides, f"data.subset.{split}={len(whole) + 1}"])
     with pytest.raises(ValueError, match=f"found {len(whole)} frames in this split"):
-        build_split(greedy, split, build_protocol(greedy))
+        subset(len(whole) + 1, 0)
 
 
 @pytest.mark.parametrize(
