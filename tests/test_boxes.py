@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from eldenet.boxes import Boxes3D, Detections2D, clipped_edges, corners_of, wrap_half
+from eldenet.boxes import Boxes3D, Detections2D, clipped_edges, corners_of
 from eldenet.geometry import PinholeCamera, back_project, extent_of, from_corner, pinhole, to_corner
 from eldenet.perception.iou import box_ious, footprints, iou_2d, rotated_intersections
 
@@ -71,12 +71,6 @@ def test_boxes_can_be_selected_and_indexed():
     assert (one.name, one.distance) == ("car", pytest.approx(np.hypot(*boxes.center[2, [0, 2]])))
     assert len(boxes.select(np.array([True, False, True, False]))) == 2
     assert len(Boxes3D.empty(("car",)).corners) == 0
-
-
-def test_wrap_half_ignores_front_and_back():
-    yaw = np.linspace(-3, 3, 50)
-    np.testing.assert_allclose(wrap_half(yaw + np.pi), wrap_half(yaw), atol=1e-12)
-    assert (np.abs(wrap_half(yaw)) <= np.pi / 2 + 1e-12).all()
 
 
 # --- the camera ---

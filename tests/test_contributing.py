@@ -1,4 +1,4 @@
-"""The four examples of CONTRIBUTING.md train together, in a project outside the package."""
+"""The four examples of CONTRIBUTING.md train together and load again, in a project outside the package."""
 
 import os
 import re
@@ -16,7 +16,35 @@ EXAMPLE = (
 )
 
 
-def test_the_backbone_decoder_loss_and_data_set_of_contributing_train_together(tmp_path: Path) -> None:
+# A program with Hydra's config of its own that loads the trained network.
+APPLICATION = """
+import hydra
+import torch
+from hydra.core.global_hydra import GlobalHydra
+
+import eldenet
+
+
+@hydra.main(version_base="1.3", config_path="app", config_name="app")
+def main(config):
+    assert GlobalHydra.instance().is_initialized()
+    by_name = eldenet.load("eldenet_s", overrides=["model.head.max_depth=20"])
+    assert by_name.head.max_depth == 20
+    try:
+        eldenet.load(config.folder)
+        raise SystemExit("an untrusted config was built")
+    except ValueError as error:
+        assert "trusted_modules" in str(error), error
+    model = eldenet.load(config.folder, trusted_modules=["my_backbones", "my_decoders"])
+    assert model(torch.rand(1, 3, 64, 80)).shape == (1, 1, 64, 80)
+    print("app ran", type(model.network.backbone).__name__, config.word)
+
+
+main()
+"""
+
+
+def test_the_parts_of_contributing_train_together_and_another_project_loads_them(tmp_path: Path) -> None:
     examples = re.findall(EXAMPLE, PAGE.read_text(), re.S)
     assert [package for package, *_ in examples] == ["backbones", "decoders", "losses", "data"]
     for package, group, code, config in examples:
@@ -32,18 +60,22 @@ def test_the_backbone_decoder_loss_and_data_set_of_contributing_train_together(t
             for number in range(4):
                 values = generator.integers(1, 256, shape) * (1 if kind == "image" else 20)
                 cv2.imwrite(str(folder / f"{number}.png"), values.astype(dtype))
-    finished = subprocess.run(
-        [
-            *(sys.executable, "-m", "eldenet.train", "--config-dir", "my_configs", "debug=fast"),
-            *("model/backbone=mine", "model/decoder=mine", "loss=mine", "data=mine", "data.root=frames"),
-            *("trainer.batch_size=2", "run_dir=run", "runtime.threads=1"),
-        ],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
+    (tmp_path / "app").mkdir()
+    (tmp_path / "app" / "app.yaml").write_text("word: none\nfolder: ???\n")
+    (tmp_path / "app.py").write_text(APPLICATION)
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+
+    def printed(*words: str) -> str:
+        finished = subprocess.run(
+            [sys.executable, *words],
+            cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False,
+        )  # fmt: skip
+        assert finished.returncode == 0, finished.stdout + finished.stderr
+        return finished.stdout
+
+    printed(
+        *("-m", "eldenet.train", "--config-dir", "my_configs", "debug=fast"),
+        *("model/backbone=mine", "model/decoder=mine", "loss=mine", "data=mine", "data.root=frames"),
+        *("trainer.batch_size=2", "run_dir=run", "runtime.threads=1"),
     )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
-    assert (tmp_path / "run" / "model" / "model.safetensors").is_file()
+    assert "app ran Mine hello" in printed("app.py", "folder=run/model", "word=hello")

@@ -1,7 +1,6 @@
-"""The wheel holds all it needs, and another project can add parts of its own."""
+"""The wheel holds all it needs."""
 
 import os
-import re
 import subprocess
 import sys
 import venv
@@ -75,64 +74,3 @@ def test_a_clean_environment_installs_and_trains(wheel, tmp_path):
         check=True,
     )
     assert (tmp_path / "run" / "run.json").is_file()
-
-
-APPLICATION = """
-import hydra
-import torch
-from hydra.core.global_hydra import GlobalHydra
-
-import eldenet
-
-
-@hydra.main(version_base="1.3", config_path="conf", config_name="app")
-def main(config):
-    assert GlobalHydra.instance().is_initialized()
-    by_name = eldenet.load("eldenet_s", overrides=["model.head.max_depth=20"])
-    assert by_name.head.max_depth == 20
-    try:
-        eldenet.load(config.folder)
-        raise SystemExit("an untrusted config was built")
-    except ValueError as error:
-        assert "trusted_modules" in str(error), error
-    model = eldenet.load(config.folder, trusted_modules=["my_backbones"])
-    depth = model(torch.rand(1, 3, 33, 41))
-    assert depth.shape == (1, 1, 33, 41)
-    print("app ran", type(model.network.backbone).__name__, config.word)
-
-
-main()
-"""
-
-
-def test_another_project_adds_the_backbone_of_contributing_trains_and_reloads_it(tmp_path, cache):
-    project = tmp_path / "project"
-    (project / "my_configs" / "model" / "backbone").mkdir(parents=True)
-    (project / "conf").mkdir()
-    blocks = re.findall(r"```python\n(.*?)```", (REPOSITORY / "CONTRIBUTING.md").read_text(), re.S)
-    (project / "my_backbones.py").write_text(next(block for block in blocks if "class Mine" in block))
-    yaml = project / "my_configs" / "model" / "backbone" / "mine.yaml"
-    yaml.write_text("_target_: my_backbones.Mine\nwidth: 8\n")
-    (project / "conf" / "app.yaml").write_text("word: none\nfolder: ???\n")
-    (project / "app.py").write_text(APPLICATION)
-    options = {
-        "cwd": project,
-        "env": {**os.environ, "ELDENET_CACHE": cache, "PYTHONPATH": str(project)},
-        "capture_output": True,
-        "text": True,
-        "check": False,
-        "timeout": 240,
-    }
-    finished = subprocess.run(
-        [
-            *(sys.executable, "-m", "eldenet.train", "--config-dir", "my_configs", "model/backbone=mine"),
-            *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 16, val: 8, test: 8}"),
-            *("trainer.epochs=1", "trainer.batch_size=8", "run_dir=run", "model_name=mine"),
-        ],
-        **options,
-    )
-    assert finished.returncode == 0, finished.stderr + finished.stdout
-    assert "mine" in finished.stdout
-    finished = subprocess.run([sys.executable, "app.py", "folder=run/model", "word=hello"], **options)
-    assert finished.returncode == 0, finished.stderr
-    assert "app ran Mine hello" in finished.stdout

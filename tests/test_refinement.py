@@ -19,11 +19,6 @@ def scene() -> tuple[Tensor, Tensor]:
     return blurred, image
 
 
-def test_constant_depth_stays_constant() -> None:
-    depth = torch.full((2, 1, 20, 30), 3.25)
-    torch.testing.assert_close(JointBilateral()(depth, torch.rand(2, 3, 20, 30)), depth)
-
-
 def test_refined_depth_stays_within_its_range() -> None:
     depth = 1 + 4 * torch.rand(2, 1, 20, 30, generator=torch.Generator().manual_seed(0))
     refined = JointBilateral(7)(depth, torch.rand(2, 3, 20, 30))

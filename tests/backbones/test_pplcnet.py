@@ -73,12 +73,6 @@ def test_depthwise_convolutions_are_initialized_by_their_own_fan_in() -> None:
     assert block.pointwise.conv.weight.std().item() == pytest.approx((2 / 512) ** 0.5, rel=0.05)
 
 
-def test_torch_export_gives_the_same_features() -> None:
-    model = PPLCNet(0.25).eval()
-    exported = torch.export.export(model, (picture(64, 96),)).module()
-    assert_same_features(model, exported, 64, 96)
-
-
 def test_shortcuts_add_the_input_where_the_shape_stays() -> None:
     """With a last normalization of 0 a block outputs its shortcut alone."""
     network = PPLCNet(0.5, shortcuts=True).eval()
@@ -119,17 +113,6 @@ def test_timms_files_give_timms_features(
     ours = PPLCNet(scale, pretrained=str(tmp_path / "model.safetensors")).eval()
     for size in [(64, 64), (97, 131)]:
         assert_same_features(ours, theirs, *size)
-
-
-def test_timms_classifier_gives_timms_logits(timm_network: Callable[..., Any], tmp_path: Path) -> None:
-    theirs = timm_network(0.5)
-    save_file(theirs.state_dict(), tmp_path / "model.safetensors")
-    ours = PPLCNetClassifier(0.5, head_bias=True).eval()
-    assert count_params(theirs) == count_params(ours) == 1_879_576 + 1280
-    ours.encoder = PPLCNet(0.5, pretrained=str(tmp_path / "model.safetensors")).eval()
-    ours.conv_head, ours.classifier = theirs.conv_head, theirs.classifier
-    with torch.inference_mode():
-        torch.testing.assert_close(ours(picture(64, 64)), theirs(picture(64, 64)))
 
 
 def test_one_file_fits_this_network_and_timms(timm_network: Callable[..., Any], tmp_path: Path) -> None:

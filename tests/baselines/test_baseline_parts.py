@@ -6,7 +6,6 @@ import torch.nn.functional as F
 from support.networks import picture
 
 from eldenet.baselines import lite_mono, meter
-from eldenet.baselines.ddrnet import DDRNet
 from eldenet.baselines.guidedepth import GuideDepth
 from eldenet.baselines.lite_mono import LiteMono
 
@@ -22,11 +21,6 @@ def test_guidedepths_last_step_sees_the_image_at_full_size() -> None:
         model.features.forward = lambda _: features
         difference = (model(changed) - model(image)).abs()[0, 0]
     assert difference[31:36, 31:36].max() > 10 * difference[:16, :16].max()
-
-
-def test_ddrnet_ends_at_stride_eight() -> None:
-    with torch.inference_mode():
-        assert DDRNet(5).eval()(picture(97, 131)).shape == (1, 5, 13, 17)
 
 
 def test_cross_covariance_attention_equals_plain_loops() -> None:

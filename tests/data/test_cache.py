@@ -8,73 +8,47 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import layouts
+from support.damaged_layouts import LAYOUTS
 from support.frame_caches import count_reads, reads_of, same
 from support.synthetic import SyntheticDepth
 
+from eldenet.config import build_protocol, build_split, compose
 from eldenet.data import cache as cache_module
 from eldenet.data.base import DepthDataset
-from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
+from eldenet.data.cityscapes import CityscapesMTAN
 from eldenet.data.folder import FolderDataset
 from eldenet.data.io import ENCODINGS
-from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
-from eldenet.data.nyu import NYUDenseDepth, NYULabelled, NYUSync
-from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
-from eldenet.data.nyu_tar import NYUTar
-from eldenet.data.transforms import Augmentation
+from eldenet.data.kitti import KITTIRaw
+from eldenet.data.nyu import NYULabelled
+from eldenet.data.nyu_hdf5 import NYUMat
 
 pytestmark = pytest.mark.usefixtures("store_folder")
 
 
-Builder = Callable[..., DepthDataset]
-ADAPTERS: dict[str, Callable[[Path], Builder]] = {
-    "labelled": lambda root: lambda **o: NYULabelled(_once(layouts.labelled, root), **o),
-    "densedepth": lambda root: (
-        lambda **o: NYUDenseDepth(_once(layouts.densedepth, root), split="trainval", **o)
-    ),
-    "sync": lambda root: lambda **o: NYUSync(_once(layouts.sync, root), **o),
-    "hdf5": lambda root: lambda **o: NYUHDF5(_once(layouts.hdf5, root), split="trainval", **o),
-    "mat": lambda root: lambda **o: NYUMat(_once(layouts.mat, root), split="all", **o),
-    "tar": lambda root: lambda **o: NYUTar(_once(layouts.tar, root), split="trainval", **o),
-    "folder": lambda root: lambda **o: FolderDataset(_once(layouts.folder, root), max_depth=10, **o),
-    "cityscapes": lambda root: lambda **o: Cityscapes(_once(layouts.cityscapes, root), split="trainval", **o),
-    "mtan": lambda root: (
-        lambda **o: CityscapesMTAN(_once(layouts.cityscapes_mtan, root), split="trainval", **o)
-    ),
-    "kitti": lambda root: (
-        lambda **o: KITTIDepth(_once(layouts.kitti_depth, root) / "depth", split="all", **o)
-    ),
-    "kitti_raw": lambda root: lambda **o: KITTIRaw(_once(layouts.kitti_raw, root), split="all", **o),
-    "selection": lambda root: (
-        lambda **o: KITTISelection(_once(layouts.kitti_selection, root), frames=None, **o)
-    ),
-}
-
-
-def _once(write: Callable[[Path], Path], root: Path) -> Path:
-    if not any(root.iterdir()):
-        write(root)
-    return root
-
-
 @pytest.mark.parametrize("kind", ["ram", "disk"])
-@pytest.mark.parametrize("name", sorted(ADAPTERS))
-def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path) -> None:
-    build = ADAPTERS[name](tmp_path)
+@pytest.mark.parametrize("name", sorted({layout.data: name for name, layout in LAYOUTS.items()}.values()))
+def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(layouts, "KITTI_SIZES", {"2011_09_26": (60, 80), "2011_09_28": (56, 84)})
+    layout = LAYOUTS[name]
+    config = compose("train", layout.given(tmp_path))
+    part = config.data[layout.split]
+
+    def build(cache: str, resize_on_load: tuple[int, int] | None) -> DepthDataset:
+        part.cache, part.resize_on_load = cache, resize_on_load
+        return build_split(config, layout.split, build_protocol(config), augment=layout.split == "train")
+
     # frames of their own sizes, as KITTI's, and frames made small
-    for resize_on_load in (None, (30, 40)):
-        options = {"transform": Augmentation(), "input_size": (24, 32), "resize_on_load": resize_on_load}
-        plain, cached = build(**options), build(cache=kind, **options)
+    for size in (None, (30, 40)):
+        plain, cached = build("none", size), build(kind, size)
         expected = [plain[3, index] for index in range(len(plain))]
         assert all(same(cached[3, index], expected[index]) for index in range(len(plain)))
-        reads = count_reads(cached)
-        assert all(same(cached[3, index], expected[index]) for index in range(len(plain)))
-        assert reads == []
+        later = cached
         if kind == "disk":
-            later = build(cache=kind, **options)
+            later = build(kind, size)
             later.open_cache()
-            reads = count_reads(later)
-            assert all(same(later[3, index], expected[index]) for index in range(len(plain)))
-            assert reads == []
+        reads = count_reads(later)
+        assert all(same(later[3, index], expected[index]) for index in range(len(plain)))
+        assert reads == []
 
 
 def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
@@ -128,7 +102,7 @@ def test_changed_settings_read_everything_again(tmp_path: Path, monkeypatch) -> 
 
 
 def test_every_adapter_names_its_settings(tmp_path: Path) -> None:
-    def pair(build: Builder, **change) -> None:
+    def pair(build: Callable[..., DepthDataset], **change) -> None:
         one, other = build().frame_settings(), build(**change).frame_settings()
         assert one != other, change
 
@@ -155,15 +129,8 @@ def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
     assert len(reads_of(NYULabelled(root, **options))) == 2
     path = root / "data/nyu2_train/labeled_out/0030.png"
     old = path.stat()
-    content = np.random.default_rng(1).integers(1, 255, (48, 64)).astype(np.uint8)
-    while True:  # another picture of the same number of bytes, with the old time of change
-        layouts.picture(path, content)
-        size = path.stat().st_size
-        if size <= old.st_size:
-            path.write_bytes(path.read_bytes() + bytes(old.st_size - size))
-            break
-        content[np.random.default_rng(0).integers(0, 48)] = 90
-        content[: content.shape[0] // 2] = 90
+    layouts.picture(path, np.full((48, 64), 90, np.uint8))
+    path.write_bytes(path.read_bytes().ljust(old.st_size, b"\0"))  # as many bytes as before, at the old time
     os.utime(path, ns=(old.st_atime_ns, old.st_mtime_ns))
     again = NYULabelled(root, **options)
     index = again.names.index("labeled_out/0030")

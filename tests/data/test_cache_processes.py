@@ -2,7 +2,6 @@
 
 import copy
 import multiprocessing
-import pickle
 import time
 from pathlib import Path
 
@@ -10,19 +9,15 @@ import pytest
 import torch
 from support.frame_caches import same
 from support.synthetic import SyntheticDepth
-from support.training import digest, make_trainer
+from support.training import digest, fit
 
-import eldenet
-from eldenet.data.io import ENCODINGS
 from eldenet.data.loaders import EpochSampler, training_loader
 from eldenet.data.transforms import Augmentation
 from eldenet.evaluation.constant_baseline import ConstantPredictor
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.losses.base import WeightedSum, WeightedTerm
-from eldenet.losses.pointwise import L1Loss
-from eldenet.system.resources import Resources, seed_everything
-from eldenet.training.trainer import Trainer, TrainingData
+from eldenet.system.resources import Resources
+from eldenet.training.trainer import Trainer
 from eldenet.types import Frame
 
 pytestmark = pytest.mark.usefixtures("store_folder")
@@ -50,12 +45,12 @@ class Counted(SyntheticDepth):
 
 @pytest.mark.parametrize("kind", ["ram", "disk"])
 def test_workers_share_one_copy(kind: str, tmp_path: Path) -> None:
-    frames = 24
+    frames = 12
     data = Counted(tmp_path / "notes", frames, cache=kind, transform=Augmentation(affine=0.0))
     plain = SyntheticDepth(frames, transform=Augmentation(affine=0.0))
     sampler = EpochSampler(frames, 4, seed=0)
     loader = training_loader(data, sampler, workers=2)
-    for epoch in range(3):
+    for epoch in range(2):
         sampler.epoch = epoch
         seen = 0
         for batch in loader:
@@ -89,17 +84,11 @@ def test_no_worker_outlives_its_loader(tmp_path: Path) -> None:
     assert multiprocessing.active_children() == []
 
 
-def train(folder: Path, *, cache: str = "none", workers: int = 0, epochs: int = 2, **options):
-    seed_everything(0)
+def train(folder: Path, *, cache: str = "none", workers: int = 0, **options):
     folder.mkdir(exist_ok=True)
     resources = Resources(device="cpu", precision="fp32", threads=1, workers=workers, cores=2)
     data = Counted(folder / "notes", 12, cache=cache, transform=Augmentation())
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    trainer = make_trainer(epochs=epochs, checkpoint_every=1)
-    model = eldenet.load("eldenet_s").train()
-    return trainer.fit(
-        model, loss, TrainingData(data, SyntheticDepth(4), PROTOCOL), folder, resources, **options
-    )
+    return fit(folder, data=data, val_frames=4, resources=resources, checkpoint_every=1, **options)
 
 
 def test_cached_training_is_the_training_resumed_too(tmp_path: Path, monkeypatch) -> None:
@@ -131,15 +120,5 @@ def test_the_wait_for_data_is_counted(tmp_path: Path) -> None:
             time.sleep(0.05)
             return super().load_frame(index)
 
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    resources = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
-    model = eldenet.load("eldenet_s").train()
-    progress = make_trainer(epochs=1).fit(
-        model, loss, TrainingData(Slow(8), SyntheticDepth(2), PROTOCOL), tmp_path, resources
-    )
+    *_, progress = fit(tmp_path, data=Slow(8), val_frames=2, epochs=1)
     assert 0.4 <= progress.waited < 5
-
-
-def test_encodings_travel_to_workers() -> None:
-    for encoding in ENCODINGS.values():
-        assert pickle.loads(pickle.dumps(encoding)) == encoding

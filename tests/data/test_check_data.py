@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support import layouts
 
-from eldenet.check_data import _bars, check
+from eldenet.check_data import check
 from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split, spread
@@ -94,13 +94,6 @@ def test_ground_truth_that_the_protocol_does_not_score_is_a_fault(tmp_path: Path
     assert report["splits"][1]["looked_at"] == 1
 
 
-def test_frames_in_two_splits_are_a_fault(tmp_path: Path) -> None:
-    root = layouts.sync(tmp_path / "sync")
-    good, report = run(tmp_path / "out", "data=nyu_sync", f"data.root={root}", f"data.test_root={root}")
-    assert not good
-    assert report["faults"][0].startswith("train and test: 1 frames are in both")
-
-
 def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
     mine, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
     words = ("data=folder", f"data.root={mine}")
@@ -179,16 +172,3 @@ def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
     assert (found.looked_at, sum(done), len(found.names)) == (4, 4, 10)
     assert 0.3 < found.outside < 0.7  # half of the depths lie beyond 5 m
     assert found.percentiles["p99"] < 5.05
-
-
-def test_a_histogram_is_one_line_of_text() -> None:
-    assert _bars([0, 1, 100, 50]) == " ▁█▄"
-    assert _bars([]) == _bars([0]) == "-"
-
-
-def test_real_labelled_frames(tmp_path: Path) -> None:
-    layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
-    good, report = run(tmp_path, "data=nyu_labelled", "frames=8")
-    assert good
-    assert [part["frames"] for part in report["splits"]] == [665, 130]
-    assert report["splits"][0]["intrinsics"][0] == pytest.approx(518.8579)

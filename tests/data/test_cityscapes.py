@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Callable
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,9 @@ import torch
 from support import layouts
 
 from eldenet.config import build_protocol, build_split, compose
-from eldenet.data.base import DepthDataset
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import disparity_to_depth
 from eldenet.results.tables import heading, protocol_line
 
 FULL = layouts.content((1024, 2048))
@@ -54,9 +52,6 @@ def test_unknown_and_infinite_disparity_stay_unknown(tmp_path: Path) -> None:
     assert depth[0, :2].tolist() == [0, 0]
     assert sample["mask"][0, 0, :3].tolist() == [False, False, False]  # 1/256 px is 121 km
     torch.testing.assert_close(depth[1, 1].item(), 0.209313 * 2262.52, rtol=1e-6, atol=0)
-    layouts.picture(file, (disparity // 2).astype(np.uint8))
-    with pytest.raises(ValueError, match=r"_disparity\.png holds uint8.*needs uint16"):
-        Cityscapes(root, split="official_val")[0]
     layouts.picture(file, disparity // 2)
     with pytest.raises(ValueError, match="largest number is 128"):
         Cityscapes(root, split="official_val")[0]
@@ -96,28 +91,11 @@ def test_cities_for_validation_must_leave_some(tmp_path: Path, cities: list[str]
 
 
 @pytest.mark.parametrize("kind", ["leftImg8bit", "disparity", "camera"])
-def test_what_is_missing_or_cut_is_named(tmp_path: Path, kind: str) -> None:
+def test_a_missing_part_is_named(tmp_path: Path, kind: str) -> None:
     root = layouts.cityscapes(tmp_path)
-    data = Cityscapes(root, split="official_val")
-    file = next((root / kind / "val").rglob("*.*"))
-    content = file.read_bytes()
-    file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match=f"{file.name} is (truncated|not a complete)"):
-        data[0]
-    file.unlink()
-    with pytest.raises(FileNotFoundError, match=f"1 of 3 files are missing: .*{file.name}"):
-        Cityscapes(root, split="official_val")
-    for left in (root / kind).glob("val/*"):
-        left.rmdir()
-    (root / kind / "val").rmdir()
+    shutil.rmtree(root / kind / "val")
     with pytest.raises(FileNotFoundError, match=f"(?s)none of {kind}/val.*fetch {kind}.*Expected tree"):
         Cityscapes(root, split="official_val")
-
-
-def test_disparity_becomes_depth() -> None:
-    depth = disparity_to_depth(np.array([[0, 1, 50.0, np.nan]]), 2000.0, 0.2)
-    assert depth.dtype == np.float32
-    assert depth.tolist() == [[0, 400, 8, 0]]
 
 
 # --- MTAN's arrays -------------------------------------------------------------------------------------
@@ -184,19 +162,3 @@ def test_a_table_says_that_it_is_no_meters() -> None:
     assert "scored as inverse depth, 2 m / depth" in protocol_line(run)
     rules["inverse_scale"] = None
     assert heading("mae", run) == "MAE [m] ↓"
-
-
-@pytest.mark.parametrize(
-    ("write", "dataset"),
-    [(layouts.cityscapes, Cityscapes), (layouts.cityscapes_mtan, CityscapesMTAN)],
-)
-def test_frames_are_left_out_together_with_their_files(
-    tmp_path: Path, write: Callable[[Path], Path], dataset: Callable[..., DepthDataset]
-) -> None:
-    root = write(tmp_path)
-    whole = dataset(root, split="trainval")
-    (root / whole.files[0][0]).unlink()  # type: ignore[attr-defined]
-    data = dataset(root, split="trainval", on_error="skip")
-    assert data.names == whole.names[1:]
-    assert list(data.skipped) == whole.names[:1]
-    assert data[0]["name"] == whole.names[1]

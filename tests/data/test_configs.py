@@ -1,13 +1,17 @@
 """Every data set by its YAML, in a tiny tree of its layout: it builds, is scored, drawn from, damaged."""
 
+import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 from support import layouts
+from torch.utils.data import DataLoader
 
 from eldenet.config import build_protocol, build_split, compose, config_folder, plain
+from eldenet.data.base import DepthDataset
 from eldenet.data.folder import FolderDataset
 
 FULL = layouts.content((480, 640))
@@ -56,9 +60,14 @@ def test_every_data_set_is_tested() -> None:
     assert names - set(TREES) <= elsewhere
 
 
-@pytest.mark.parametrize("name", sorted(TREES))
-def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
-    config = compose("train", [f"data={name}", *TREES[name](tmp_path)])
+@pytest.fixture(scope="module", params=sorted(TREES))
+def given(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The overrides for a data set in a tiny tree."""
+    return [f"data={request.param}", *TREES[request.param](tmp_path_factory.mktemp("data"))]
+
+
+def test_data_builds_and_can_be_scored(given: list[str]) -> None:
+    config = compose("train", given)
     protocol = build_protocol(config)
     train = build_split(config, "train", protocol, augment=True)
     parts = {split: build_split(config, split, protocol) for split in ("val", "test")}
@@ -75,26 +84,56 @@ def test_data_builds_and_can_be_scored(name: str, tmp_path: Path) -> None:
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
 
 
-@pytest.mark.parametrize("name", sorted(TREES))
-def test_subset_draws_whole_frames(name: str, tmp_path: Path) -> None:
-    overrides = [f"data={name}", *TREES[name](tmp_path)]
-    split = "val" if name == "kitti_selection" else "train"
-    config = compose("train", overrides)
-    whole = build_split(config, split, build_protocol(config))
+def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
+    given = [word for word in given if not re.match(r"data\.(root|selection_root|test_root)=", word)]
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    config = compose("train", given)
+    protocol = build_protocol(config)
+    for root, message in (
+        (None, r"set data\.\w*root"),
+        (f"{tmp_path}/nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
+        (str(tmp_path), r"(has no|none of) (.|\n)*Expected tree|no frames"),
+    ):
+        config.data.root = root
+        with pytest.raises((FileNotFoundError, ValueError), match=message):
+            build_split(config, "train", protocol)
+    config.data.train.split = "testing"
+    with pytest.raises(ValueError, match="split='testing'"):
+        build_split(config, "train", protocol)
+
+
+def test_worker_processes_read_the_same_frames(given: list[str]) -> None:
+    """From a copy too; open files of this process are not theirs."""
+    config = compose("train", given)
+    data = build_split(config, "train", build_protocol(config))
+    alone = [data[index]["depth"] for index in range(len(data))]
+    copy = pickle.loads(pickle.dumps(data))
+    assert torch.equal(copy[len(data) - 1]["depth"], alone[-1])
+    loaded = [batch["depth"][0] for batch in DataLoader(data, num_workers=2)]
+    assert all(map(torch.equal, alone, loaded))
+
+
+def test_subset_draws_whole_frames(given: list[str]) -> None:
+    split = "val" if "data=kitti_selection" in given else "train"
+    config = compose("train", given)
+    protocol = build_protocol(config)
+    whole = build_split(config, split, protocol)
+
+    def subset(span: int | list[int], seed: int) -> DepthDataset:
+        config.data.subset[split], config.data.subset_seed = span, seed
+        return build_split(config, split, protocol)
+
     for seed in range(3):
-        drawing = compose("train", [*overrides, f"data.subset.{split}=1", f"data.subset_seed={seed}"])
-        drawn = build_split(drawing, split, build_protocol(drawing))
+        drawn = subset(1, seed)
         assert len(drawn) == 1
         assert drawn[0]["name"] == drawn.names[0]
         expected = whole[whole.names.index(drawn.names[0])]
         assert all((drawn[0][key] == expected[key]).all() for key in ("image", "depth"))
     if len(whole) > 1:
-        rest = compose("train", [*overrides, f"data.subset.{split}=[1,{len(whole)}]", "data.subset_seed=2"])
-        others = build_split(rest, split, build_protocol(rest))
+        others = subset([1, len(whole)], 2)
         assert sorted([*others.names, *drawn.names]) == sorted(whole.names)
-    greedy = compose("train", [*overrides, f"data.subset.{split}={len(whole) + 1}"])
     with pytest.raises(ValueError, match=f"found {len(whole)} frames in this split"):
-        build_split(greedy, split, build_protocol(greedy))
+        subset(len(whole) + 1, 0)
 
 
 @pytest.mark.parametrize(
@@ -181,36 +220,3 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
         build_split(typo, "train", protocol)
     with pytest.raises(FileNotFoundError, match=r"set data\.root"):
         build_split(compose("train", ["data=folder"]), "train", protocol)
-
-
-# --- the real frames ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def real() -> Path:
-    return layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
-
-
-def test_real_labelled_frames_build(real: Path) -> None:
-    config = compose("train", ["data=nyu_labelled"])
-    protocol = build_protocol(config)
-    assert len(build_split(config, "train", protocol, augment=True)) == 665
-    val = build_split(config, "val", protocol)
-    assert len(val) == 130
-    assert protocol.valid_mask(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
-
-
-def test_real_mat_reads(real: Path) -> None:
-    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
-    if not (real / file).exists():
-        pytest.skip(f"{file} is not there")
-    overrides = ["data=nyu_mat", f"data.file={file}", "data.train.split=all"]
-    raw = compose("train", overrides)
-    with pytest.raises(ValueError, match="has no 'rawDepths'"):  # repacked without it
-        build_split(raw, "train", build_protocol(raw))
-    config = compose("train", [*overrides, "data.ground_truth=inpainted", "protocol=nyu_inpainted_eigen"])
-    protocol = build_protocol(config)
-    data = build_split(config, "train", protocol, augment=True)
-    assert (len(data), data.ground_truth) == (6, protocol.ground_truth)
-    assert data[0]["image"].shape == (3, 240, 320)
-    assert data[0]["mask"].float().mean() > 0.5

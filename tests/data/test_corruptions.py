@@ -90,8 +90,7 @@ def test_damage_is_named_or_counted(
     monkeypatch.setattr(layouts, "KITTI_SIZES", {"2011_09_26": (60, 80), "2011_09_28": (56, 84)})
     layout = LAYOUTS[name]
     root = tmp_path / "data set"
-    given = layout.write(root)
-    given = [f"data={layout.data}", "protocol=folder", "data.input_size=[24,32]", *given]
+    given = layout.given(root)
     stop, skip = (compose("train", [*given, f"data.on_error={how}"]) for how in ("stop", "skip"))
     data, whole = samples(skip, layout.split)
     assert data.skipped == {}
@@ -141,7 +140,7 @@ def check(
         )
     if target.lost is None and not data.skipped:
         return "on_error=skip noticed nothing"
-    if target.lost is not None and tuple(data.skipped) != target.lost:
+    if target.lost is not None and list(data.skipped) != [target.lost]:
         return f"skipped {data.skipped}"
     expected = [sample for sample in whole if sample["name"] in data.names]
     if target.lost is not None and len(expected) != len(names) - 1:
@@ -159,9 +158,9 @@ def test_numbers_that_are_no_depth_are_unknown(tmp_path: Path) -> None:
     layouts.hdf5(tmp_path / "h5", NYU_FRAME._replace(meters=values))
     for ending, writer in ((".npy", np.save), (".pfm", pfm), (".exr", exr), (".tiff", layouts.picture)):
         root = tmp_path / ending
-        given = folder_of(ending, "meters")(root)
+        given = folder_of(ending, ()).given(root)
         writer(root / f"depths/f1{ending}", values)
-        config = compose("train", ["data=folder", "data.input_size=null", "data.resize_on_load=null", *given])
+        config = compose("train", [*given, "data.input_size=null", "data.resize_on_load=null"])
         _, (_, sample, _) = samples(config)
         np.testing.assert_array_equal(sample["mask"][0], ~bad)
         np.testing.assert_array_equal(sample["depth"][0], np.where(bad, 0, NYU_FRAME.meters))

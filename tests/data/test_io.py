@@ -1,11 +1,12 @@
 """Pictures and depth maps are read exactly; damaged files and wrong units are errors that name the file."""
 
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from support.layouts import real_folder
+from support.predicting import turned_by_exif
 
 from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encoding, read_depth, read_image
 
@@ -108,11 +109,7 @@ def test_a_header_of_spaces_is_refused_at_once(tmp_path: Path) -> None:
 
 def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
     """Depth is stored as the pixels are; OpenCV would turn the picture alone."""
-    path = write(tmp_path / "a.jpg", RGB)
-    content = path.read_bytes()
-    tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"  # orientation 6: a quarter turn
-    exif = b"Exif\0\0" + tiff
-    path.write_bytes(content[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + content[2:])
+    path = turned_by_exif(write(tmp_path / "a.jpg", RGB))
     assert read_image(path).shape == (37, 53, 3)
     assert read_image(path, upright=True).shape == (53, 37, 3)
 
@@ -185,11 +182,6 @@ def test_wrong_unit_is_refused(tmp_path: Path) -> None:
     assert not read_depth(write(tmp_path / "empty.png", MILLIMETERS * 0), "mm").any()
 
 
-def test_colored_depth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"color\.png.*one channel"):
-        read_depth(write(tmp_path / "color.png", RGB), "nyu8")
-
-
 def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"gray\.png holds uint16.*is it a depth map\?"):
         read_image(write(tmp_path / "gray.png", MILLIMETERS))
@@ -254,15 +246,6 @@ def test_float_tiff_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", meters), "meters"), meters)
 
 
-@pytest.fixture
-def real() -> Path:
-    if not os.environ.get("ELDENET_DATA"):
-        pytest.skip("ELDENET_DATA is not set: no real data to read")
-    return Path(os.environ["ELDENET_DATA"])
-
-
-def test_real_npy_and_png_equal_a_straight_reading(real: Path) -> None:
-    path = real / "nyu_depth_v2/fastdepth_npy/depth.npy"
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
+def test_a_real_npy_equals_a_straight_reading() -> None:
+    path = real_folder("nyu_depth_v2/fastdepth_npy", "depth.npy") / "depth.npy"
     np.testing.assert_array_equal(read_depth(path, "meters"), np.load(path).squeeze())

@@ -1,9 +1,7 @@
 """KITTI in every layout: frames, intrinsics, Eigen's lists, errors that name the file."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +16,15 @@ from support.layouts import (
     kitti_frame,
     kitti_pictures,
     kitti_raw,
+    kitti_scan,
     kitti_selection,
     picture,
 )
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_files import frame_list
+from eldenet.data.kitti_lidar import rectified_intrinsics, velodyne_to_image
+from eldenet.geometry import back_project
 
 
 def test_devkit_frames_have_depth_intrinsics_and_splits(tmp_path: Path) -> None:
@@ -192,17 +193,6 @@ def test_wrong_lines_of_a_list_are_named(tmp_path: Path) -> None:
         frame_list(tmp_path / "absent.txt")
 
 
-@pytest.mark.parametrize("dataset", [KITTIDepth, KITTIRaw, KITTISelection])
-def test_missing_root_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset: Callable[..., Any]
-) -> None:
-    monkeypatch.delenv("ELDENET_DATA", raising=False)
-    with pytest.raises(FileNotFoundError, match=r"data\.root.*ELDENET_DATA(.|\n)*Expected tree"):
-        dataset()
-    with pytest.raises(FileNotFoundError, match=r"has no (.|\n)*Expected tree"):
-        dataset(tmp_path)
-
-
 def test_unknown_settings_are_refused(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     for wrong in ({"split": "testing"}, {"depth": "dense"}, {"on_error": "maybe"}, {"calibration": "no"}):
@@ -212,3 +202,57 @@ def test_unknown_settings_are_refused(tmp_path: Path) -> None:
         KITTIDepth(root, cameras=[1])
     with pytest.raises(ValueError, match="projection='fisheye'"):
         KITTIRaw(kitti_raw(tmp_path / "r"), projection="fisheye")
+
+
+# --- calibration and scans ---
+
+
+def test_partial_calibration_and_missing_keys(tmp_path: Path) -> None:
+    kitti_calibration(tmp_path, "2011_09_26", partial=True)
+    folder = tmp_path / "2011_09_26"
+    assert rectified_intrinsics(folder, 2)[0, 0] == FOCAL["2011_09_26"]
+    with pytest.raises(
+        ValueError, match=r"calib_cam_to_cam\.txt has no 'R_rect_00', only P_rect_02, P_rect_03"
+    ):
+        velodyne_to_image(folder, 2)
+    with pytest.raises(ValueError, match="has no 'P_rect_01'"):
+        rectified_intrinsics(folder, 1)
+    (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 721 0 609\n")
+    with pytest.raises(ValueError, match="P_rect_02 has 3 numbers, wanted 12"):
+        rectified_intrinsics(folder, 2)
+    (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 0 0 0 0 0 0 0 0 0 0 0 0\n")
+    with pytest.raises(ValueError, match="no focal length"):
+        rectified_intrinsics(folder, 2)
+    (folder / "calib_cam_to_cam.txt").write_text("")
+    with pytest.raises(ValueError, match="no line 'key: numbers'"):
+        rectified_intrinsics(folder, 2)
+
+
+def by_hand(points: np.ndarray, matrix: np.ndarray, size: tuple[int, int], *, eigen: bool) -> np.ndarray:
+    """Point by point, in the order of the file."""
+    depth = np.zeros(size)
+    for x, y, z, _ in points.astype(np.float64):
+        u, v, w = matrix @ (x, y, z, 1)
+        if x < 0 or w <= 0:
+            continue
+        col, row = round(u / w) - eigen, round(v / w) - eigen
+        meters = x if eigen else w
+        if 0 <= row < size[0] and 0 <= col < size[1] and not 0 < depth[row, col] <= meters:
+            depth[row, col] = meters
+    return depth
+
+
+@pytest.mark.parametrize("projection", ["camera", "eigen"])
+def test_projection_equals_point_by_point(tmp_path: Path, projection: str) -> None:
+    data = KITTIRaw(kitti_raw(tmp_path), split="all", projection=projection)
+    assert data.names == [f"{drive}/image_02/0000000069" for drive in DRIVES]
+    assert data.ground_truth == "sparse"
+    matrix = velodyne_to_image(tmp_path / "2011_09_26", 2)
+    expected = by_hand(kitti_scan(DRIVES[0]), matrix, (375, 1242), eigen=projection == "eigen")
+    frame = data.load_frame(0)
+    np.testing.assert_array_equal(frame.depth, expected.astype(np.float32))
+    assert 0.005 < (frame.depth > 0).mean() < 0.1
+    if projection == "camera":  # back in space, a point is where the scan has it, up to half a pixel
+        assert frame.intrinsics is not None
+        points = back_project(frame.depth, frame.intrinsics)[frame.depth > 0]
+        assert np.isfinite(points).all()

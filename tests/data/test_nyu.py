@@ -1,7 +1,5 @@
 """NYU Depth V2 in every layout: meters, intrinsics, names, the split, and errors that name the file."""
 
-import pickle
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,9 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from support.layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, sync
-from torch.utils.data import DataLoader
 
-from eldenet.data.base import DepthDataset
 from eldenet.data.nyu import (
     DEV_FRAMES,
     VAL_FRAMES,
@@ -76,16 +72,6 @@ def test_labelled_frames_are_split_by_number(tmp_path: Path) -> None:
         NYULabelled(tmp_path)
 
 
-def test_frames_are_resized_on_load_and_cached(tmp_path: Path) -> None:
-    data = NYULabelled(labelled(tmp_path), resize_on_load=(12, 16), cache="ram")
-    first = data[0]
-    assert first["image"].shape == (3, 12, 16)
-    assert first["depth"].shape == (1, 12, 16)
-    for file in tmp_path.rglob("*.jpg"):
-        file.unlink()
-    assert (data[0]["image"] == first["image"]).all()
-
-
 def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path) -> None:
     data = NYUSync(sync(tmp_path))
     assert data.names == ["kitchen_0001/rgb_00000", "office_0002/rgb_00041"]
@@ -148,45 +134,12 @@ def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
         NYUMat(tmp_path, split="trainval")
 
 
-def test_mat_handle_stays_in_its_process(tmp_path: Path) -> None:
-    data = NYUMat(mat(tmp_path), split="all")
-    alone = [data[i]["depth"] for i in range(4)]
-    copy = pickle.loads(pickle.dumps(data))
-    assert (copy[2]["depth"] == alone[2]).all()
-    loaded = [d for batch in DataLoader(data, batch_size=2, num_workers=2) for d in batch["depth"]]
-    assert all((a == b).all() for a, b in zip(alone, loaded, strict=True))
-
-
 def test_mat_without_the_ground_truth(tmp_path: Path) -> None:
     mat(tmp_path)
     with h5py.File(tmp_path / "nyu_depth_v2_labeled.mat", "a") as file:
         del file["rawDepths"]
     with pytest.raises(ValueError, match=r"no 'rawDepths', only depths, images"):
         NYUMat(tmp_path, split="all", ground_truth="raw")
-
-
-@pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUSync, NYUHDF5, NYUMat])
-def test_missing_root_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset: Callable[..., DepthDataset]
-) -> None:
-    monkeypatch.delenv("ELDENET_DATA", raising=False)
-    with pytest.raises(FileNotFoundError, match=r"data\.root.*ELDENET_DATA(.|\n)*Expected tree"):
-        dataset()
-    monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
-    with pytest.raises(FileNotFoundError, match=r"is not a folder: set data\.root(.|\n)*Expected tree"):
-        dataset()
-    if dataset is not NYUSync:
-        with pytest.raises(FileNotFoundError, match=r"has no (.|\n)*Expected tree"):
-            dataset(tmp_path)
-    else:
-        with pytest.raises(ValueError, match="no frames"):
-            dataset(tmp_path)
-
-
-@pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUHDF5, NYUMat])
-def test_unknown_split_is_refused(tmp_path: Path, dataset: Callable[..., DepthDataset]) -> None:
-    with pytest.raises(ValueError, match="split='testing': give one of"):
-        dataset(tmp_path, split="testing")
 
 
 def test_val_and_dev_frames_are_in_order_and_apart() -> None:

@@ -1,19 +1,15 @@
 """Rendered data sets: frames on disk that survive kills and damage, and are rendered only once."""
 
-import json
 import os
-import pickle
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from eldenet.data import rendered, rendering
+from eldenet.data import rendered
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.rooms import Rooms
@@ -139,34 +135,6 @@ def test_a_larger_data_set_grows_the_file_while_a_smaller_one_reads_it(tmp_path:
     assert large.load_frame(15).image.shape == (*SIZE, 3)
 
 
-def test_a_killed_render_process_leaves_whole_scenes_that_the_next_one_keeps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = {"folder": str(tmp_path), "name": "rooms", "renderer": Rooms.generator.renderer}
-    job |= {"split": "train", "size": SIZE, "scenes": [0, 1, 2, 3]}
-    worker = subprocess.Popen(
-        [sys.executable, "-m", "eldenet.data.rendering"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
-    )  # fmt: skip
-    assert worker.stdin is not None
-    assert worker.stdout is not None
-    json.dump(job, worker.stdin)
-    worker.stdin.close()
-    worker.stdout.readline()  # one scene is done
-    time.sleep(0.02)
-    worker.send_signal(signal.SIGKILL)
-    worker.wait()
-    store = SceneStore(tmp_path, "rooms", "train", 4, SIZE)
-    assert store.has(0)
-    written = []
-    put = rendering.FrameStore.put
-    monkeypatch.setattr(rendering.FrameStore, "put", lambda *a: (written.append(a[1] // 8), put(*a))[1])
-    done = {scene for scene in range(4) if store.has(scene)}
-    render_missing(tmp_path, Rooms.generator, "train", range(4), SIZE, workers=0)
-    assert set(written) == set(range(4)) - done
-    np.testing.assert_array_equal(store.frame(31).image, render_room("train", 3, SIZE).image[7])
-
-
 def test_render_processes_write_what_this_process_would(tmp_path: Path, dataset: Rooms) -> None:
     render_missing(tmp_path, Rooms.generator, "train", [0, 1], SIZE, workers=2)
     ours = SceneStore(tmp_path, "rooms", "train", 2, SIZE)
@@ -179,11 +147,6 @@ def test_a_failing_render_process_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RuntimeError, match="render process"):
         render_missing(tmp_path / "file", Rooms.generator, "train", [0], SIZE, workers=1)
-
-
-def test_pickled_data_sets_read_the_same_frames(dataset: Rooms) -> None:
-    copy = pickle.loads(pickle.dumps(dataset))
-    np.testing.assert_array_equal(copy.load_frame(5).image, dataset.load_frame(5).image)
 
 
 @pytest.mark.parametrize(

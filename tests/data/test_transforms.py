@@ -95,15 +95,6 @@ def test_flip_is_exact() -> None:
     np.testing.assert_allclose(moved.intrinsics[0, 2], WIDTH - 1 - CX, atol=1e-5)
 
 
-def test_zoom_divides_depth_and_moves_the_principal_point() -> None:
-    settings = {**OFF, "affine": 1, "scale": (2, 2), "shift": 0, "rotate": 0}
-    moved = Augmentation(**settings)(ramp_frame(), np.random.default_rng(0))
-    middle = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
-    np.testing.assert_allclose(moved.intrinsics[:2, 2], 2 * (np.array([CX, CY]) - middle) + middle, atol=1e-4)
-    assert (moved.depth > 0).all()
-    np.testing.assert_allclose(moved.depth[24, 31], depth_at(31, 24) / 2, atol=0.02)
-
-
 def test_what_comes_from_outside_is_unknown() -> None:
     settings = {**OFF, "affine": 1, "scale": (0.5, 0.5), "shift": 0, "rotate": 0}
     moved = Augmentation(**settings)(ramp_frame(), np.random.default_rng(0))

@@ -1,6 +1,5 @@
 """The fast up-convolution is the same operator as the slow one, at a quarter of the cost."""
 
-import pytest
 import torch
 import torch.nn.functional as F
 from hypothesis import given, settings
@@ -42,15 +41,6 @@ def test_both_forms_give_the_same_output(channels: tuple[int, int], size: tuple[
         strict=True,
     ):
         torch.testing.assert_close(ours, theirs, atol=1e-11, rtol=1e-11)
-
-
-@pytest.mark.parametrize("fast", [True, False])
-def test_the_chosen_form_runs(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    layer, called = UpConv2d(2, 3, fast=fast), []
-    for form in ("unpooled", "interleaved"):
-        monkeypatch.setattr(layer, form, lambda x, form=form: called.append(form))
-    layer(torch.rand(1, 2, 4, 4))
-    assert called == ["interleaved" if fast else "unpooled"]
 
 
 def test_the_fast_form_needs_a_quarter_of_the_macs() -> None:

@@ -10,9 +10,9 @@ import torch
 
 import eldenet
 from eldenet.config import build_benchmark, compose
-from eldenet.deploy.benchmarking.measure import COLUMNS, Case, _peak_precisions
+from eldenet.deploy.benchmarking.measure import COLUMNS, Case
 from eldenet.deploy.benchmarking.rows import read_rows
-from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark, list_cases
+from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark
 from eldenet.deploy.benchmarking.tables import draw, read_accuracies
 from eldenet.deploy.fold import fold
 from eldenet.evaluation.cost import count_macs, count_params
@@ -170,13 +170,6 @@ def test_rows_of_another_machine_are_measured_again(
     assert run(tmp_path, *ours) == [row]  # what was measured here counts
 
 
-def test_no_peak_where_torch_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for device, precisions in (("cpu", ["fp32"]), ("cuda", []), ("gpu", [])):
-        case = Case("eldenet_s", 32, 48, 1, "openvino", "fp32", 1, device)
-        assert _peak_precisions({case: None}) == precisions
-
-
 def stored(folder: Path, name: str, **changes: Any) -> Path:
     """A run's record, as far as it is read."""
     run = {"model": "eldenet_s", "seed": 0, "data": "rooms", "split": "test", "split_hash": "abc"}
@@ -208,17 +201,6 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
     with pytest.raises(ValueError, match=r"accuracies=.*protocol differs"):
         run(tmp_path / "out", f"accuracies=['{tmp_path}']")
     assert not (tmp_path / "out" / "rows.jsonl").exists()  # before anything was measured
-
-
-def test_a_group_holds_all_rows_that_compare() -> None:
-    words = ["sizes=[[32,32],[64,64]]", "threads=[1,2]", "precisions=[fp32,int8]", "batches=[1,4]"]
-    cases = list_cases(build_benchmark(compose("benchmark", words)), ["a", "b"])
-    assert len(cases) == len(set(cases)) == 2 * 2 * 2 * 2 * 2 * 3
-    assert {(case.model, case.precision) for case in cases[:4]} == {
-        *(("a", "fp32"), ("b", "fp32"), ("a", "int8"), ("b", "int8"))
-    }
-    assert len({case.group for case in cases[:4]}) == 1
-    assert cases[4].group != cases[3].group
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import eldenet
 from eldenet.config import build_export, compose
 from eldenet.deploy import runtimes
 from eldenet.deploy.exporting import export
-from eldenet.deploy.files import describe, differences, read_metadata
+from eldenet.deploy.files import differences, read_metadata
 from eldenet.deploy.quantize import read_pictures
 
 pytest.importorskip("onnxruntime")
@@ -65,13 +65,6 @@ def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -
     for runtime in ("onnxruntime", "openvino"):
         depth = runtimes.load(path, runtime, threads=1)(image)
         assert differences(depth, reference)["max_relative"] < 1e-4
-
-
-def test_a_file_states_its_training_data() -> None:
-    model = eldenet.load("eldenet_s")
-    assert describe(model, "mine", SIZE)["data"] == "none: freshly initialized"
-    model.info = {"trained_on": "streets"}
-    assert describe(model, "mine", SIZE)["data"] == "not stated"
 
 
 def test_the_command_exports_from_another_folder(

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.predicting import exported, listed, photo, read_ply, run, save, setup
+from support.predicting import exported, listed, photo, read_ply, run, save, setup, turned_by_exif
 
 import eldenet
 from eldenet.data.io import read_depth
-from eldenet.deploy.outputs import Results, name_results
-from eldenet.deploy.prediction import Timed, open_predictor
+from eldenet.deploy.outputs import name_results
+from eldenet.deploy.prediction import open_predictor
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
@@ -61,11 +61,7 @@ def test_a_note_says_when_depth_is_doubtful(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_a_photo_is_turned_upright_by_its_exif(model_folder: Path, tmp_path: Path) -> None:
-    source = save(tmp_path / "in/turned.jpg", photo())
-    content = source.read_bytes()
-    tiff = b"II*\0\x08\0\0\0\x01\0" + b"\x12\x01\x03\0\x01\0\0\0\x06\0\0\0" + b"\0\0\0\0"  # Orientation = 6
-    exif = b"Exif\0\0" + tiff
-    source.write_bytes(content[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + content[2:])
+    source = turned_by_exif(save(tmp_path / "in/turned.jpg", photo()))
     run(model_folder, source, tmp_path / "out", "formats=depth")
     assert cv2.imread(str(tmp_path / "out/turned_depth.png"), cv2.IMREAD_UNCHANGED).shape == (64, 48)
 
@@ -142,16 +138,6 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
     assert "Input/output error" in results.skipped[0]
 
 
-@pytest.mark.parametrize("share", [0.3, 0.99])
-@pytest.mark.parametrize("ending", [".jpg", ".png"])
-def test_the_error_names_a_cut_picture(model_folder: Path, tmp_path: Path, ending: str, share: float) -> None:
-    path = save(tmp_path / f"cut{ending}", RNG.integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    with pytest.raises(ValueError, match=f"cut{ending} is truncated or damaged"):
-        run(model_folder, path, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -218,25 +204,6 @@ def test_auto_device_means_the_cpu_outside_torch(
     predictor = open_predictor(asked, RunLog(tmp_path, quiet=True))
     assert predictor.model.device == "cpu"
     assert predictor(photo()).shape == (48, 64)
-
-
-def test_depth_beyond_16_bits_is_unknown_and_reported(tmp_path: Path) -> None:
-    results = Results(tmp_path, ("depth",))
-    depth = np.full((4, 5), 2.5, np.float32)
-    depth[0] = 70.0
-    results.write("far", photo(4, 5), depth, results.formats)
-    assert results.too_far == 5
-    written = cv2.imread(str(tmp_path / "far_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert written[0].tolist() == [0] * 5
-    assert (written[1:] == 2500).all()
-
-
-def test_only_the_last_times_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("eldenet.deploy.prediction.REMEMBERED", 3)
-    timed = Timed(lambda frame: frame)
-    for _ in range(5):
-        timed(photo())
-    assert len(timed.seconds) == 3
 
 
 def test_the_command_writes_below_runs_and_fails_with_one_line(

@@ -56,8 +56,7 @@ def bf16_there() -> bool:
 
 
 @pytest.mark.parametrize(
-    ("file", "runtime"),
-    [("onnx", "onnxruntime"), ("onnx", "openvino"), ("xml", "openvino"), ("onnx", "auto"), ("xml", "auto")],
+    ("file", "runtime"), [("onnx", "onnxruntime"), ("onnx", "openvino"), ("onnx", "auto"), ("xml", "auto")]
 )
 def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtime: str) -> None:
     network = runtimes.load(files[file], runtime, threads=1)
@@ -77,13 +76,6 @@ def test_models_run_without_a_file(trained_model, images, reference, runtime: st
     network = runtimes.load(trained_model, runtime, threads=1)
     assert network.runtime == runtime
     assert differences(network(images), reference)["max_relative"] < ROUNDING
-
-
-def test_a_training_or_model_folder_runs(trained_model, images, reference, tmp_path: Path) -> None:
-    trained_model.save_pretrained(tmp_path / "run" / "model")
-    for folder in (tmp_path / "run", tmp_path / "run" / "model"):
-        depth = runtimes.load(folder, threads=1)(images)
-        assert differences(depth, reference)["max_relative"] < ROUNDING
 
 
 @pytest.mark.slow
@@ -233,21 +225,11 @@ def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str)
         DepthPredictor(network, (64, 64))
 
 
-def test_files_of_any_batch_have_no_fixed_batch(trained_model, files) -> None:
-    for source, runtime in (
-        (files["onnx"], "onnxruntime"),
-        (files["xml"], "openvino"),
-        (trained_model, "torch"),
-    ):
-        assert runtimes.load(source, runtime, threads=1).fixed_batch is None
-
-
 def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) -> None:
     folder = trained_model.save_pretrained(tmp_path / "model")
     config = folder / "config.json"
     config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
     with pytest.raises(ValueError, match="trusted_modules"):
         runtimes.load(folder, threads=1)
-    with pytest.raises(ValueError, match="tests_foreign") as error:  # it is looked for now
+    with pytest.raises(ValueError, match="tests_foreign"):  # it is looked for now
         runtimes.load(folder, threads=1, trusted_modules=["tests_foreign"])
-    assert "trusted_modules" not in str(error.value)

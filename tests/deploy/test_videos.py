@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from support.films import read_video, write_video
-from support.predicting import exported, listed, photo, run, save
+from support.predicting import exported, listed, photo, run
 
 from eldenet.deploy.outputs import in_time, open_video
 from eldenet.deploy.predictor import DepthPredictor, to_millimeters
@@ -58,13 +58,6 @@ def test_an_exported_file_predicts_a_video(model: DepthNet, tmp_path: Path, caps
     assert np.abs(written.astype(int) - to_millimeters(DepthPredictor(model)(frame))).max() <= 1
     with pytest.raises(ValueError, match=r"sees \[32, 64\] only"):
         run(file, source, tmp_path / "none", "input_size=[64,64]")
-
-
-def test_a_model_runs_under_another_runtime(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:
-    source = save(tmp_path / "a.png", photo())
-    run(model_folder, source, tmp_path / "out", "formats=[depth]", "engine=torch_channels_last")
-    written = cv2.imread(str(tmp_path / "out/a_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert np.abs(written.astype(int) - to_millimeters(DepthPredictor(model)(photo()))).max() <= 1
 
 
 def test_an_address_is_read_live(model_folder: Path, tmp_path: Path, capsys) -> None:

@@ -113,14 +113,3 @@ def test_missing_and_wrong_settings_are_refused(run, override, message, tmp_path
     (tmp_path / "odd.onnx").write_text("no network")
     with pytest.raises(ValueError, match=message):
         run(write_image(tmp_path / "photo.png"), override.format(folder=tmp_path))
-
-
-@pytest.mark.parametrize("part", ["detector", "lifter", "tracker"])
-def test_the_config_shows_every_option(part):
-    import inspect
-
-    from hydra.utils import get_object
-
-    node = compose("predict", ["checkpoint=x", "source=y"]).perception[part]
-    options = set(inspect.signature(get_object(node["_target_"])).parameters)
-    assert options - {"priors"} == {name for name in node if name != "_target_"}

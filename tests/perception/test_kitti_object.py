@@ -58,13 +58,6 @@ def test_results_have_the_axes_of_the_camera():
     np.testing.assert_allclose(given.alpha, given.yaw - np.arctan2(*given.location[0, [0, 2]]))
 
 
-def test_the_observation_angle_is_defined_as_in_the_labels():
-    """KITTI's labels: alpha = rotation_y - atan2(x, z)."""
-    center, one = np.array([[10.0, 1.0, 10.0]]), np.ones(1)
-    boxes = Boxes3D(center, np.ones((1, 3)), one, one, np.zeros(1, int), ("car",))
-    assert to_labels(boxes, np.zeros((1, 4))).alpha[0] == pytest.approx(1.0 - np.pi / 4)
-
-
 @pytest.mark.parametrize("line", ["Car 1 2 3", CAR.replace("13.22", "far"), CAR + " 1 2"])
 def test_wrong_lines_are_named(line, tmp_path):
     (tmp_path / "a.txt").write_text(f"{CAR}\n{line}\n")

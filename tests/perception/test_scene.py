@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from support.standing_boxes import CAMERA, boxes
 
-from eldenet.boxes import Detections2D
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception.detectors import FixedDetections
 from eldenet.perception.kitti_object import read_labels
@@ -51,12 +50,6 @@ def test_depth_image_and_camera_must_fit_together(view):
         without_model(view.image)
     with pytest.raises(ValueError, match="frame is"):
         without_model(view.image[..., 0])
-
-
-def test_a_scene_may_have_no_objects(view):
-    scene = perceive(view, Detections2D.empty(("car",)))
-    assert len(scene.boxes) == 0
-    assert scene.picture().any()
 
 
 def test_detections_convert_to_supervision(view):

@@ -108,23 +108,7 @@ def test_wrong_options_and_a_missing_package_are_refused(options, message, monke
 def test_a_run_folder_holds_one_training(tmp_path):
     (tmp_path / "run/train").mkdir(parents=True)
     with pytest.raises(ValueError, match="resume=true"):
-        train_detector(
-            build_train_detector(
-                compose("train_detector", [f"run_dir='{tmp_path / 'run'}'"]), tmp_path / "run"
-            )
-        )
-
-
-def test_the_config_shows_every_option():
-    import inspect
-    from dataclasses import fields
-
-    node = compose("train_detector", [])
-    options = set(inspect.signature(LibreYoloDetector).parameters)
-    assert options == {name for name in node.detector if name != "_target_"}
-    assert {field.name for field in fields(YoloTraining)} - {"workers", "device", "seed"} == set(
-        node.training
-    )
+        train_detector(setup(tmp_path / "run"))
 
 
 def test_random_weights_are_seeded_and_the_exported_file_agrees(tmp_path):

@@ -221,10 +221,6 @@ def test_pedestrians_walk_their_path_and_can_be_hit():
     assert steps * 0.1 == pytest.approx((3.0 - 0.25 - 0.30) / 0.5, abs=0.3)
 
 
-def test_the_triangle_course_has_three_waypoints():
-    assert len(triangle_course().waypoints) == 3
-
-
 @pytest.mark.parametrize(("arguments", "message"), [
     (("holiday", 5, 0), "split='holiday'"),
     (("test", 500, 0), "density=500"),

@@ -11,8 +11,6 @@ from eldenet.geometry import back_project, pinhole
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
-from eldenet.simulation.rendering.mjcf import Draw, number
-from eldenet.simulation.rendering.textures import atlas, variants
 
 SIZE = (32, 40)
 INTRINSICS = pinhole(33.0, 35.0, 18.5, 15.0)
@@ -50,26 +48,6 @@ def test_every_room_compiles_and_is_furnished():
 def test_unknown_splits_and_negative_indices_are_refused(split, index):
     with pytest.raises(ValueError, match=r"split=|index="):
         generate_room(split, index)
-
-
-def test_numbers_random_draws_and_texture_families():
-    assert number(-0.00001) == "0.0000"
-    assert number(1.23456) == "1.2346"
-    draw = Draw((1, 2))
-    assert 0 <= draw.unit() < 1
-    assert {draw.integer(1, 3) for _ in range(100)} == {1, 2, 3}
-    with pytest.raises(ValueError, match="no texture family"):
-        variants("lava")
-    assert variants("foliage")[-1] == atlas().count - 1
-
-
-def test_depth_is_measured_along_the_optical_axis():
-    model, data = compiled(
-        '<mujoco><worldbody><geom type="plane" size="0 0 1" pos="3 0 0" zaxis="-1 0 0"/></worldbody></mujoco>'
-    )
-    camera = RayCamera(SIZE, INTRINSICS)
-    depth = camera.cast(model, data, np.array([0.5, 0.0, 1.0]), camera_rotation(0.0)).depth
-    np.testing.assert_allclose(depth, 2.5, atol=1e-6)  # not the length of the ray, which grows off axis
 
 
 def test_a_box_covers_the_pixels_that_it_projects_to():

@@ -1,6 +1,7 @@
 """What may happen to files that hold many frames: HDF5, MATLAB's .mat, tar."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,13 @@ def hdf5(change: Callable[[h5py.File], None]) -> Damage:
     return damage
 
 
-def replaced(key: str, change: Callable[[np.ndarray], Any]) -> Damage:
-    def damage(file: h5py.File) -> None:
+def replaced(key: str, *changes: Callable[[np.ndarray], Any]) -> list[Damage]:
+    def damage(file: h5py.File, change: Callable[[np.ndarray], Any]) -> None:
         new = change(file[key][()])
         del file[key]
         file[key] = new
 
-    return hdf5(damage)
+    return [hdf5(partial(damage, change=change)) for change in changes]
 
 
 def without(key: str) -> Damage:
@@ -50,29 +51,15 @@ def zeros_in_tables(path: Path, generator: np.random.Generator) -> None:
 
 H5 = (
     *(*ANY, cut, cut, zeros_in_tables, without("rgb"), without("depth"), group("rgb"), group("depth")),
-    *(replaced("rgb", lambda a: a.astype(np.uint16)), replaced("rgb", lambda a: a.transpose(1, 2, 0))),
-    *(
-        replaced("rgb", lambda a: a[0]),
-        replaced("depth", lambda a: a.T),
-        replaced("depth", lambda a: a[None]),
-    ),
-    *(replaced("depth", lambda a: -a), replaced("depth", lambda a: a * np.nan)),
-    *(replaced("depth", lambda a: a * 1000), replaced("depth", lambda a: (a * 1000).astype(np.uint16))),
+    *replaced("rgb", lambda a: a.astype(np.uint16), lambda a: a.transpose(1, 2, 0), lambda a: a[0]),
+    *replaced("depth", lambda a: a.T, lambda a: a[None], lambda a: -a, lambda a: a * np.nan),
+    *replaced("depth", lambda a: a * 1000, lambda a: (a * 1000).astype(np.uint16)),
 )
 MAT = (
-    *(
-        *ANY,
-        cut,
-        cut,
-        zeros_in_tables,
-        without("images"),
-        without("depths"),
-        group("images"),
-        group("depths"),
-    ),
-    *(replaced("images", lambda a: a.astype(np.float32)), replaced("images", lambda a: a[:, 0])),
-    *(replaced("depths", lambda a: a.swapaxes(1, 2)), replaced("depths", lambda a: a[1:])),
-    *(replaced("images", lambda a: a[:3]), replaced("depths", lambda a: a[0])),
+    *(*ANY, cut, cut, zeros_in_tables),
+    *(without("images"), without("depths"), group("images"), group("depths")),
+    *replaced("images", lambda a: a.astype(np.float32), lambda a: a[:, 0], lambda a: a[:3]),
+    *replaced("depths", lambda a: a.swapaxes(1, 2), lambda a: a[1:], lambda a: a[0]),
 )
 
 
@@ -92,8 +79,7 @@ def split(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]) -> D
 
 SPLITS_MAT = (
     *(empty, gone, folder_instead, web_page),
-    split(lambda s: {"trainNdxs": s["trainNdxs"]}),
-    split(lambda s: {"testNdxs": s["testNdxs"]}),
+    *(split(lambda s: {"trainNdxs": s["trainNdxs"]}), split(lambda s: {"testNdxs": s["testNdxs"]})),
     split(lambda s: s | {"trainNdxs": s["trainNdxs"] * 0}),
     split(lambda s: s | {"trainNdxs": s["testNdxs"]}),
     split(lambda s: s | {"testNdxs": np.array([["a"]])}),

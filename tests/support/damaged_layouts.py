@@ -1,6 +1,7 @@
 """Every layout a data set may have, and what may happen to its files."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,217 +41,178 @@ from support.damages import (
 
 
 class Target(NamedTuple):
-    """A file, what may happen to it, and the frames that are lost then; None: the whole data set."""
+    """A file, what may happen to it, and the frame that is lost then; None: the whole data set."""
 
     file: str
     damages: Sequence[Damage]
-    lost: tuple[str, ...] | None
+    lost: str | None
     named: str | None = None  # what the message says, where it is not the file's stem
 
 
 class Layout(NamedTuple):
+    """A data set's YAML, what writes its files, and the overrides for a folder ``{root}`` of them."""
+
     data: str
-    write: Callable[[Path], list[str]]
+    write: Callable[[Path], object]
+    overrides: Sequence[str]
     targets: Sequence[Target]
     split: str = "train"
 
+    def given(self, root: Path) -> list[str]:
+        """Write the files and return the overrides of a training on them, at a small input size."""
+        self.write(root)
+        small = [f"data={self.data}", "protocol=folder", "data.input_size=[24,32]"]
+        return [*small, *(override.format(root=root) for override in self.overrides)]
 
-# --- the layouts, with small frames -------------------------------------------------------------------------
 
 NYU_FRAME = layouts.SMALL
-DRIVE = layouts.DRIVES[0]
-DEVKIT = f"depth/train/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png"
-RAW_PICTURE = "raw/2011_09_26/{}/image_02/data/{:010d}.png"
-KITTI_NAME = f"{DRIVE}/image_02/{{:010d}}"
+DRIVE, VAL_DRIVE = layouts.DRIVES[0], layouts.VAL_DRIVE
+KITTI_FRAME = f"{DRIVE}/image_02/{{:010d}}"
+KITTI_PICTURE = f"raw/2011_09_26/{DRIVE}/image_02/data/{{:010d}}.png"
+KITTI_DEPTH = f"depth/train/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png"
+DATE = "raw/2011_09_26"
+SELECTED = f"{VAL_DRIVE}/image_02/0000000008"
+SELECTION = "val_selection_cropped"
 CITY = "train/aachen/aachen_000000_000019"
+ALL = ("data.root={root}", "data.train.split=all")
+TRAINVAL = ("data.root={root}", "data.train.split=trainval")
 
 
-def folder_of(ending: str, encoding: str) -> Callable[[Path], list[str]]:
-    """Pictures with depth in files of another kind."""
+def arrays(root: Path, ending: str) -> None:
+    """Write pictures with depth in files of another kind."""
     writers = {".npy": np.save, ".pfm": pfm, ".exr": exr, ".tiff": layouts.picture}
-
-    def make(root: Path) -> list[str]:
-        for i in range(3):
-            layouts.picture(root / f"images/f{i}.png", NYU_FRAME.rgb)
-            (root / "depths").mkdir(exist_ok=True)
-            writers[ending](root / f"depths/f{i}{ending}", NYU_FRAME.meters)
-        return [f"data.root={root}", f"data.encoding={encoding}", "data.train.split=all"]
-
-    return make
+    for i in range(3):
+        layouts.picture(root / f"images/f{i}.png", NYU_FRAME.rgb)
+        (root / "depths").mkdir(exist_ok=True)
+        writers[ending](root / f"depths/f{i}{ending}", NYU_FRAME.meters)
 
 
-def csv_folder(root: Path) -> list[str]:
+def folder_of(ending: str, damages: Sequence[Damage]) -> Layout:
+    overrides = (*ALL, "data.encoding=meters")
+    return Layout(
+        "folder", partial(arrays, ending=ending), overrides, (Target(f"depths/f1{ending}", damages, "f1"),)
+    )
+
+
+def csv_folder(root: Path) -> None:
     layouts.folder(root, count=3)
     (root / "pairs.csv").write_text("".join(f"images/f{i:03d}.png,depths/f{i:03d}.png\n" for i in range(3)))
-    return [f"data.root={root}", "data.csv=pairs.csv", "data.train.split=all"]
 
 
-def sync_list(root: Path) -> list[str]:
+def sync_list(root: Path) -> None:
     layouts.sync(root)
-    frames = [
-        f"/{scene}/rgb_{n}.jpg /{scene}/sync_depth_{n}.png 518.8579" for scene, n in layouts.SYNC_FRAMES
+    lines = [
+        f"/{scene}/rgb_{n}.jpg /{scene}/sync_depth_{n}.png 518.8579\n" for scene, n in layouts.SYNC_FRAMES
     ]
-    (root / "list.txt").write_text("\n".join(frames) + "\n")
-    return [f"data.root={root}", "data.train.split=all", f"+data.train.list_file={root / 'list.txt'}"]
+    (root / "list.txt").write_text("".join(lines))
 
 
-def mat(root: Path) -> list[str]:
-    layouts.mat(root)
-    return [f"data.root={root}", "data.train.split=trainval", "data.ground_truth=inpainted"]
-
-
-def eigen(root: Path) -> list[str]:
+def eigen(root: Path) -> None:
     layouts.kitti_depth(root)
-    listed = layouts.eigen_list(root / "frames.txt", layouts.DRIVES)
-    return [f"data.root={root / 'depth'}", "data.train.split=all", f"+data.train.list_file={listed}"]
+    layouts.eigen_list(root / "frames.txt", layouts.DRIVES)
 
 
-def kitti(root: Path) -> list[str]:
-    return [f"data.root={layouts.kitti_depth(root)}", "data.train.split=trainval"]
-
-
-def kitti_raw(root: Path) -> list[str]:
-    return [f"data.root={layouts.kitti_raw(root / 'raw')}", "data.train.split=all"]
-
-
-def kitti_selection(root: Path) -> list[str]:
-    selection = layouts.kitti_selection(root)
-    return [f"data.selection_root={selection}", "data.frames=null", "+data.ground_truth=improved"]
-
-
-def densedepth(root: Path) -> list[str]:
-    return [f"data.root={layouts.densedepth(root)}", "data.train.split=trainval"]
-
-
-def labelled(root: Path) -> list[str]:
-    return [f"data.root={layouts.labelled(root)}", "data.train.split=all"]
-
-
-def sync(root: Path) -> list[str]:
-    return [f"data.root={layouts.sync(root)}", "data.train.split=all"]
-
-
-def h5_frames(root: Path) -> list[str]:
-    return [f"data.root={layouts.hdf5(root)}", "data.train.split=trainval"]
-
-
-def tar(root: Path) -> list[str]:
-    return [f"data.root={layouts.tar(root)}", "data.train.split=trainval", f"data.index={root / 'index'}"]
-
-
-def folder(root: Path) -> list[str]:
-    return [f"data.root={layouts.folder(root, count=3)}", "data.train.split=all"]
-
-
-def cityscapes(root: Path) -> list[str]:
-    return [f"data.root={layouts.cityscapes(root)}", "data.train.split=trainval"]
-
-
-def mtan(root: Path) -> list[str]:
-    return [f"data.root={layouts.cityscapes_mtan(root, (48, 64))}", "data.train.split=trainval"]
-
-
-EXTRA_FLOAT = (turned, halved)
 LAYOUTS = {
     "densedepth": Layout(
         "nyu_densedepth",
-        densedepth,
+        layouts.densedepth,
+        TRAINVAL,
         (
-            Target("data/nyu2_train/office_0002_out/1.jpg", COLOR_JPG, ("office_0002_out/1",)),
-            Target("data/nyu2_train/office_0002_out/1.png", DEPTH_PNG, ("office_0002_out/1",)),
+            Target("data/nyu2_train/office_0002_out/1.jpg", COLOR_JPG, "office_0002_out/1"),
+            Target("data/nyu2_train/office_0002_out/1.png", DEPTH_PNG, "office_0002_out/1"),
             Target("data/nyu2_train.csv", LIST, None, "nyu2_train|office_0002|data set/dat"),
         ),
     ),
     "labelled": Layout(
         "nyu_labelled",
-        labelled,
+        layouts.labelled,
+        ALL,
         (
-            Target("data/nyu2_train/labeled_out/0022.jpg", COLOR_JPG, ("labeled_out/0022",)),
-            Target("data/nyu2_train/labeled_out/0022.png", DEPTH_PNG, ("labeled_out/0022",)),
+            Target("data/nyu2_train/labeled_out/0022.jpg", COLOR_JPG, "labeled_out/0022"),
+            Target("data/nyu2_train/labeled_out/0022.png", DEPTH_PNG, "labeled_out/0022"),
         ),
     ),
     "sync": Layout(
         "nyu_sync",
-        sync,
+        layouts.sync,
+        ALL,
         (
-            Target("office_0002/rgb_00041.jpg", COLOR_JPG, ("office_0002/rgb_00041",)),
-            Target("office_0002/sync_depth_00041.png", DEPTH_PNG, ("office_0002/rgb_00041",)),
+            Target("office_0002/rgb_00041.jpg", COLOR_JPG, "office_0002/rgb_00041"),
+            Target("office_0002/sync_depth_00041.png", DEPTH_PNG, "office_0002/rgb_00041"),
         ),
     ),
     "sync_list": Layout(
         "nyu_sync",
         sync_list,
+        (*ALL, "+data.train.list_file={root}/list.txt"),
         (Target("list.txt", (*TEXT, text(lambda t: t.replace("518", "x"))), None, "list.txt|/html"),),
     ),
     "hdf5": Layout(
         "nyu_hdf5",
-        h5_frames,
-        (Target("train/office_0002/00001.h5", without_gone(H5), ("train/office_0002/00001",)),),
+        layouts.hdf5,
+        TRAINVAL,
+        (Target("train/office_0002/00001.h5", without_gone(H5), "train/office_0002/00001"),),
     ),
     "mat": Layout(
         "nyu_mat",
-        mat,
+        layouts.mat,
+        (*TRAINVAL, "data.ground_truth=inpainted"),
         (
             Target("nyu_depth_v2_labeled.mat", MAT, None),
             Target("splits.mat", (*SPLITS_MAT, cut_split, cut_split), None),
             Target(
                 "nyu_depth_v2_labeled.mat",
-                (
-                    in_frame(3, np.negative),
-                    in_frame(3, lambda a: a * np.nan),
-                    in_frame(3, lambda a: a * 1000),
-                ),
-                ("0003",),
+                [in_frame(3, change) for change in (np.negative, lambda a: a * np.nan, lambda a: a * 1000)],
+                "0003",
             ),
         ),
     ),
     "tar": Layout(
         "nyu_tar",
-        tar,
+        layouts.tar,
+        (*TRAINVAL, "data.index={root}/index"),
         (
-            Target("data/train-000001.tar", TAR, ("data/train-000001.tar",)),
+            Target("data/train-000001.tar", TAR, "data/train-000001.tar"),
             Target(
                 "data/train-000001.tar",
-                (member(empty), member(web_page), member(zeros_in_tables), member(wrong_start), member(cut)),
-                ("train/office_0002/00001",),
+                [member(damage) for damage in (empty, web_page, zeros_in_tables, wrong_start, cut)],
+                "train/office_0002/00001",
             ),
         ),
     ),
     "folder": Layout(
         "folder",
-        folder,
+        partial(layouts.folder, count=3),
+        ALL,
         (
-            Target("images/f001.png", [d for d in COLOR_PNG if d is not gray], ("f001",)),
-            Target("depths/f001.png", DEPTH_PNG, ("f001",)),
+            Target("images/f001.png", [d for d in COLOR_PNG if d is not gray], "f001"),
+            Target("depths/f001.png", DEPTH_PNG, "f001"),
         ),
     ),
-    "folder_csv": Layout("folder", csv_folder, (Target("pairs.csv", LIST, None, "pairs.csv|f002|depths"),)),
-    "folder_npy": Layout(
-        "folder", folder_of(".npy", "meters"), (Target("depths/f1.npy", DEPTH_NPY, ("f1",)),)
-    ),
-    "folder_pfm": Layout("folder", folder_of(".pfm", "meters"), (Target("depths/f1.pfm", PFM, ("f1",)),)),
-    "folder_exr": Layout("folder", folder_of(".exr", "meters"), (Target("depths/f1.exr", ANY, ("f1",)),)),
-    "folder_tiff": Layout(
+    "folder_csv": Layout(
         "folder",
-        folder_of(".tiff", "meters"),
-        (Target("depths/f1.tiff", (*ANY, *EXTRA_FLOAT), ("f1",)),),
+        csv_folder,
+        (*ALL, "data.csv=pairs.csv"),
+        (Target("pairs.csv", LIST, None, "pairs.csv|f002|depths"),),
     ),
+    "folder_npy": folder_of(".npy", DEPTH_NPY),
+    "folder_pfm": folder_of(".pfm", PFM),
+    "folder_exr": folder_of(".exr", ANY),
+    "folder_tiff": folder_of(".tiff", (*ANY, turned, halved)),
     "kitti": Layout(
         "kitti",
-        kitti,
+        layouts.kitti_depth,
+        ("data.root={root}/depth", "data.train.split=trainval"),
         (
-            Target(DEVKIT, without_gone(DEPTH_PNG), (KITTI_NAME.format(5),)),
-            Target(
-                RAW_PICTURE.format(DRIVE, 5),
-                without_gone(COLOR_PNG),
-                (KITTI_NAME.format(5),),
-            ),
-            Target("raw/2011_09_26/calib_cam_to_cam.txt", CAM_TO_CAM, None),
+            Target(KITTI_DEPTH, without_gone(DEPTH_PNG), KITTI_FRAME.format(5)),
+            Target(KITTI_PICTURE.format(5), without_gone(COLOR_PNG), KITTI_FRAME.format(5)),
+            Target(f"{DATE}/calib_cam_to_cam.txt", CAM_TO_CAM, None),
         ),
     ),
     "kitti_list": Layout(
         "kitti",
         eigen,
+        ("data.root={root}/depth", "data.train.split=all", "+data.train.list_file={root}/frames.txt"),
         (
             Target(
                 "frames.txt",
@@ -261,34 +223,29 @@ LAYOUTS = {
     ),
     "kitti_raw": Layout(
         "kitti_raw",
-        kitti_raw,
+        lambda root: layouts.kitti_raw(root / "raw"),
+        ("data.root={root}/raw", "data.train.split=all"),
         (
+            Target(f"{DATE}/{DRIVE}/velodyne_points/data/0000000069.bin", SCAN, KITTI_FRAME.format(69)),
             Target(
-                f"raw/2011_09_26/{DRIVE}/velodyne_points/data/0000000069.bin", SCAN, (KITTI_NAME.format(69),)
-            ),
-            Target(
-                RAW_PICTURE.format(DRIVE, 69),
+                KITTI_PICTURE.format(69),
                 [d for d in COLOR_PNG if d not in (turned, halved)],
-                (KITTI_NAME.format(69),),
+                KITTI_FRAME.format(69),
             ),
-            Target("raw/2011_09_26/calib_velo_to_cam.txt", VELO_TO_CAM, None),
-            Target("raw/2011_09_26/calib_cam_to_cam.txt", CAM_TO_CAM, None),
+            Target(f"{DATE}/calib_velo_to_cam.txt", VELO_TO_CAM, None),
+            Target(f"{DATE}/calib_cam_to_cam.txt", CAM_TO_CAM, None),
         ),
     ),
     "kitti_selection": Layout(
         "kitti_selection",
-        kitti_selection,
+        layouts.kitti_selection,
+        ("data.selection_root={root}", "data.frames=null", "+data.ground_truth=improved"),
         (
+            Target(f"{SELECTION}/intrinsics/{VAL_DRIVE}_image_0000000008_image_02.txt", INTRINSICS, SELECTED),
             Target(
-                f"val_selection_cropped/intrinsics/{layouts.VAL_DRIVE}_image_0000000008_image_02.txt",
-                INTRINSICS,
-                (f"{layouts.VAL_DRIVE}/image_02/0000000008",),
-            ),
-            Target(
-                f"val_selection_cropped/groundtruth_depth/{layouts.VAL_DRIVE}_groundtruth_depth_0000000008"
-                "_image_02.png",
+                f"{SELECTION}/groundtruth_depth/{VAL_DRIVE}_groundtruth_depth_0000000008_image_02.png",
                 DEPTH_PNG,
-                (f"{layouts.VAL_DRIVE}/image_02/0000000008",),
+                SELECTED,
                 "0000000008",
             ),
         ),
@@ -296,19 +253,21 @@ LAYOUTS = {
     ),
     "cityscapes": Layout(
         "cityscapes",
-        cityscapes,
+        layouts.cityscapes,
+        TRAINVAL,
         (
-            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOR_PNG, (CITY,)),
-            Target(f"disparity/{CITY}_disparity.png", DEPTH_PNG, (CITY,)),
-            Target(f"camera/{CITY}_camera.json", CAMERA, (CITY,)),
+            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOR_PNG, CITY),
+            Target(f"disparity/{CITY}_disparity.png", DEPTH_PNG, CITY),
+            Target(f"camera/{CITY}_camera.json", CAMERA, CITY),
         ),
     ),
     "mtan": Layout(
         "cityscapes_mtan",
-        mtan,
+        partial(layouts.cityscapes_mtan, size=(48, 64)),
+        TRAINVAL,
         (
-            Target("train/image/2.npy", MTAN_IMAGE, ("train/2",)),
-            Target("train/depth/2.npy", MTAN_DEPTH, ("train/2",)),
+            Target("train/image/2.npy", MTAN_IMAGE, "train/2"),
+            Target("train/depth/2.npy", MTAN_DEPTH, "train/2"),
         ),
     ),
 }

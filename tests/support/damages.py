@@ -141,13 +141,8 @@ def zeros_in_header(path: Path, generator: np.random.Generator) -> None:
 
 
 NPY = (
-    *ANY,
-    cut,
-    as_npz,
-    as_objects,
-    zeros_in_header,
-    array(lambda a: a[:-1]),
-    array(lambda a: a[None, None]),
+    *(*ANY, cut, as_npz, as_objects, zeros_in_header),
+    *(array(lambda a: a[:-1]), array(lambda a: a[None, None])),
 )
 NAN = array(lambda a: np.full_like(a, np.nan))
 NEGATIVE = array(lambda a: -a)
@@ -193,6 +188,11 @@ def text(change: Callable[[str], str]) -> Damage:
     return damage
 
 
+def with_text(old: str, *new: str) -> list[Damage]:
+    """Another text in place of ``old``."""
+    return [text(lambda content, other=other: content.replace(old, other)) for other in new]
+
+
 def binary(path: Path, generator: np.random.Generator) -> None:
     path.write_bytes(b"\xff\xfe\x00" + generator.bytes(200))
 
@@ -232,27 +232,16 @@ CAMERA = (
     keys(lambda c: c["extrinsic"].update(baseline=float("inf"))),
 )
 CAM_TO_CAM = (
-    *(
-        *TEXT[:-1],
-        cut_before("0.2163791"),
-        cut_before("0.2163791"),
-        text(lambda t: t.replace("P_rect_02", "P")),
-    ),
-    *(text(lambda t: t.replace("721.5377", "x", 1)), text(lambda t: t.replace("721.5377", "nan"))),
-    *(text(lambda t: t.replace("721.5377", "0")), text(lambda t: t.replace(" 1 0.0027", " 0.0027"))),
+    *(*TEXT[:-1], cut_before("0.2163791"), cut_before("0.2163791"), *with_text("P_rect_02", "P")),
+    *(*with_text("721.5377", "x", "nan", "0"), *with_text(" 1 0.0027", " 0.0027")),
 )
 VELO_TO_CAM = (
-    *(
-        *TEXT,
-        cut_before("-0.0763"),
-        text(lambda t: t.replace("R:", "S:")),
-        text(lambda t: t.replace("T:", "U:")),
-    ),
-    *(text(lambda t: t.replace("-0.0763", "inf")), text(lambda t: t.replace("T: 0 ", "T: "))),
+    *(*TEXT, cut_before("-0.0763"), *with_text("R:", "S:"), *with_text("T:", "U:")),
+    *(*with_text("-0.0763", "inf"), *with_text("T: 0 ", "T: ")),
 )
 INTRINSICS = (
     *(empty, folder_instead, web_page, binary, zeros, cut_before("149.854"), cut_before("0 0 1")),
-    *(text(lambda t: t.replace("721", "-721")), text(lambda t: t.replace("149.854", "nan"))),
+    *(*with_text("721", "-721"), *with_text("149.854", "nan")),
 )
 
 
@@ -276,16 +265,8 @@ def spaces(path: Path, _: np.random.Generator) -> None:
 
 
 SCAN = (
-    *(
-        empty,
-        folder_instead,
-        web_page,
-        spaces,
-        scan_cut,
-        scan_cut,
-        scan_cut,
-        scan(lambda p: p * np.float32("nan")),
-    ),
+    *(empty, folder_instead, web_page, spaces, scan_cut, scan_cut, scan_cut),
+    scan(lambda p: p * np.float32("nan")),
     *(scan(lambda p: p.byteswap()), scan(lambda p: p.astype(np.float64)), scan(lambda p: p * 1e6)),
     scan(lambda p: np.vstack([p, [[np.inf, 0, 0, 0]]]).astype(np.float32)),
 )

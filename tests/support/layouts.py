@@ -123,15 +123,7 @@ def folder(root: Path, frame: Content = SMALL, count: int = 10) -> Path:
 
 
 CAMERA = {  # the keys and the size of numbers of an official file
-    "extrinsic": {
-        "baseline": 0.209313,
-        "pitch": 0.038,
-        "roll": 0.0,
-        "x": 1.7,
-        "y": 0.1,
-        "yaw": -0.0195,
-        "z": 1.22,
-    },
+    "extrinsic": {"baseline": 0.209313, "pitch": 0.038, "roll": 0.0, "yaw": -0.0195, "x": 1.7, "z": 1.22},
     "intrinsic": {"fx": 2262.52, "fy": 2265.3017905988554, "u0": 1096.98, "v0": 513.137},
 }
 CITIES = {"train": ("aachen", "darmstadt", "ulm"), "val": ("munster",), "test": ("berlin",)}

@@ -25,6 +25,15 @@ def save(path: Path, picture: np.ndarray) -> Path:
     return path
 
 
+def turned_by_exif(path: Path) -> Path:
+    """Add the note of a camera that was held upright, a quarter turn, to a JPEG."""
+    content = path.read_bytes()
+    tiff = b"II*\0\x08\0\0\0\x01\0" + b"\x12\x01\x03\0\x01\0\0\0\x06\0\0\0" + b"\0\0\0\0"  # Orientation = 6
+    exif = b"Exif\0\0" + tiff
+    path.write_bytes(content[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + content[2:])
+    return path
+
+
 def listed(folder: Path) -> list[str]:
     """Names of the files that a person sees in a folder."""
     return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))

@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 
 import eldenet
+from eldenet.data.base import DepthDataset
 from eldenet.data.transforms import Augmentation
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -34,6 +35,7 @@ def fit(
     folder: Path,
     *,
     trainer: Trainer | None = None,
+    data: DepthDataset | None = None,
     frames: int = 16,
     val_frames: int = 6,
     protocol: EvalProtocol = PROTOCOL,
@@ -46,7 +48,8 @@ def fit(
     seed_everything(0)
     model = eldenet.load("eldenet_s").train()
     loss = WeightedSum({"l1": WeightedTerm(options.pop("loss", L1Loss()))})
-    train = SyntheticDepth(frames, transform=options.pop("transform", Augmentation(affine=0.0)))
+    transform = options.pop("transform", Augmentation(affine=0.0))
+    train = SyntheticDepth(frames, transform=transform) if data is None else data
     trainer = trainer or make_trainer(**options)
     val = SyntheticDepth(val_frames)
     progress = trainer.fit(
