@@ -19,14 +19,13 @@ from eldenet.data.kitti_files import (
     RAW_TREE,
     SELECTION_TREE,
     KITTIFrames,
-    Listing,
     Place,
     depth_maps,
     drive_of,
     frame_list,
-    picture_of,
+    pictures_of,
     scans,
-    selection,
+    selected,
 )
 from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
 from eldenet.data.paths import find_root
@@ -93,18 +92,13 @@ class KITTIDepth(KITTIFrames):
                 f"{folder} has no {depth} maps for split={split!r}: check data.root. Expected tree:\n"
                 f"{DEPTH_TREE.strip()}"
             )
-        places, without = list(maps), []
-        if list_file is not None:
-            lines = frame_list(list_file)
-            lacks = depth == "groundtruth"
-            places = [line.place for line in lines if line.has_truth or not lacks]
-            without = [line.place for line in lines if lacks and not line.has_truth]
-        places = _split(places, split, exclude_list)
-        names = Listing()
+        given = dict.fromkeys(maps, True) if list_file is None else frame_list(list_file)
+        without = [place for place in given if depth == "groundtruth" and not given[place]]
+        places = _split([place for place in given if place not in without], split, exclude_list)
         self.ground_truth = _GROUND_TRUTH[depth]
         super().__init__(
             folder,
-            {place: picture_of(place, beside, names) for place in places},
+            pictures_of(places, beside),
             maps,
             places,
             without_depth=without,
@@ -157,9 +151,8 @@ class KITTIRaw(KITTIFrames):
             raise FileNotFoundError(
                 f"{folder} has no velodyne_points: check data.root. Expected tree:\n{RAW_TREE.strip()}"
             )
-        places = list(sources) if list_file is None else [line.place for line in frame_list(list_file)]
-        places, names = _split(places, split, exclude_list), Listing()
-        pictures = {place: picture_of(place, [folder], names) for place in places}
+        places = _split(list(sources if list_file is None else frame_list(list_file)), split, exclude_list)
+        pictures = pictures_of(places, [folder])
         super().__init__(folder, pictures, sources, places, frames=frames, **options)
         self.projection = projection
         calibrated = self.calibrate([folder], "required")
@@ -210,7 +203,8 @@ class KITTISelection(KITTIFrames):
         folder = find_root(root, "kitti/depth_selection", [], SELECTION_TREE)
         if (folder / "val_selection_cropped").is_dir():
             folder = folder / "val_selection_cropped"
-        pictures, maps = selection(folder, depth)
+        word = "groundtruth_depth" if depth == "groundtruth" else depth
+        pictures, maps = selected(folder / "image", "image"), selected(folder / word, word)
         if not (pictures or maps):
             raise FileNotFoundError(f"{folder} has no frames. Expected tree:\n{SELECTION_TREE.strip()}")
         self.ground_truth = _GROUND_TRUTH[depth]
@@ -249,6 +243,6 @@ def _picture_roots(folder: Path, raw_root: str | Path | None) -> list[Path]:
 
 def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None) -> list[Place]:
     if exclude_list is not None:
-        tested = {line.place.drive for line in frame_list(exclude_list)}
+        tested = {place.drive for place in frame_list(exclude_list)}
         places = [place for place in places if place.drive not in tested]
     return [places[i] for i in hold_out([place.name for place in places], split, drive_of)]

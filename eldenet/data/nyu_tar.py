@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import tarfile
-import uuid
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, Unpack
@@ -17,6 +16,7 @@ from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
 from eldenet.data.paths import default_cache, find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
+from eldenet.system.files import part_file
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -148,10 +148,8 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
         pass  # no index, or not ours: walk the shard
     members, fault = _walk(shard)
     try:
-        cache.mkdir(parents=True, exist_ok=True)
-        unfinished = file.with_name(f".{file.name}.{uuid.uuid4().hex}")  # written whole, or not at all
-        unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
-        unfinished.replace(file)
+        with part_file(file) as unfinished:
+            unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
     except OSError as error:
         logging.getLogger("eldenet").warning(
             "the index of %s cannot be stored in %s: %s", shard, cache, error
