@@ -11,7 +11,7 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
+from eldenet.data.array_files import read_text, reading
 from eldenet.data.base import SampleOptions
 from eldenet.data.kitti_files import (
     DEPTH_KINDS,
@@ -28,7 +28,7 @@ from eldenet.data.kitti_files import (
     selected,
 )
 from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
-from eldenet.data.paths import find_root
+from eldenet.data.paths import find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
 
@@ -88,10 +88,7 @@ class KITTIDepth(KITTIFrames):
             parts, chosen = ("train", "val", ""), (2, 3)
         maps = depth_maps(folder, depth, parts, chosen)
         if list_file is None and not maps:
-            raise FileNotFoundError(
-                f"{folder} has no {depth} maps for split={split!r}: check data.root. Expected tree:\n"
-                f"{DEPTH_TREE.strip()}"
-            )
+            raise incomplete(f"{folder} has no {depth} maps for split={split!r}", DEPTH_TREE)
         given = dict.fromkeys(maps, True) if list_file is None else frame_list(list_file)
         without = [place for place in given if depth == "groundtruth" and not given[place]]
         places = _split([place for place in given if place not in without], split, exclude_list)
@@ -148,9 +145,7 @@ class KITTIRaw(KITTIFrames):
         folder = find_root(root, "kitti/raw", [], RAW_TREE)
         sources = scans(folder, _both(cameras) if list_file is None else (2, 3))
         if not sources:
-            raise FileNotFoundError(
-                f"{folder} has no velodyne_points: check data.root. Expected tree:\n{RAW_TREE.strip()}"
-            )
+            raise incomplete(f"{folder} has no velodyne_points", RAW_TREE)
         places = _split(list(sources if list_file is None else frame_list(list_file)), split, exclude_list)
         pictures = pictures_of(places, [folder])
         super().__init__(folder, pictures, sources, places, frames=frames, **options)
@@ -206,7 +201,7 @@ class KITTISelection(KITTIFrames):
         word = "groundtruth_depth" if depth == "groundtruth" else depth
         pictures, maps = selected(folder / "image", "image"), selected(folder / word, word)
         if not (pictures or maps):
-            raise FileNotFoundError(f"{folder} has no frames. Expected tree:\n{SELECTION_TREE.strip()}")
+            raise incomplete(f"{folder} has no frames", SELECTION_TREE)
         self.ground_truth = _GROUND_TRUTH[depth]
         places = sorted({*pictures, *maps})
         cameras = {place: folder / "intrinsics" / f"{path.stem}.txt" for place, path in pictures.items()}
@@ -220,10 +215,8 @@ class KITTISelection(KITTIFrames):
             return None
         file = self.root / self.files[index][2]
         text = read_text(file)
-        try:
+        with reading(file, "matrix of nine numbers"):
             camera = np.array([float(number) for number in text.split()]).reshape(3, 3)
-        except ValueError as error:
-            raise ValueError(f"{file} must hold nine numbers ({error}): fetch it again") from error
         if not (np.isfinite(camera).all() and camera[0, 0] > 0 and camera[1, 1] > 0 and camera[2, 2] == 1):
             raise ValueError(f"{file} must hold intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
         return camera

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Unpack
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.nyu import NYU_RANGE
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.paths import default_cache, find_root
+from eldenet.data.paths import default_cache, find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
 from eldenet.system.files import part_file
@@ -73,10 +73,7 @@ class NYUTar(DepthDataset):
         part = "val" if split == "test" else "train"
         shards = sorted((self.root / "data").glob(f"{part}-*.tar"))
         if not shards:
-            raise FileNotFoundError(
-                f"{self.root / 'data'} has no {part}-*.tar: check data.root. Expected tree:\n"
-                f"{TAR_TREE.strip()}"
-            )
+            raise incomplete(f"{self.root / 'data'} has no {part}-*.tar", TAR_TREE)
         cache = (default_cache() if index is None else Path(index)).expanduser() / "tar_index"
         members: list[Member] = []
         cut: dict[str, str] = {}
