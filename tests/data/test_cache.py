@@ -77,6 +77,15 @@ def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path) ->
             assert reads == []
 
 
+def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
+    options = {"resize_on_load": (12, 16), "resize_depth": False}
+    plain = NYULabelled(layouts.labelled(tmp_path), **options)
+    for kind in ("ram", "disk"):
+        cached = NYULabelled(tmp_path, cache=kind, **options)
+        assert all(same(cached[0], plain[0]) for _ in range(2))
+        assert cached[0]["depth"].shape == (1, 48, 64)
+
+
 @pytest.mark.parametrize("kind", ["ram", "disk"])
 def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, caplog) -> None:
     layouts.folder(tmp_path, count=3)
@@ -87,15 +96,6 @@ def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, 
     for _ in range(2):
         assert all(same(cached[index], plain[index]) for index in range(3))
     assert caplog.text.count("larger than the first frame") == 1
-
-
-def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
-    options = {"resize_on_load": (12, 16), "resize_depth": False}
-    plain = NYULabelled(layouts.labelled(tmp_path), **options)
-    for kind in ("ram", "disk"):
-        cached = NYULabelled(tmp_path, cache=kind, **options)
-        assert all(same(cached[0], plain[0]) for _ in range(2))
-        assert cached[0]["depth"].shape == (1, 48, 64)
 
 
 # --- what makes a frame be read again -----------------------------------------------------------------------
@@ -190,3 +190,9 @@ def test_changed_code_of_an_adapter_is_noticed(tmp_path: Path, monkeypatch) -> N
 def test_an_adapter_without_files_is_told_so() -> None:
     with pytest.raises(ValueError, match=r"SyntheticDepth has no frame_files method.*cache=ram"):
         SyntheticDepth(3, cache="disk")[0]
+
+
+@pytest.mark.parametrize("wrong", [True, False, "memory"])
+def test_an_unknown_cache_is_refused(wrong) -> None:
+    with pytest.raises(ValueError, match=f"cache={wrong!r}: give one of none, ram, disk"):
+        SyntheticDepth(3, cache=wrong)

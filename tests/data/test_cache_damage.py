@@ -3,7 +3,9 @@
 import logging
 import multiprocessing
 import os
+import random
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +83,24 @@ def test_a_writer_killed_half_way_leaves_no_wrong_frame(tmp_path: Path, die_at: 
         read = store.get(index, b"0123456789abcdef", "again")
         assert read is not None
         assert all((mine == theirs).all() for mine, theirs in zip(read[:3], frame[:3], strict=True))
+
+
+def test_writers_killed_at_random_while_others_write_and_read(tmp_path: Path) -> None:
+    path = tmp_path / "frames.bin"
+    generator, found = random.Random(0), 0
+    store = FrameStore(path, 4, HEADER + 7 * SIDE**2)
+    for attempt in range(3):
+        processes = [writer(path, seed) for seed in (attempt, attempt + 3)]
+        try:
+            end = time.monotonic() + generator.uniform(0.2, 0.6)
+            while time.monotonic() < end:
+                found += whole_frames(store)
+        finally:
+            for process in processes:
+                process.kill()
+                process.join()
+        found += whole_frames(store)
+    assert found > 0
 
 
 def test_a_damaged_slot_is_read_again(tmp_path: Path, store_folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 import multiprocessing
+import pickle
 import time
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from support.synthetic import SyntheticDepth
 from support.training import digest, make_trainer
 
 import eldenet
+from eldenet.data.io import ENCODINGS
 from eldenet.data.loaders import EpochSampler, training_loader
 from eldenet.data.transforms import Augmentation
 from eldenet.evaluation.constant_baseline import ConstantPredictor
@@ -136,3 +138,8 @@ def test_the_wait_for_data_is_counted(tmp_path: Path) -> None:
         model, loss, TrainingData(Slow(8), SyntheticDepth(2), PROTOCOL), tmp_path, resources
     )
     assert 0.4 <= progress.waited < 5
+
+
+def test_encodings_travel_to_workers() -> None:
+    for encoding in ENCODINGS.values():
+        assert pickle.loads(pickle.dumps(encoding)) == encoding

@@ -184,3 +184,11 @@ def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
 def test_a_histogram_is_one_line_of_text() -> None:
     assert _bars([0, 1, 100, 50]) == " ▁█▄"
     assert _bars([]) == _bars([0]) == "-"
+
+
+def test_real_labelled_frames(tmp_path: Path) -> None:
+    layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
+    good, report = run(tmp_path, "data=nyu_labelled", "frames=8")
+    assert good
+    assert [part["frames"] for part in report["splits"]] == [665, 130]
+    assert report["splits"][0]["intrinsics"][0] == pytest.approx(518.8579)

@@ -2,7 +2,7 @@
 
 import copy
 import json
-import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 from support import layouts
 
 from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.base import DepthDataset
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
@@ -95,9 +96,20 @@ def test_cities_for_validation_must_leave_some(tmp_path: Path, cities: list[str]
 
 
 @pytest.mark.parametrize("kind", ["leftImg8bit", "disparity", "camera"])
-def test_a_missing_folder_is_named(tmp_path: Path, kind: str) -> None:
+def test_what_is_missing_or_cut_is_named(tmp_path: Path, kind: str) -> None:
     root = layouts.cityscapes(tmp_path)
-    shutil.rmtree(root / kind / "val")
+    data = Cityscapes(root, split="official_val")
+    file = next((root / kind / "val").rglob("*.*"))
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ValueError, match=f"{file.name} is cut"):
+        data[0]
+    file.unlink()
+    with pytest.raises(FileNotFoundError, match=f"1 of 3 files are missing: .*{file.name}"):
+        Cityscapes(root, split="official_val")
+    for left in (root / kind).glob("val/*"):
+        left.rmdir()
+    (root / kind / "val").rmdir()
     with pytest.raises(FileNotFoundError, match=f"(?s)none of {kind}/val.*fetch {kind}.*Expected tree"):
         Cityscapes(root, split="official_val")
 
@@ -172,3 +184,19 @@ def test_a_table_says_that_it_is_no_meters() -> None:
     assert "scored as inverse depth, 2 m / depth" in protocol_line(run)
     rules["inverse_scale"] = None
     assert heading("mae", run) == "MAE [m] ↓"
+
+
+@pytest.mark.parametrize(
+    ("write", "dataset"),
+    [(layouts.cityscapes, Cityscapes), (layouts.cityscapes_mtan, CityscapesMTAN)],
+)
+def test_frames_are_left_out_together_with_their_files(
+    tmp_path: Path, write: Callable[[Path], Path], dataset: Callable[..., DepthDataset]
+) -> None:
+    root = write(tmp_path)
+    whole = dataset(root, split="trainval")
+    (root / whole.files[0][0]).unlink()  # type: ignore[attr-defined]
+    data = dataset(root, split="trainval", on_error="skip")
+    assert data.names == whole.names[1:]
+    assert list(data.skipped) == whole.names[:1]
+    assert data[0]["name"] == whole.names[1]

@@ -186,8 +186,21 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
 # --- the real frames ---------------------------------------------------------------------------------------
 
 
-def test_real_mat_reads() -> None:
-    real = layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
+@pytest.fixture
+def real() -> Path:
+    return layouts.real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
+
+
+def test_real_labelled_frames_build(real: Path) -> None:
+    config = compose("train", ["data=nyu_labelled"])
+    protocol = build_protocol(config)
+    assert len(build_split(config, "train", protocol, augment=True)) == 665
+    val = build_split(config, "val", protocol)
+    assert len(val) == 130
+    assert protocol.valid_mask(val[0]["depth"][None], val[0]["mask"][None]).sum() == (471 - 45) * (601 - 41)
+
+
+def test_real_mat_reads(real: Path) -> None:
     file = "nyu_depth_v2_labeled_REPACKED_6.mat"
     if not (real / file).exists():
         pytest.skip(f"{file} is not there")

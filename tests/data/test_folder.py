@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.layouts import real_folder
 
 from eldenet.data.folder import FolderDataset
 
@@ -160,3 +161,11 @@ def test_range_must_be_given_and_typos_do_not_vanish(tmp_path: Path) -> None:
         FolderDataset(tree(tmp_path))
     with pytest.raises(TypeError, match="inputsize"):
         FolderDataset(tmp_path, max_depth=10.0, inputsize=(3, 4))  # type: ignore[call-arg]
+
+
+def test_real_pair() -> None:
+    root = real_folder("nyu_depth_v2/mmseg_pseudo_160x120", "annotations")
+    data = FolderDataset(root, depths="annotations", max_depth=10.0)
+    raw = cv2.imread(str(root / "annotations" / f"{data.names[0]}.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(data.load_frame(0).depth, (raw / 1000.0).astype(np.float32))
+    assert data[0]["image"].shape == (3, 120, 160)

@@ -1,12 +1,13 @@
 """Pictures and depth maps are read exactly; damaged files and wrong units are errors that name the file."""
 
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from eldenet.data.io import ENCODINGS, decode_depth, depth_encoding, read_depth, read_image
+from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encoding, read_depth, read_image
 
 RNG = np.random.default_rng(0)
 RGB = RNG.integers(0, 255, (37, 53, 3), dtype=np.uint8)
@@ -155,6 +156,11 @@ def test_an_encoding_can_be_given_as_numbers() -> None:
     np.testing.assert_allclose(decode_depth(far, {"scale": 1.0, "dtype": "float"}, "x"), far)
 
 
+def test_an_encoding_may_bring_its_own_function() -> None:
+    turned = DepthEncoding("turned", decode=lambda v: ((v >> 3) | (v << 13)).astype(np.float64) / 1e3)
+    np.testing.assert_allclose(decode_depth(np.array([[8000, 0]], np.uint16), turned, "x"), [[1.0, 0.0]])
+
+
 @pytest.mark.parametrize("bad", ["millimeters", {"dtype": "uint8"}, {"scale": 0}, {"scale": 1, "unit": "m"}])
 def test_unknown_encoding_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match=r"give|must be"):
@@ -179,11 +185,23 @@ def test_wrong_unit_is_refused(tmp_path: Path) -> None:
     assert not read_depth(write(tmp_path / "empty.png", MILLIMETERS * 0), "mm").any()
 
 
+def test_colored_depth_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"color\.png.*one channel"):
+        read_depth(write(tmp_path / "color.png", RGB), "nyu8")
+
+
 def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"gray\.png holds uint16.*is it a depth map\?"):
         read_image(write(tmp_path / "gray.png", MILLIMETERS))
     with pytest.raises(ValueError, match=r"color\.png holds uint16.*: convert it to 8 bits$"):
         read_image(write(tmp_path / "color.png", RGB.astype(np.uint16) * 257))
+
+
+def test_sunrgbd_turns_back_what_its_toolbox_turned() -> None:
+    millimeters = MILLIMETERS.astype(np.uint32)
+    stored = ((millimeters << 3) | (millimeters >> 13)).astype(np.uint16)
+    expected = (MILLIMETERS / 1000.0).astype(np.float32)
+    np.testing.assert_array_equal(decode_depth(stored, "sunrgbd", "x"), expected)
 
 
 METERS = np.where(MILLIMETERS > 100, MILLIMETERS / np.float32(1000), np.inf).astype(np.float32)
@@ -234,3 +252,17 @@ def test_exr_reads_one_channel_or_equal_ones(tmp_path: Path, half: bool) -> None
 def test_float_tiff_is_read(tmp_path: Path) -> None:
     meters = MILLIMETERS.astype(np.float32) / 1000
     np.testing.assert_array_equal(read_depth(write(tmp_path / "a.tif", meters), "meters"), meters)
+
+
+@pytest.fixture
+def real() -> Path:
+    if not os.environ.get("ELDENET_DATA"):
+        pytest.skip("ELDENET_DATA is not set: no real data to read")
+    return Path(os.environ["ELDENET_DATA"])
+
+
+def test_real_npy_and_png_equal_a_straight_reading(real: Path) -> None:
+    path = real / "nyu_depth_v2/fastdepth_npy/depth.npy"
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    np.testing.assert_array_equal(read_depth(path, "meters"), np.load(path).squeeze())

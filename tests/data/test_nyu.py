@@ -76,6 +76,16 @@ def test_labelled_frames_are_split_by_number(tmp_path: Path) -> None:
         NYULabelled(tmp_path)
 
 
+def test_frames_are_resized_on_load_and_cached(tmp_path: Path) -> None:
+    data = NYULabelled(labelled(tmp_path), resize_on_load=(12, 16), cache="ram")
+    first = data[0]
+    assert first["image"].shape == (3, 12, 16)
+    assert first["depth"].shape == (1, 12, 16)
+    for file in tmp_path.rglob("*.jpg"):
+        file.unlink()
+    assert (data[0]["image"] == first["image"]).all()
+
+
 def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path) -> None:
     data = NYUSync(sync(tmp_path))
     assert data.names == ["kitchen_0001/rgb_00000", "office_0002/rgb_00041"]
@@ -171,6 +181,12 @@ def test_missing_root_says_what_to_do(
     else:
         with pytest.raises(ValueError, match="no frames"):
             dataset(tmp_path)
+
+
+@pytest.mark.parametrize("dataset", [NYUDenseDepth, NYULabelled, NYUHDF5, NYUMat])
+def test_unknown_split_is_refused(tmp_path: Path, dataset: Callable[..., DepthDataset]) -> None:
+    with pytest.raises(ValueError, match="split='testing': give one of"):
+        dataset(tmp_path, split="testing")
 
 
 def test_val_and_dev_frames_are_in_order_and_apart() -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from support.layouts import real_folder
@@ -13,6 +14,7 @@ from eldenet.data.nyu import (
     NYUSync,
     labelled_part,
 )
+from eldenet.data.nyu_hdf5 import NYUMat
 
 
 @pytest.fixture
@@ -47,6 +49,19 @@ def test_real_sync_frames(real: Path) -> None:
         raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(data.load_frame(index).depth, (raw / 1000).astype(np.float32))
         assert 0.6 < sample["mask"].float().mean() < 0.8
+
+
+def test_real_mat(real: Path) -> None:
+    file = "nyu_depth_v2_labeled_REPACKED_6.mat"
+    if not (real / "labeled" / file).exists():
+        pytest.skip(f"{file} is not there")
+    data = NYUMat(split="all", file=file)
+    assert len(data) == 6
+    with h5py.File(real / "labeled" / file) as raw:
+        for index in range(6):
+            frame = data.load_frame(index)
+            np.testing.assert_array_equal(frame.depth, raw["depths"][index].T)
+            np.testing.assert_array_equal(frame.image, raw["images"][index].transpose(2, 1, 0))
 
 
 def test_real_split_takes_whole_runs(real: Path) -> None:
@@ -96,3 +111,20 @@ def test_real_split_shares_no_view(real: Path) -> None:
         within.append(inliers(views[first], views[numbers[a + 1]]))
     assert max(across) <= 15
     assert sum(n > 15 for n in within) >= 5
+
+
+def test_real_split_has_no_near_duplicates(real: Path) -> None:
+    """Thumbnails of all pairs across the split: different rooms reach 0.8 at most, a repeated frame 1."""
+
+    def thumbnails(data: NYULabelled) -> np.ndarray:
+        small = []
+        for name in data.names:
+            path = str(real / "labeled/data/nyu2_train" / f"{name}.jpg")
+            picture = cv2.imread(path, cv2.IMREAD_REDUCED_COLOR_8)[2:-2, 2:-2]
+            tiny = cv2.resize(picture, (20, 15), interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
+            small.append((tiny - tiny.mean()) / (tiny.std() * np.sqrt(tiny.size)))
+        return np.array(small)
+
+    across = thumbnails(NYULabelled(split="val")) @ thumbnails(NYULabelled(split="train")).T
+    assert across.shape == (130, 665)
+    assert across.max() < 0.88

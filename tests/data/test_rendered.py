@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from eldenet.data import rendered, rendering
+from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.rooms import Rooms
 from eldenet.simulation.furnished_rooms.render import render_room
@@ -200,6 +201,11 @@ def test_arguments_out_of_range_are_refused(bad: dict, tmp_path: Path) -> None:
 def test_the_environment_names_the_cache_folder(dataset: Rooms, cache: Path, monkeypatch) -> None:
     monkeypatch.setenv("ELDENET_CACHE", str(cache))
     assert Rooms("train", 3, size=SIZE).folder == dataset.folder
+
+
+def test_every_version_and_size_has_a_folder_of_its_own() -> None:
+    generators = (Rooms.generator, Arenas.generator, Arenas.generator._replace(version=2))
+    assert len({generator.folder_name(size) for generator in generators for size in (SIZE, (36, 52))}) == 6
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from support.predicting import exported, listed, photo, read_ply, run, save, set
 import eldenet
 from eldenet.data.io import read_depth
 from eldenet.deploy.outputs import Results, name_results
-from eldenet.deploy.prediction import open_predictor
+from eldenet.deploy.prediction import Timed, open_predictor
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
@@ -142,6 +142,16 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
     assert "Input/output error" in results.skipped[0]
 
 
+@pytest.mark.parametrize("share", [0.3, 0.99])
+@pytest.mark.parametrize("ending", [".jpg", ".png"])
+def test_the_error_names_a_cut_picture(model_folder: Path, tmp_path: Path, ending: str, share: float) -> None:
+    path = save(tmp_path / f"cut{ending}", RNG.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    with pytest.raises(ValueError, match=f"cut{ending} is cut or damaged"):
+        run(model_folder, path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -219,6 +229,14 @@ def test_depth_beyond_16_bits_is_unknown_and_reported(tmp_path: Path) -> None:
     written = cv2.imread(str(tmp_path / "far_depth.png"), cv2.IMREAD_UNCHANGED)
     assert written[0].tolist() == [0] * 5
     assert (written[1:] == 2500).all()
+
+
+def test_only_the_last_times_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("eldenet.deploy.prediction.REMEMBERED", 3)
+    timed = Timed(lambda frame: frame)
+    for _ in range(5):
+        timed(photo())
+    assert len(timed.seconds) == 3
 
 
 def test_the_command_writes_below_runs_and_fails_with_one_line(

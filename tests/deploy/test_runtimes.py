@@ -233,6 +233,15 @@ def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str)
         DepthPredictor(network, (64, 64))
 
 
+def test_files_of_any_batch_have_no_fixed_batch(trained_model, files) -> None:
+    for source, runtime in (
+        (files["onnx"], "onnxruntime"),
+        (files["xml"], "openvino"),
+        (trained_model, "torch"),
+    ):
+        assert runtimes.load(source, runtime, threads=1).fixed_batch is None
+
+
 def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) -> None:
     folder = trained_model.save_pretrained(tmp_path / "model")
     config = folder / "config.json"
