@@ -21,11 +21,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path, advice: str = "fetch it again") -> str:
-    """Return a text file's content.
-
-    Args:
-        path: of the file.
-        advice: what to do if it is missing or no text, for the message.
+    """Return a text file's content; ``advice`` says what to do if it is missing or no text.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -49,12 +45,7 @@ def _check_file(path: Path, advice: str) -> None:
 
 @contextmanager
 def reading(source: object, kind: str) -> Iterator[None]:
-    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file.
-
-    Args:
-        source: names the file.
-        kind: what the file should be.
-    """
+    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
     try:
         yield
     except Exception as error:

@@ -169,11 +169,12 @@ def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tupl
     return panels
 
 
-def _listed(split: str, what: str, entries: Sequence[str], most: int = 10) -> list[str]:
+def _listed(split: str, what: str, entries: Sequence[str]) -> list[str]:
+    """Return a title line and the first ten entries, one line each; nothing without entries."""
     if not entries:
         return []
-    more = [f"  ... and {len(entries) - most} more"] if len(entries) > most else []
-    return [f"{split}: {len(entries)} {what}:", *(f"  {entry}" for entry in entries[:most]), *more]
+    more = [f"  ... and {len(entries) - 10} more"] if len(entries) > 10 else []
+    return [f"{split}: {len(entries)} {what}:", *(f"  {entry}" for entry in entries[:10]), *more]
 
 
 def spread(count: int, wanted: int | None) -> list[int]:

@@ -1,6 +1,5 @@
 """NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labelled .mat."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Unpack
@@ -105,8 +104,6 @@ class NYUMat(DepthDataset):
         folder = find_root(root, "nyu_depth_v2/labeled", needed, MAT_TREE)
         self.path, self.ground_truth = folder / file, ground_truth
         self.depth_key = {"raw": "rawDepths", "inpainted": "depths"}[ground_truth]
-        self._handle: Any = None
-        self._process = -1
         with open_hdf5(self.path, self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
         self.numbers: Sequence[int] = range(1, count + 1)
@@ -128,20 +125,15 @@ class NYUMat(DepthDataset):
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
-        mat, at = self._mat(), self.numbers[index] - 1
+        at = self.numbers[index] - 1
         source = f"{self.path}, frame {at + 1}"
-        image = np.ascontiguousarray(_read(mat["images"], at, source).transpose(2, 1, 0))
-        depth = decode_depth(np.ascontiguousarray(_read(mat[self.depth_key], at, source).T), "meters", source)
+        with open_hdf5(self.path, self.path) as mat:
+            image, depth = (
+                _read(_take(mat, key, source), at, source).T for key in ("images", self.depth_key)
+            )
+        image = np.ascontiguousarray(image)
+        depth = decode_depth(np.ascontiguousarray(depth), "meters", source)
         return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
-
-    def _mat(self) -> Any:
-        """Open the file once in each process: a handle must not cross a fork or a pickle."""
-        if self._handle is None or self._process != os.getpid():
-            self._handle, self._process = open_hdf5(self.path, self.path), os.getpid()
-        return self._handle
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_handle": None}
 
 
 def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:

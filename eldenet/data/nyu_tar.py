@@ -4,11 +4,10 @@ import hashlib
 import io
 import json
 import logging
-import os
 import tarfile
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, Unpack
+from typing import NamedTuple, Unpack
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.nyu import NYU_RANGE
@@ -94,8 +93,6 @@ class NYUTar(DepthDataset):
         super().__init__(names, **options)
         self.members = [by_name[name] for name in names]
         self.skipped |= cut
-        self._open: dict[str, int] = {}
-        self._process = -1
 
     def frame_files(self, index: int) -> Sequence[Path]:
         """Return the frame's shard."""
@@ -105,29 +102,15 @@ class NYUTar(DepthDataset):
         """Read one frame."""
         member = self.members[index]
         source = f"{self.root / member.shard}, {member.name}"
-        content = os.pread(self._shard(member.shard), member.size, member.start)
+        with (self.root / member.shard).open("rb") as shard:
+            shard.seek(member.start)
+            content = shard.read(member.size)
         if len(content) < member.size:
             raise ValueError(
                 f"{source} is cut ({len(content)} of {member.size} bytes): fetch the shard again"
             )
         with open_hdf5(io.BytesIO(content), source) as file:
             return read_hdf5_frame(file, source, self.names[index])
-
-    def _shard(self, shard: str) -> int:
-        """Open a shard once in each process."""
-        if self._process != os.getpid():
-            self._open, self._process = {}, os.getpid()
-        if shard not in self._open:
-            self._open[shard] = os.open(self.root / shard, os.O_RDONLY)
-        return self._open[shard]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": {}, "_process": -1}
-
-    def __del__(self) -> None:
-        if getattr(self, "_process", -1) == os.getpid():
-            for handle in self._open.values():
-                os.close(handle)
 
 
 def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:

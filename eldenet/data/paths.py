@@ -66,12 +66,7 @@ def missing_files(root: Path, files: Sequence[str]) -> list[str]:
 
 
 def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
-    """Check that every file exists.
-
-    Args:
-        root: folder of the files.
-        files: relative to ``root``.
-        advice: where to look for them, for the message.
+    """Check that every file, relative to ``root``, exists; ``advice`` says where to look for them.
 
     Raises:
         FileNotFoundError: naming the first ten missing files and how many there are.

@@ -60,12 +60,7 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 class SceneStore:
     """The rendered frames of one split: view ``i % 8`` of scene ``i // 8`` in slot ``i``.
 
-    Args:
-        folder: of the data set's version and size; the file is ``<split>.frames`` in it.
-        name: of the data set, first part of the frames' names.
-        split: of the frames.
-        scenes: how many scenes to make room for.
-        size: ``(height, width)`` of the frames [px].
+    They lie in ``<folder>/<split>.frames``, which has room for ``scenes`` scenes of ``(height, width)`` [px].
     """
 
     def __init__(self, folder: Path, name: str, split: str, scenes: int, size: tuple[int, int]) -> None:
