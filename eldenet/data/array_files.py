@@ -3,6 +3,8 @@
 import io
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +21,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path, advice: str = "fetch it again") -> str:
-    """Return a text file's content.
-
-    Args:
-        path: of the file.
-        advice: what to do if it is missing or no text, for the message.
+    """Return a text file's content; ``advice`` says what to do if it is missing or no text.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -45,6 +43,16 @@ def _check_file(path: Path, advice: str) -> None:
         raise FileNotFoundError(f"{path} does not exist{folder}: {advice}")
 
 
+@contextmanager
+def reading(source: object, kind: str) -> Iterator[None]:
+    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
+    try:
+        yield
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise ValueError(f"{source} is cut or is no {kind} ({reason}): fetch or write it again") from error
+
+
 def read_array(path: Path) -> np.ndarray:
     """Read a plain ``.npy`` file.
 
@@ -55,13 +63,10 @@ def read_array(path: Path) -> np.ndarray:
     content = read_bytes(path)
     if content.startswith(b"PK"):
         raise ValueError(f"{path} is an .npz archive, not an .npy file: store its array with numpy.save")
-    try:
+    with reading(path, "plain .npy file"):
         # no pickles: a data file must not run code
-        return np.load(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # a damaged header raises anything from SyntaxError to MemoryError
-        raise ValueError(
-            f"{path} is truncated or not a plain .npy file ({_short(error)}): fetch or write it again"
-        ) from error
+        values = np.load(io.BytesIO(content), allow_pickle=False)
+    return values
 
 
 def read_pfm(path: Path) -> np.ndarray:
@@ -100,21 +105,11 @@ def read_exr(path: Path) -> np.ndarray:
         import OpenEXR
     except ImportError as error:
         raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except Exception as error:  # the library raises several types
-        raise ValueError(
-            f"{path} is truncated or not an OpenEXR file ({_short(error)}): fetch or write it again"
-        ) from error
+    with reading(path, "OpenEXR file"), OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     if not channels:
         raise ValueError(f"{path} has no channels: store depth as one channel")
     first, *others = channels.values()
     if not all(np.array_equal(first, other) for other in others):
         raise ValueError(f"{path} has the channels {', '.join(channels)}: store depth alone, as one channel")
     return first
-
-
-def _short(error: Exception) -> str:
-    """Return the first line of a library's message, which may fill a page."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

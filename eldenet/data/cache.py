@@ -83,11 +83,7 @@ class FrameCache(FrameStore):
     ) -> Frame:
         """Return frame ``index`` from its slot, else from ``read(index)``, which then fills the slot.
 
-        Args:
-            index: of the frame.
-            name: of the frame.
-            files: returns the files that a frame is read from; called for a cache on disk alone.
-            read: reads a frame.
+        ``files(index)`` are those that the frame is read from; a cache on disk alone needs them.
         """
         stamp = self._stamps.get(index)
         if stamp is None:

@@ -12,11 +12,11 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_array, read_text
+from eldenet.data.array_files import read_array, read_text, reading
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
-from eldenet.data.paths import find_root, missing_files
+from eldenet.data.paths import find_root, incomplete, missing_files
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
@@ -86,10 +86,7 @@ class Cityscapes(FileDataset):
             }
         )
         if not names:
-            raise FileNotFoundError(
-                f"{root} has no <city>/*_leftImg8bit.png of {part!r}: check data.root. Expected tree:\n"
-                f"{CITYSCAPES_TREE.strip()}"
-            )
+            raise incomplete(f"{root} has no <city>/*_leftImg8bit.png of {part!r}", CITYSCAPES_TREE)
         if split in ("train", "val"):
             cities = {name.split("/")[1] for name in names}
             unknown = sorted(set(val_cities) - cities)
@@ -136,15 +133,11 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
         ValueError: the file is truncated, or a number is missing or impossible.
     """
     text = read_text(path, "fetch camera_trainvaltest.zip")
-    try:
+    with reading(path, "Cityscapes camera"):
         content = json.loads(text)
         camera = content["intrinsic"]
         fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
         baseline = float(content["extrinsic"]["baseline"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is not a complete Cityscapes camera ({type(error).__name__}: {error}): fetch it again"
-        ) from error
     if not (min(fx, fy, baseline) > 0 and np.isfinite([fx, fy, cx, cy, baseline]).all()):
         raise ValueError(
             f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0, and u0={cx}, v0={cy} "
@@ -158,10 +151,8 @@ def _place(root: Path, kind: str, part: str) -> str:
     places = _places(kind, part)
     found = next((place for place in places if (root / place).is_dir()), None)
     if found is None:
-        raise FileNotFoundError(
-            f"{root} has none of {', '.join(places)}: set data.root, or fetch {kind}_trainvaltest.zip. "
-            f"Expected tree:\n{CITYSCAPES_TREE.strip()}"
-        )
+        lost = f"{root} has none of {', '.join(places)} (fetch {kind}_trainvaltest.zip)"
+        raise incomplete(lost, CITYSCAPES_TREE)
     return found
 
 

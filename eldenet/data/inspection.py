@@ -169,11 +169,12 @@ def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tupl
     return panels
 
 
-def _listed(split: str, what: str, entries: Sequence[str], most: int = 10) -> list[str]:
+def _listed(split: str, what: str, entries: Sequence[str]) -> list[str]:
+    """Return a title line and the first ten entries, one line each; nothing without entries."""
     if not entries:
         return []
-    more = [f"  ... and {len(entries) - most} more"] if len(entries) > most else []
-    return [f"{split}: {len(entries)} {what}:", *(f"  {entry}" for entry in entries[:most]), *more]
+    more = [f"  ... and {len(entries) - 10} more"] if len(entries) > 10 else []
+    return [f"{split}: {len(entries)} {what}:", *(f"  {entry}" for entry in entries[:10]), *more]
 
 
 def spread(count: int, wanted: int | None) -> list[int]:
@@ -214,7 +215,8 @@ def check_split(
         except (ValueError, OSError) as error:
             found.unreadable[dataset.names[index]] = str(error)
             continue
-        sizes[f"{image.shape[0]} x {image.shape[1]}" + _other(depth.shape, image.shape)] += 1
+        other = "" if depth.shape == image.shape[:2] else f" (depth {depth.shape[0]} x {depth.shape[1]})"
+        sizes[f"{image.shape[0]} x {image.shape[1]}{other}"] += 1
         known = np.isfinite(depth) & (depth > 0)
         values = depth[known & (depth >= dataset.min_depth) & (depth <= dataset.max_depth)]
         if not values.size:
@@ -237,10 +239,6 @@ def check_split(
         found.percentiles = {f"p{q}": float(middles[np.argmax(share >= q / 100)]) for q in _PERCENTILES}
     found.mean, found.std = colors.mean, colors.std
     return found
-
-
-def _other(depth: tuple[int, ...], image: tuple[int, ...]) -> str:
-    return "" if depth == image[:2] else f" (depth {depth[0]} x {depth[1]})"
 
 
 def identities(dataset: DepthDataset) -> dict[str, str]:

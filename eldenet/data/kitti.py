@@ -11,7 +11,7 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
+from eldenet.data.array_files import read_text, reading
 from eldenet.data.base import SampleOptions
 from eldenet.data.kitti_files import (
     DEPTH_KINDS,
@@ -19,17 +19,16 @@ from eldenet.data.kitti_files import (
     RAW_TREE,
     SELECTION_TREE,
     KITTIFrames,
-    Listing,
     Place,
     depth_maps,
     drive_of,
     frame_list,
-    picture_of,
+    pictures_of,
     scans,
-    selection,
+    selected,
 )
 from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
-from eldenet.data.paths import find_root
+from eldenet.data.paths import find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
 
@@ -89,22 +88,14 @@ class KITTIDepth(KITTIFrames):
             parts, chosen = ("train", "val", ""), (2, 3)
         maps = depth_maps(folder, depth, parts, chosen)
         if list_file is None and not maps:
-            raise FileNotFoundError(
-                f"{folder} has no {depth} maps for split={split!r}: check data.root. Expected tree:\n"
-                f"{DEPTH_TREE.strip()}"
-            )
-        places, without = list(maps), []
-        if list_file is not None:
-            lines = frame_list(list_file)
-            lacks = depth == "groundtruth"
-            places = [line.place for line in lines if line.has_truth or not lacks]
-            without = [line.place for line in lines if lacks and not line.has_truth]
-        places = _split(places, split, exclude_list)
-        names = Listing()
+            raise incomplete(f"{folder} has no {depth} maps for split={split!r}", DEPTH_TREE)
+        given = dict.fromkeys(maps, True) if list_file is None else frame_list(list_file)
+        without = [place for place in given if depth == "groundtruth" and not given[place]]
+        places = _split([place for place in given if place not in without], split, exclude_list)
         self.ground_truth = _GROUND_TRUTH[depth]
         super().__init__(
             folder,
-            {place: picture_of(place, beside, names) for place in places},
+            pictures_of(places, beside),
             maps,
             places,
             without_depth=without,
@@ -154,12 +145,9 @@ class KITTIRaw(KITTIFrames):
         folder = find_root(root, "kitti/raw", [], RAW_TREE)
         sources = scans(folder, _both(cameras) if list_file is None else (2, 3))
         if not sources:
-            raise FileNotFoundError(
-                f"{folder} has no velodyne_points: check data.root. Expected tree:\n{RAW_TREE.strip()}"
-            )
-        places = list(sources) if list_file is None else [line.place for line in frame_list(list_file)]
-        places, names = _split(places, split, exclude_list), Listing()
-        pictures = {place: picture_of(place, [folder], names) for place in places}
+            raise incomplete(f"{folder} has no velodyne_points", RAW_TREE)
+        places = _split(list(sources if list_file is None else frame_list(list_file)), split, exclude_list)
+        pictures = pictures_of(places, [folder])
         super().__init__(folder, pictures, sources, places, frames=frames, **options)
         self.projection = projection
         calibrated = self.calibrate([folder], "required")
@@ -210,9 +198,10 @@ class KITTISelection(KITTIFrames):
         folder = find_root(root, "kitti/depth_selection", [], SELECTION_TREE)
         if (folder / "val_selection_cropped").is_dir():
             folder = folder / "val_selection_cropped"
-        pictures, maps = selection(folder, depth)
+        word = "groundtruth_depth" if depth == "groundtruth" else depth
+        pictures, maps = selected(folder / "image", "image"), selected(folder / word, word)
         if not (pictures or maps):
-            raise FileNotFoundError(f"{folder} has no frames. Expected tree:\n{SELECTION_TREE.strip()}")
+            raise incomplete(f"{folder} has no frames", SELECTION_TREE)
         self.ground_truth = _GROUND_TRUTH[depth]
         places = sorted({*pictures, *maps})
         cameras = {place: folder / "intrinsics" / f"{path.stem}.txt" for place, path in pictures.items()}
@@ -226,10 +215,8 @@ class KITTISelection(KITTIFrames):
             return None
         file = self.root / self.files[index][2]
         text = read_text(file)
-        try:
+        with reading(file, "matrix of nine numbers"):
             camera = np.array([float(number) for number in text.split()]).reshape(3, 3)
-        except ValueError as error:
-            raise ValueError(f"{file} must hold nine numbers ({error}): fetch it again") from error
         if not (np.isfinite(camera).all() and camera[0, 0] > 0 and camera[1, 1] > 0 and camera[2, 2] == 1):
             raise ValueError(f"{file} must hold intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
         return camera
@@ -249,6 +236,6 @@ def _picture_roots(folder: Path, raw_root: str | Path | None) -> list[Path]:
 
 def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None) -> list[Place]:
     if exclude_list is not None:
-        tested = {line.place.drive for line in frame_list(exclude_list)}
+        tested = {place.drive for place in frame_list(exclude_list)}
         places = [place for place in places if place.drive not in tested]
     return [places[i] for i in hold_out([place.name for place in places], split, drive_of)]

@@ -3,8 +3,8 @@
 import logging
 import os
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, Unpack
@@ -57,18 +57,6 @@ class Place(NamedTuple):
         return f"{self.drive}/image_{self.camera:02d}/{self.number}"
 
 
-class Line(NamedTuple):
-    """A line of a list of frames.
-
-    Attributes:
-        place: of the picture.
-        has_truth: False if the list says ``None`` for the improved ground truth.
-    """
-
-    place: Place
-    has_truth: bool
-
-
 def is_drive(name: str) -> bool:
     """Whether ``name`` is a drive's folder, such as ``2011_09_26_drive_0001_sync``."""
     return _DRIVE.fullmatch(name) is not None
@@ -82,14 +70,6 @@ def drive_of(name: str) -> str:
 def listed(folder: Path) -> frozenset[str]:
     """Return the names in ``folder``, none if there is no such folder."""
     return frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
-
-
-class Listing(dict[Path, frozenset[str]]):
-    """Names in folders; each folder is read once, so tens of thousands of frames take a moment."""
-
-    def __missing__(self, folder: Path) -> frozenset[str]:
-        self[folder] = listed(folder)
-        return self[folder]
 
 
 def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[int]) -> dict[Place, Path]:
@@ -120,14 +100,20 @@ def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[in
     return found
 
 
-def picture_of(place: Place, roots: Sequence[Path], names: Listing) -> Path | None:
-    """Find a frame's color picture in KITTI raw's layout, Ma and Karaman's, or drives side by side."""
+def pictures_of(places: Sequence[Place], roots: Sequence[Path]) -> dict[Place, Path]:
+    """Find the frames' color pictures in KITTI raw's layout, Ma and Karaman's, or drives side by side."""
+    names = cache(listed)  # each folder is read once, so tens of thousands of frames take a moment
+    found = ((place, _picture_of(place, roots, names)) for place in places)
+    return {place: picture for place, picture in found if picture is not None}
+
+
+def _picture_of(place: Place, roots: Sequence[Path], names: Callable[[Path], frozenset[str]]) -> Path | None:
     drive, camera = place.drive, f"image_{place.camera:02d}"
     for root in roots:
         for above in (place.date, "data_rgb/train", "data_rgb/val", "train", "val", ""):
             folder = root / above / drive / camera / "data"
             for ending in PICTURES:
-                if f"{place.number}{ending}" in names[folder]:
+                if f"{place.number}{ending}" in names(folder):
                     return folder / f"{place.number}{ending}"
     return None
 
@@ -144,17 +130,12 @@ def scans(root: Path, cameras: Sequence[int]) -> dict[Place, Path]:
     return found
 
 
-def selection(root: Path, kind: str) -> tuple[dict[Place, Path], dict[Place, Path]]:
-    """Find pictures and depth maps of ``val_selection_cropped``.
+def selected(folder: Path, word: str) -> dict[Place, Path]:
+    """Find the files of one kind in ``val_selection_cropped``; ``word`` stands in their names.
 
     Raises:
         ValueError: a file's name is not of the selection.
     """
-    word = "groundtruth_depth" if kind == "groundtruth" else kind
-    return _selected(root / "image", "image"), _selected(root / word, word)
-
-
-def _selected(folder: Path, word: str) -> dict[Place, Path]:
     pattern = re.compile(rf"(?P<drive>.+_sync)_{word}_(?P<number>\d+)_image_(?P<camera>0[23])\.png")
     found = {}
     for file in sorted(listed(folder)):
@@ -168,8 +149,8 @@ def _selected(folder: Path, word: str) -> dict[Place, Path]:
     return found
 
 
-def frame_list(file: str | Path) -> list[Line]:
-    """Read a list of frames in BTS's or monodepth2's format.
+def frame_list(file: str | Path) -> dict[Place, bool]:
+    """Read a list of frames in BTS's or monodepth2's format: place -> whether it has improved ground truth.
 
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
     front. Its focal length is not used, as the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
@@ -180,24 +161,25 @@ def frame_list(file: str | Path) -> list[Line]:
         ValueError: a line is in neither format, or a frame is listed twice.
     """
     path = Path(file).expanduser()
-    lines = []
+    places: dict[Place, bool] = {}
     content = read_text(path, "give the list of frames (BTS's or monodepth2's)")
     for number, text in enumerate(content.splitlines(), 1):
         if text.strip():
-            lines.append(_line(text.split(), f"{path}, line {number}: {text[:200]!r}"))
-    if not lines:
+            where = f"{path}, line {number}: {text[:200]!r}"
+            place, has_truth = _line(text.split(), where)
+            if place in places:
+                raise ValueError(f"{where} lists {place.name} again: remove all but one")
+            places[place] = has_truth
+    if not places:
         raise ValueError(f"{path} is empty: fetch the list again")
-    place, times = Counter(line.place for line in lines).most_common(1)[0]
-    if times > 1:
-        raise ValueError(f"{path} lists {place.name} {times} times: remove all but one")
-    return lines
+    return places
 
 
-def _line(cells: Sequence[str], where: str) -> Line:
+def _line(cells: Sequence[str], where: str) -> tuple[Place, bool]:
     pieces = cells[0].strip("/").split("/")
     drive = next((piece for piece in pieces if is_drive(piece)), None)
     if drive is not None and len(cells) == 3 and cells[2] in ("l", "r") and cells[1].isdecimal():
-        return Line(Place(drive, 2 if cells[2] == "l" else 3, f"{int(cells[1]):010d}"), True)
+        return Place(drive, 2 if cells[2] == "l" else 3, f"{int(cells[1]):010d}"), True
     camera = re.search(r"image_0([23])", cells[0])
     stem = Path(pieces[-1]).stem
     if drive is None or camera is None or not stem.isdecimal() or len(cells) not in (1, 2, 3):
@@ -205,7 +187,7 @@ def _line(cells: Sequence[str], where: str) -> Line:
             f"{where} is neither '<date>/<drive>/image_02/data/<number>.png <depth or None> <focal>' nor "
             "'<date>/<drive> <number> l'"
         )
-    return Line(Place(drive, int(camera[1]), stem), len(cells) == 1 or cells[1] != "None")
+    return Place(drive, int(camera[1]), stem), len(cells) == 1 or cells[1] != "None"
 
 
 class KITTIFrames(FileDataset):
@@ -213,8 +195,8 @@ class KITTIFrames(FileDataset):
 
     Args:
         root: of the data set, for messages.
-        pictures: file of each frame's picture, None if it is missing.
-        sources: file of each frame's depth, None if it is missing.
+        pictures: files of the frames' pictures, without missing ones.
+        sources: files of the frames' depth, without missing ones.
         places: the frames, in order.
         cameras: file of each frame's intrinsics, if it has its own.
         without_depth: frames of a list that have no depth, for messages.
@@ -228,8 +210,8 @@ class KITTIFrames(FileDataset):
     def __init__(
         self,
         root: Path,
-        pictures: Mapping[Place, Path | None],
-        sources: Mapping[Place, Path | None],
+        pictures: Mapping[Place, Path],
+        sources: Mapping[Place, Path],
         places: Sequence[Place],
         *,
         cameras: Mapping[Place, Path] = MappingProxyType({}),

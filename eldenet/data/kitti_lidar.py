@@ -53,12 +53,7 @@ def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def rectified_intrinsics(folder: Path, camera: int) -> np.ndarray:
-    """Return the intrinsics ``(3, 3)`` [px] of the rectified pictures of ``camera`` (0 to 3).
-
-    Args:
-        folder: of the date; of its file only ``P_rect_0N`` is read.
-        camera: 0 to 3.
-    """
+    """Return the intrinsics ``(3, 3)`` [px] of the rectified pictures of ``camera`` (0 to 3) on a date."""
     matrix = entry(folder / CAM_TO_CAM, f"P_rect_{camera:02d}", (3, 4))[:, :3]
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise ValueError(f"{folder / CAM_TO_CAM}: P_rect_{camera:02d} has no focal length: fetch it again")

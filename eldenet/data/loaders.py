@@ -1,9 +1,8 @@
 """Data loaders whose order depends on (seed, epoch) alone: resumable at any batch, for several processes."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import groupby, islice
+from collections.abc import Iterator, Mapping
+from itertools import groupby
 from multiprocessing import get_context
-from multiprocessing.context import BaseContext
 from typing import Any
 
 import torch
@@ -83,13 +82,10 @@ def training_loader(
     return DataLoader(
         dataset,
         batch_sampler=sampler,
-        generator=torch.Generator(),  # else each epoch's start would draw from torch's global one
-        num_workers=workers,
         collate_fn=collate,
         persistent_workers=workers > 0,
         pin_memory=pin_memory,
-        worker_init_fn=_quiet_worker if workers else None,
-        multiprocessing_context=_worker_context() if workers else None,
+        **_worker_options(workers),
     )
 
 
@@ -102,17 +98,10 @@ def evaluation_loader(
     with the pass over the frames.
     """
     dataset.open_cache()
-    batches = list(batched(range(rank, len(dataset), processes), batch_size))
-    workers = min(workers, len(batches))
-    return DataLoader(
-        dataset,
-        batch_sampler=batches,
-        generator=torch.Generator(),
-        num_workers=workers,
-        collate_fn=collate_runs,
-        worker_init_fn=_quiet_worker if workers else None,
-        multiprocessing_context=_worker_context() if workers else None,
-    )
+    share = range(rank, len(dataset), processes)
+    batches = [list(share[first : first + batch_size]) for first in range(0, len(share), batch_size)]
+    options = _worker_options(min(workers, len(batches)))
+    return DataLoader(dataset, batch_sampler=batches, collate_fn=collate_runs, **options)
 
 
 def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: bool) -> dict[str, Any]:
@@ -126,19 +115,16 @@ def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: 
     return moved
 
 
-def batched(indices: Iterable[int], size: int) -> Iterator[list[int]]:
-    """Yield runs of ``size`` indices; the last one may be shorter."""
-    rest = iter(indices)
-    while run := list(islice(rest, size)):
-        yield run
-
-
-def _worker_context() -> BaseContext:
+def _worker_options(workers: int) -> dict[str, Any]:
     """Workers fork from a server that has done the imports, so a validation starts at once."""
-    prepare_environment()  # the server inherits it
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["__main__", "torch", "cv2", "albumentations", "eldenet.data.loaders"])
-    return context
+    # without a generator, the start of each epoch would draw from torch's global one
+    options: dict[str, Any] = {"generator": torch.Generator(), "num_workers": workers}
+    if workers:
+        prepare_environment()  # the server inherits it
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["__main__", "torch", "cv2", "albumentations", "eldenet.data.loaders"])
+        options |= {"worker_init_fn": _quiet_worker, "multiprocessing_context": context}
+    return options
 
 
 def _quiet_worker(_: int) -> None:

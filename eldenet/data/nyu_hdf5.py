@@ -1,12 +1,12 @@
 """NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labelled .mat."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 
+from eldenet.data.array_files import reading
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYU_RANGE, labelled_part, nyu_intrinsics
@@ -23,10 +23,6 @@ MAT_TREE = """
 nyu_depth_v2_labeled.mat       (1,449 frames, 2.8 GB, MATLAB 7.3 = HDF5)
 splits.mat                     (the official split: trainNdxs, testNdxs)
 """
-
-
-# the exceptions of h5py for a file whose inner tables are damaged
-_DAMAGED = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError, MemoryError)
 
 
 class NYUHDF5(FileDataset):
@@ -108,8 +104,6 @@ class NYUMat(DepthDataset):
         folder = find_root(root, "nyu_depth_v2/labeled", needed, MAT_TREE)
         self.path, self.ground_truth = folder / file, ground_truth
         self.depth_key = {"raw": "rawDepths", "inpainted": "depths"}[ground_truth]
-        self._handle: Any = None
-        self._process = -1
         with open_hdf5(self.path, self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
         self.numbers: Sequence[int] = range(1, count + 1)
@@ -131,20 +125,15 @@ class NYUMat(DepthDataset):
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
-        mat, at = self._mat(), self.numbers[index] - 1
+        at = self.numbers[index] - 1
         source = f"{self.path}, frame {at + 1}"
-        image = np.ascontiguousarray(_read(mat["images"], at, source).transpose(2, 1, 0))
-        depth = decode_depth(np.ascontiguousarray(_read(mat[self.depth_key], at, source).T), "meters", source)
+        with open_hdf5(self.path, self.path) as mat:
+            image, depth = (
+                _read(_take(mat, key, source), at, source).T for key in ("images", self.depth_key)
+            )
+        image = np.ascontiguousarray(image)
+        depth = decode_depth(np.ascontiguousarray(depth), "meters", source)
         return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
-
-    def _mat(self) -> Any:
-        """Open the file once in each process: a handle must not cross a fork or a pickle."""
-        if self._handle is None or self._process != os.getpid():
-            self._handle, self._process = open_hdf5(self.path, self.path), os.getpid()
-        return self._handle
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_handle": None}
 
 
 def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
@@ -178,19 +167,16 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
         import h5py
     except ImportError as error:
         raise ImportError("reading NYU's HDF5 files needs h5py: pip install 'eldenet[nyu]'") from error
-    try:
-        return h5py.File(file, "r")
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ValueError(f"{source} is truncated or not an HDF5 file ({error}): fetch it again") from error
+    with reading(source, "HDF5 file"):
+        opened = h5py.File(file, "r")
+    return opened
 
 
 def _take(file: Any, key: str, source: object) -> Any:
     """Return the array of that key in an open file, not yet read."""
-    try:
+    with reading(source, "HDF5 file"):
         keys = sorted(file)
         found = file[key] if key in keys else None
-    except _DAMAGED as error:
-        raise ValueError(f"{source} is damaged ({error}): fetch it again") from error
     if found is None:
         raise ValueError(f"{source} has no {key!r}, only {', '.join(keys)}: is it the right file?")
     if not hasattr(found, "shape"):
@@ -200,10 +186,9 @@ def _take(file: Any, key: str, source: object) -> Any:
 
 def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
     """Read an array or a part of it."""
-    try:
-        return np.asarray(dataset[part])
-    except _DAMAGED as error:
-        raise ValueError(f"{source} is damaged ({error}): fetch it again") from error
+    with reading(source, "HDF5 file"):
+        values = np.asarray(dataset[part])
+    return values
 
 
 def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:
@@ -221,16 +206,9 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
     """Return the frame numbers, from 1, of a part of the official split."""
     from scipy.io import loadmat
 
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not a file: fetch it again")
-    try:
+    with reading(path, "official split with trainNdxs and testNdxs"):
         found = loadmat(path)
         parts = {key: [int(number) for number in found[key].ravel()] for key in ("trainNdxs", "testNdxs")}
-    except Exception as error:  # the reader raises many kinds
-        reason = f"{type(error).__name__}: {str(error)[:200]}"
-        raise ValueError(
-            f"{path} is truncated or has no trainNdxs and testNdxs ({reason}): fetch it again"
-        ) from error
     every = parts["trainNdxs"] + parts["testNdxs"]
     if not every or min(every) < 1 or len(set(every)) < len(every):
         raise ValueError(f"{path}: its frame numbers must start at 1 and not repeat: fetch it again")

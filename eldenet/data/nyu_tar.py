@@ -4,19 +4,18 @@ import hashlib
 import io
 import json
 import logging
-import os
 import tarfile
-import uuid
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, Unpack
+from typing import NamedTuple, Unpack
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.nyu import NYU_RANGE
 from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
-from eldenet.data.paths import default_cache, find_root
+from eldenet.data.paths import default_cache, find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
+from eldenet.system.files import part_file
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -73,10 +72,7 @@ class NYUTar(DepthDataset):
         part = "val" if split == "test" else "train"
         shards = sorted((self.root / "data").glob(f"{part}-*.tar"))
         if not shards:
-            raise FileNotFoundError(
-                f"{self.root / 'data'} has no {part}-*.tar: check data.root. Expected tree:\n"
-                f"{TAR_TREE.strip()}"
-            )
+            raise incomplete(f"{self.root / 'data'} has no {part}-*.tar", TAR_TREE)
         cache = (default_cache() if index is None else Path(index)).expanduser() / "tar_index"
         members: list[Member] = []
         cut: dict[str, str] = {}
@@ -97,8 +93,6 @@ class NYUTar(DepthDataset):
         super().__init__(names, **options)
         self.members = [by_name[name] for name in names]
         self.skipped |= cut
-        self._open: dict[str, int] = {}
-        self._process = -1
 
     def frame_files(self, index: int) -> Sequence[Path]:
         """Return the frame's shard."""
@@ -108,29 +102,15 @@ class NYUTar(DepthDataset):
         """Read one frame."""
         member = self.members[index]
         source = f"{self.root / member.shard}, {member.name}"
-        content = os.pread(self._shard(member.shard), member.size, member.start)
+        with (self.root / member.shard).open("rb") as shard:
+            shard.seek(member.start)
+            content = shard.read(member.size)
         if len(content) < member.size:
             raise ValueError(
                 f"{source} is truncated ({len(content)} of {member.size} bytes): fetch the shard again"
             )
         with open_hdf5(io.BytesIO(content), source) as file:
             return read_hdf5_frame(file, source, self.names[index])
-
-    def _shard(self, shard: str) -> int:
-        """Open a shard once in each process."""
-        if self._process != os.getpid():
-            self._open, self._process = {}, os.getpid()
-        if shard not in self._open:
-            self._open[shard] = os.open(self.root / shard, os.O_RDONLY)
-        return self._open[shard]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": {}, "_process": -1}
-
-    def __del__(self) -> None:
-        if getattr(self, "_process", -1) == os.getpid():
-            for handle in self._open.values():
-                os.close(handle)
 
 
 def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
@@ -148,10 +128,8 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
         pass  # no index, or not ours: walk the shard
     members, fault = _walk(shard)
     try:
-        cache.mkdir(parents=True, exist_ok=True)
-        unfinished = file.with_name(f".{file.name}.{uuid.uuid4().hex}")  # written whole, or not at all
-        unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
-        unfinished.replace(file)
+        with part_file(file) as unfinished:
+            unfinished.write_text(json.dumps({"shard": key, "members": members, "fault": fault}))
     except OSError as error:
         logging.getLogger("eldenet").warning(
             "the index of %s cannot be stored in %s: %s", shard, cache, error

@@ -27,22 +27,26 @@ def find_root(root: str | Path | None, default: str | None, must_contain: Sequen
     Raises:
         FileNotFoundError: the folder or what it must contain is missing; says what to set.
     """
-    expected = f"Expected tree:\n{tree.strip()}"
     advice = "set data.root to the data set's folder"
     if default is not None:
         advice += f", or {VARIABLE} so that ${VARIABLE}/{default} is that folder"
     if root is None:
         base = os.environ.get(VARIABLE)
         if not base or default is None:
-            raise FileNotFoundError(f"no folder given for the data set: {advice}. {expected}")
+            raise incomplete("no folder given for the data set", tree, advice)
         root = Path(base) / default
     folder = Path(root).expanduser()
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is not a folder: {advice}. {expected}")
+        raise incomplete(f"{folder} is not a folder", tree, advice)
     missing = [entry for entry in must_contain if not (folder / entry).exists()]
     if missing:
-        raise FileNotFoundError(f"{folder} has no {', '.join(missing)}: check data.root. {expected}")
+        raise incomplete(f"{folder} has no {', '.join(missing)}", tree)
     return folder
+
+
+def incomplete(fault: str, tree: str, advice: str = "check data.root") -> FileNotFoundError:
+    """Return the error about a data set whose files are not where they should be, with their tree."""
+    return FileNotFoundError(f"{fault}: {advice}. Expected tree:\n{tree.strip()}")
 
 
 def missing_files(root: Path, files: Sequence[str]) -> list[str]:
@@ -62,12 +66,7 @@ def missing_files(root: Path, files: Sequence[str]) -> list[str]:
 
 
 def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
-    """Check that every file exists.
-
-    Args:
-        root: folder of the files.
-        files: relative to ``root``.
-        advice: where to look for them, for the message.
+    """Check that every file, relative to ``root``, exists; ``advice`` says where to look for them.
 
     Raises:
         FileNotFoundError: naming the first ten missing files and how many there are.

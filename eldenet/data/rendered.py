@@ -4,8 +4,9 @@ import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Unpack
 
-from eldenet.data.base import DepthDataset, Transform
+from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
 from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
 from eldenet.system.checks import one_of
@@ -29,12 +30,8 @@ class RenderedScenes(DepthDataset):
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         workers: processes that render what is missing; None for two (one on a single core), 0 renders in this
             process.
-        min_depth: nearest depth that counts as known [m].
-        max_depth: farthest depth that counts as known, at most 13 [m].
-        input_size: as in :class:`~eldenet.data.base.DepthDataset`.
-        transform: as in :class:`~eldenet.data.base.DepthDataset`.
-        resize_depth: as in :class:`~eldenet.data.base.DepthDataset`.
-        seed: of the augmentation; the scenes themselves are fixed.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
+            0 to 13 m.
 
     Attributes:
         generator: what renders the frames; a subclass names it.
@@ -45,6 +42,7 @@ class RenderedScenes(DepthDataset):
     """
 
     ground_truth = "dense"
+    depth_range = (0.1, 10.0)
     frame_lists = ("names", "places")
     generator: Generator
 
@@ -56,12 +54,7 @@ class RenderedScenes(DepthDataset):
         size: Sequence[int] = (128, 160),
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
-        min_depth: float = 0.1,
-        max_depth: float = 10.0,
-        input_size: Sequence[int] | None = None,
-        transform: Transform | None = None,
-        resize_depth: bool = True,
-        seed: int = 0,
+        **options: Unpack[SampleOptions],
     ) -> None:
         one_of("split", split, SPLITS)
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
@@ -70,20 +63,12 @@ class RenderedScenes(DepthDataset):
             raise ValueError(f"size={tuple(size)}: give (height, width), each 16 to 2048 pixels")
         if workers is not None and workers < 0:
             raise ValueError(f"workers={workers}: give a number of processes, 0 for this process, or None")
-        if not 0 <= min_depth < max_depth <= 13.0:
+        super().__init__([frame_name(self.generator.name, split, i) for i in range(frames)], **options)
+        if not 0 <= self.min_depth < self.max_depth <= 13.0:
             raise ValueError(
-                f"min_depth={min_depth}, max_depth={max_depth}: give 0 <= min_depth < max_depth <= 13.0 [m], "
-                "the farthest depth that a stored frame holds"
+                f"min_depth={self.min_depth}, max_depth={self.max_depth}: give 0 <= min_depth < max_depth <= "
+                "13.0 [m], the farthest depth that a stored frame holds"
             )
-        super().__init__(
-            [frame_name(self.generator.name, split, i) for i in range(frames)],
-            min_depth=min_depth,
-            max_depth=max_depth,
-            input_size=input_size,
-            transform=transform,
-            resize_depth=resize_depth,
-            seed=seed,
-        )
         self.places = list(range(frames))  # where each frame is stored: a subset leaves gaps
         self.split, self.size = split, (int(size[0]), int(size[1]))
         cache = default_cache() if root is None else Path(root).expanduser()

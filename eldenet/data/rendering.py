@@ -7,9 +7,7 @@ import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -60,12 +58,7 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 class SceneStore:
     """The rendered frames of one split: view ``i % 8`` of scene ``i // 8`` in slot ``i``.
 
-    Args:
-        folder: of the data set's version and size; the file is ``<split>.frames`` in it.
-        name: of the data set, first part of the frames' names.
-        split: of the frames.
-        scenes: how many scenes to make room for.
-        size: ``(height, width)`` of the frames [px].
+    They lie in ``<folder>/<split>.frames``, which has room for ``scenes`` scenes of ``(height, width)`` [px].
     """
 
     def __init__(self, folder: Path, name: str, split: str, scenes: int, size: tuple[int, int]) -> None:
@@ -110,17 +103,21 @@ def render_missing(
     Raises:
         RuntimeError: a worker process failed.
     """
+    from rich.console import Console
+
+    from eldenet.system.progress import progress_bar
+
     title = f"rendering {generator.name}/{split} {size[1]}x{size[0]}"
-    with _progress(title, len(scenes) * VIEWS) as advance:
+    with progress_bar(Console(stderr=True), title, len(scenes) * VIEWS, unit="frames") as bar:
         if workers == 0:
             store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)
             for scene in scenes:
                 store.render(generator.renderer, scene)
-                advance(VIEWS)
+                bar.advance(VIEWS)
             return
         job = {"folder": str(folder), "name": generator.name, "renderer": generator.renderer, "split": split}
         shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
-        _render_in_processes([{**job, "size": size, "scenes": list(share)} for share in shares], advance)
+        _render_in_processes([{**job, "size": size, "scenes": list(share)} for share in shares], bar.advance)
 
 
 def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable[[int], None]) -> None:
@@ -159,34 +156,6 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
             if process.poll() is None:
                 process.terminate()
             process.wait()
-
-
-@contextmanager
-def _progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on a terminal, a line every ten seconds elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if console.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console) as bar:
-            task = bar.add_task(title, total=total)
-            yield lambda frames: bar.advance(task, frames)
-        return
-    start, last, done = time.monotonic(), 0.0, 0
-
-    def advance(frames: int) -> None:
-        nonlocal last, done
-        done += frames
-        now = time.monotonic() - start
-        if now - last > 10 or done == total:
-            last = now
-            console.print(
-                f"{title}: {done}/{total} frames, {done / max(now, 1e-6):.0f} frames/s", highlight=False
-            )
-
-    yield advance
 
 
 def _work() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.data.inspection import spread
 from eldenet.data.io import IMAGE_ENDINGS, read_image
 from eldenet.deploy.files import quiet, read_metadata, save_openvino, set_metadata
 
@@ -31,8 +32,7 @@ def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray
         raise ValueError(
             f"pictures={source} holds no pictures: give a folder, or a pattern such as 'photos/*.jpg'"
         )
-    chosen = np.unique(np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int))
-    return [read_image(paths[index], upright=True) for index in chosen]
+    return [read_image(paths[index], upright=True) for index in spread(len(paths), count)]
 
 
 def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:

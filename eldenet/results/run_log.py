@@ -1,20 +1,17 @@
 """Output of a run for people: progress (a bar on a terminal, else lines), TensorBoard, images, tables."""
 
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from eldenet.system.files import write_rows
-
-LINE_EVERY_S = 15.0
+from eldenet.system.progress import Bar, progress_bar
 
 
 def untrained_note(source: str) -> str:
@@ -84,59 +81,11 @@ class RunLog:
             table.add_row(*map(escape, row))
         self.console.print(table)
 
-    @contextmanager
-    def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> Iterator["Bar"]:
+    def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> AbstractContextManager[Bar]:
         """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
-        if self.quiet or not self.console.is_terminal:
-            yield Bar(self, title, total, done, None, unit)
-            return
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=self.console, transient=True) as progress:
-            yield Bar(self, title, total, done, progress, unit)
+        return progress_bar(self.console, title, total, done, unit)
 
     def close(self) -> None:
         """Close TensorBoard."""
         if self._writer is not None:
             self._writer.close()
-
-
-class Bar:
-    """Counts images or other units; shows their rate and a note."""
-
-    def __init__(
-        self, log: RunLog, title: str, total: int, done: int, progress: Progress | None, unit: str = "img"
-    ) -> None:
-        self.log, self.title, self.total, self.done, self.unit = log, title, total, done, unit
-        self.progress = progress
-        self.started = self.last_line = time.monotonic()
-        self.first = done
-        self.task = (
-            None
-            if progress is None
-            else progress.add_task(title, total=total or None, completed=done, note="")
-        )
-
-    @property
-    def rate(self) -> float:
-        """Images per second since the bar began."""
-        return (self.done - self.first) / max(time.monotonic() - self.started, 1e-9)
-
-    def advance(self, images: int, note: str = "") -> None:
-        """Count ``images`` more."""
-        self.done += images
-        digits = 0 if self.rate >= 10 else 2
-        text = f"{self.rate:.{digits}f} {self.unit}/s  {note}"
-        if self.progress is not None and self.task is not None:
-            self.progress.update(self.task, completed=self.done, note=text)
-        elif time.monotonic() - self.last_line > LINE_EVERY_S:
-            self.last_line = time.monotonic()
-            of, left = f"/{self.total}" if self.total else "", ""
-            if self.total > self.done:  # 0 for a camera; a video's header may say too little
-                left = f"  {(self.total - self.done) / max(self.rate, 1e-9):.0f} s left"
-            self.log.say(f"{self.title}: {self.done}{of}  {text}{left}")

@@ -154,10 +154,7 @@ def robot_intrinsics(size: tuple[int, int]) -> np.ndarray:
 
 def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return the optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` at a robot's pose."""
-    x, y, yaw = pose
-    ahead = ROBOT.camera_ahead
-    center = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
-    return center, camera_rotation(yaw)
+    return np.array(ROBOT.camera_center(pose)), camera_rotation(pose[2])
 
 
 def _obstacle_numbers(model: Any, arena: Arena) -> np.ndarray:

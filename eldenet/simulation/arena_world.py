@@ -115,9 +115,7 @@ class ArenaWorld:
 
         Convention: horizontal rays; distances are at least ``near``, and ``far`` where nothing is hit.
         """
-        x, y, yaw = self.pose
-        ahead = ROBOT.camera_ahead
-        origin = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), ROBOT.camera_height])
+        origin, yaw = np.array(ROBOT.camera_center(self.pose)), self.pose[2]
         rays = np.zeros((ROBOT.columns, 3))
         np.cos(self._angles + yaw, out=rays[:, 0])
         np.sin(self._angles + yaw, out=rays[:, 1])

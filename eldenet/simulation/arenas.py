@@ -237,10 +237,9 @@ def draw_start_and_goal(
     return None
 
 
-def cell_center(row: int, column: int, side: float = SIDE, resolution: float = RESOLUTION) -> Point:
+def cell_center(row: int, column: int) -> Point:
     """Return the center of a grid cell in the world [m]: rows run along y, columns along x."""
-    x = (int(column) + 0.5) * resolution - side / 2
-    y = (int(row) + 0.5) * resolution - side / 2
+    x, y = ((int(cell) + 0.5) * RESOLUTION - SIDE / 2 for cell in (column, row))
     return round(x, 4), round(y, 4)
 
 
@@ -277,12 +276,11 @@ def arenas_hash(arenas: Sequence[Arena]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def triangle_course(obstacles: Sequence[Obstacle] = (), side_length: float = 6.0) -> Arena:
-    """Return the paper's course (Fig. 14): from a corner of a triangle around it and back."""
-    height = side_length * math.sqrt(3) / 2
-    corners = ((side_length / 2, -height / 2), (0.0, height / 2), (-side_length / 2, -height / 2))
-    a, b, c = ((round(x, 4), round(y, 4)) for x, y in corners)
-    return Arena("", len(obstacles), 0, tuple(obstacles), (*c, 0.0), (a, b, c))
+def triangle_course() -> Arena:
+    """Return the paper's course (Fig. 14): from a corner of an empty triangle of 6 m around it and back."""
+    height = round(6.0 * math.sqrt(3) / 4, 4)
+    a, b, c = (3.0, -height), (0.0, height), (-3.0, -height)
+    return Arena("", 0, 0, (), (*c, 0.0), (a, b, c))
 
 
 assert ROBOT.radius < INFLATION

@@ -48,5 +48,11 @@ class Robot(NamedTuple):
         step = self.field_of_view / self.columns
         return tuple((number + 0.5) * step - self.field_of_view / 2 for number in range(self.columns))
 
+    def camera_center(self, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the optical center x, y, z [m] of the robot at a pose x, y [m], heading [rad]."""
+        x, y, yaw = pose
+        ahead = self.camera_ahead
+        return x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self.camera_height
+
 
 ROBOT = Robot()

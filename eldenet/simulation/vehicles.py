@@ -106,16 +106,9 @@ def _wheels(p: Paint, b: Body, length: float, width: float, radius: float) -> No
 
 
 def _cabin(p: Paint, b: Body, span: Range, slant: Range, widths: Range, levels: Range, paint: int) -> None:
-    """Add windows that lean inwards under a painted roof.
+    """Add windows that lean inwards (``slant``, rear and front [m]) under a painted roof.
 
-    Args:
-        p: materials of the street.
-        b: the vehicle.
-        span: rear and front end of the windows' lower edge along y [m].
-        slant: how far the upper edge lies inwards at the rear and in front [m].
-        widths: at the lower and upper edge [m].
-        levels: heights of the lower edge and of the roof [m].
-        paint: material of the roof.
+    Their lower edge lies at ``span`` (y, rear and front); widths and levels are below and above [m].
     """
     step = (levels[1] - 0.05 - levels[0]) / _SLICES
     for k in range(_SLICES):

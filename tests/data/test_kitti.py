@@ -178,9 +178,9 @@ def test_wrong_lines_of_a_list_are_named(tmp_path: Path) -> None:
     path = tmp_path / "list.txt"
     slashed = f"/2011_09_26/{DRIVES[0]}/image_03/data/0000000007.jpg /x/y.png 721.5377\n\n"
     path.write_text(slashed)
-    assert frame_list(path)[0].place == (DRIVES[0], 3, "0000000007")
+    assert frame_list(path) == {(DRIVES[0], 3, "0000000007"): True}
     path.write_text(slashed + slashed)
-    with pytest.raises(ValueError, match="2 times: remove all but one"):
+    with pytest.raises(ValueError, match=r"list\.txt, line 3: .* again: remove all but one"):
         frame_list(path)
     for wrong in ("kitchen/rgb_1.jpg kitchen/d.png 518", f"{DRIVES[0]}/image_02/data/x.png None", "a b c d"):
         path.write_text(slashed + wrong)

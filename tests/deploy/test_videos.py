@@ -113,7 +113,7 @@ def test_the_video_of_a_camera_plays_in_real_time(
 
 
 def test_the_remaining_time_is_shown_only_where_it_is_known(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("eldenet.results.run_log.LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("eldenet.system.progress.LINE_EVERY_S", 0.0)
     for total in (0, 1, 3):  # a camera; a video of two frames that announces one; one that goes on
         with RunLog(tmp_path).bar("predicting", total) as bar:
             bar.advance(1)

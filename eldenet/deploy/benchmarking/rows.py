@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +50,7 @@ def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def machine() -> tuple[dict[str, Any], str]:
     """Versions, processor, cores and accelerator that all rows of a table share; and the command."""
-    from eldenet.results.run_record import environment
+    from eldenet.results.run_record import environment, version_of
 
     facts = environment()
     shared = {name: facts["hardware"][name] for name in ("processor", "cores", "accelerator")}
@@ -68,11 +67,3 @@ def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     stored = row.get("versions") or {}
     pairs += [(name, stored.get(name), version) for name, version in here["versions"].items()]
     return ", ".join(f"{name} {there}, here {ours}" for name, there, ours in pairs if there != ours)
-
-
-def version_of(package: str) -> str | None:
-    """Version of an installed package; None if it is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

@@ -89,12 +89,14 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
         ValueError: two models share a name, the reference is none of them, or the accuracies do not compare.
     """
     found = load_models(setup) if setup.study is None else study_models(setup)
-    check_reference(setup.reference, list(found.models))
-    cases = list_cases(setup, list(found.models), found.sizes)
-    accuracies = read_accuracies(setup.accuracies, setup.accuracy, found.models)
     log = RunLog(setup.output)
     if setup.reference not in found.models:
+        if setup.reference != DEFAULT_REFERENCE:
+            names = ", ".join(found.models)
+            raise ValueError(f"reference={setup.reference}: none of the models, which are {names}")
         log.say(f"reference {setup.reference} is not among the models: no ratio_latency (give reference=)")
+    cases = list_cases(setup, list(found.models), found.sizes)
+    accuracies = read_accuracies(setup.accuracies, setup.accuracy, found.models)
     prints = {name: fingerprint(model) for name, model in found.models.items()}
     here, command = machine()
 
@@ -210,12 +212,6 @@ def load_models(setup: BenchmarkSetup) -> Networks:
     if not models:
         raise ValueError("models is empty: give names, or folders")
     return Networks(models)
-
-
-def check_reference(reference: str, names: Sequence[str]) -> None:
-    """Raise ValueError if a reference that was asked for is none of the models."""
-    if reference not in names and reference != DEFAULT_REFERENCE:
-        raise ValueError(f"reference={reference}: none of the models, which are {', '.join(names)}")
 
 
 def describe_group(group: Sequence[Case]) -> str:

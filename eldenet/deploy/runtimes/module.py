@@ -40,12 +40,12 @@ class RuntimeNetwork(nn.Module):
         return self.network(filled.float())[: len(image)]
 
 
-def measure_runtime_cost(network: Runtime, size: tuple[int, int], *, batch: int = 8) -> CostReport:
+def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
     """Cost as by :func:`eldenet.evaluation.cost.measure_cost`, with the counts that the file states.
 
     A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN.
     """
-    one, batch = network.fixed_batch or 1, network.fixed_batch or batch
+    one, batch = network.fixed_batch or 1, network.fixed_batch or 8
     calls = {}
     for name, number in (("one", one), ("many", batch)):
         images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))

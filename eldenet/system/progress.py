@@ -1,0 +1,66 @@
+"""Progress for people: a bar on a terminal, elsewhere a line every 15 seconds."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+LINE_EVERY_S = 15.0
+
+
+@contextmanager
+def progress_bar(
+    console: Console, title: str, total: int, done: int = 0, unit: str = "img"
+) -> Iterator["Bar"]:
+    """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
+    if console.quiet or not console.is_terminal:
+        yield Bar(console, title, total, done, None, unit)
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield Bar(console, title, total, done, progress, unit)
+
+
+class Bar:
+    """Counts images or other units; shows their rate and a note."""
+
+    def __init__(
+        self, console: Console, title: str, total: int, done: int, progress: Progress | None, unit: str
+    ) -> None:
+        self.console, self.title, self.total, self.done, self.unit = console, title, total, done, unit
+        self.progress = progress
+        self.started = self.last_line = time.monotonic()
+        self.first = done
+        self.task = (
+            None
+            if progress is None
+            else progress.add_task(title, total=total or None, completed=done, note="")
+        )
+
+    @property
+    def rate(self) -> float:
+        """Images per second since the bar began."""
+        return (self.done - self.first) / max(time.monotonic() - self.started, 1e-9)
+
+    def advance(self, images: int, note: str = "") -> None:
+        """Count ``images`` more."""
+        self.done += images
+        digits = 0 if self.rate >= 10 else 2
+        text = f"{self.rate:.{digits}f} {self.unit}/s  {note}"
+        if self.progress is not None and self.task is not None:
+            self.progress.update(self.task, completed=self.done, note=text)
+        elif time.monotonic() - self.last_line > LINE_EVERY_S:
+            self.last_line = time.monotonic()
+            of, left = f"/{self.total}" if self.total else "", ""
+            if self.total > self.done:  # 0 for a camera; a video's header may say too little
+                left = f"  {(self.total - self.done) / max(self.rate, 1e-9):.0f} s left"
+            line = f"{self.title}: {self.done}{of}  {text}{left}"
+            self.console.print(line, highlight=False, markup=False, soft_wrap=True)
