@@ -231,12 +231,7 @@ def policy_files(path: str | Path | Sequence[str | Path] | None) -> list[Path]:
 
 
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
-    """Return the networks and the notes in a policy file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is not a policy.
-    """
+    """Return the networks and the notes in a policy file."""
     if not path.is_file():
         raise FileNotFoundError(
             f"no policy at {path}: give a policy file or the run folder of a finished training (python -m "

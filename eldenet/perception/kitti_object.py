@@ -139,14 +139,13 @@ def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = No
     )  # fmt: skip
 
 
-def write_labels(path: Path, labels: KittiLabels, *, with_score: bool = True) -> None:
-    """Write a result file (16 columns), or labels (15)."""
+def write_labels(path: Path, labels: KittiLabels) -> None:
+    """Write a result file (16 columns)."""
     lines = []
     for i, kind in enumerate(labels.types):
         length, width, height = labels.size[i]
         numbers = [*labels.xyxy[i], height, width, length, *labels.location[i], labels.yaw[i]]
-        if with_score:
-            numbers.append(labels.score[i])
+        numbers.append(labels.score[i])
         text = " ".join(f"{value:.4f}" for value in numbers)
         lines.append(f"{kind} {labels.truncated[i]:.2f} {labels.occluded[i]} {labels.alpha[i]:.4f} {text}\n")
     path.parent.mkdir(parents=True, exist_ok=True)
