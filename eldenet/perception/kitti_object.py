@@ -160,7 +160,7 @@ class KittiObjects:
         names: frames to use; None: all that are complete.
 
     Raises:
-        FileNotFoundError: the folder or a file of a named frame does not exist.
+        FileNotFoundError: the folder does not exist.
     """
 
     def __init__(self, root: str | Path | None = None, names: Sequence[str] | None = None) -> None:
@@ -169,10 +169,6 @@ class KittiObjects:
             names = sorted(path.stem for path in (self.root / "label_2").glob("*.txt"))
             names = [name for name in names if all(path.is_file() for path in self._files(name))]
         self.names = list(names)
-        for name in self.names:
-            for path in self._files(name):
-                if not path.is_file():
-                    raise FileNotFoundError(f"{path} does not exist: frame {name} needs it")
 
     def _files(self, name: str) -> tuple[Path, Path]:
         return self.root / "image_2" / f"{name}.png", self.root / "calib" / f"{name}.txt"

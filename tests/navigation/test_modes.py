@@ -14,7 +14,7 @@ from eldenet.navigation.policy import DEFAULT_WEIGHTS, Navigator
 from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.range_errors import RangeErrors
 from eldenet.renames import renamed
-from eldenet.results.fingerprints import PACKAGED
+from eldenet.weights import PACKAGED
 
 EVALUATES = ("evaluate", "analyze_failures")
 DRIVES = ("record", *EVALUATES)
