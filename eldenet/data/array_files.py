@@ -50,7 +50,9 @@ def reading(source: object, kind: str) -> Iterator[None]:
         yield
     except Exception as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-        raise ValueError(f"{source} is cut or is no {kind} ({reason}): fetch or write it again") from error
+        raise ValueError(
+            f"{source} is truncated or not a valid {kind} ({reason}): fetch or write it again"
+        ) from error
 
 
 def read_array(path: Path) -> np.ndarray:

@@ -5,16 +5,16 @@ from collections.abc import Callable
 
 import numpy as np
 
+LIMITS = ((1 - 0.95) / 2, (1 + 0.95) / 2)  # quantiles at the ends of the interval
+
 
 def bootstrap_interval(
     statistic: Callable[[np.ndarray], float],
     count: int,
     *,
     draws: int = 2000,
-    share: float = 0.95,
-    seed: int = 0,
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of a statistic.
+    """95 % percentile bootstrap interval of a statistic.
 
     Efron, "Bootstrap methods: another look at the jackknife", 1979. A paired comparison takes the
     difference within ``statistic``, so that both sides are drawn together.
@@ -24,17 +24,15 @@ def bootstrap_interval(
         statistic: drawn indices ``(count,)`` -> value; NaN where it has none.
         count: number of observations.
         draws: number of resamples.
-        share: of the values that lie within the interval.
-        seed: of the draws.
 
     Returns:
         Low and high; NaN where no draw had a value.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     resamples = (rng.integers(0, count, count) for _ in range(draws if count else 0))
     values = np.array([statistic(drawn) for drawn in resamples])
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
-    low, high = np.quantile(values, ((1 - share) / 2, (1 + share) / 2))
+    low, high = np.quantile(values, LIMITS)
     return float(low), float(high)

@@ -3,8 +3,7 @@
 import itertools
 import resource
 import sys
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -48,10 +47,6 @@ class CostReport:
     precision: str
     threads: int
     device: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """Every column by name."""
-        return asdict(self)
 
 
 def count_params(model: nn.Module) -> int:

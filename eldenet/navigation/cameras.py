@@ -1,6 +1,6 @@
 """Sensors with a camera: rendered RGB, a depth network, and 3D boxes of detected objects."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of
 from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance
-from eldenet.perception.detectors import Detector, FixedDetections
+from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
@@ -86,11 +86,6 @@ class CameraInstance:
         self.sensor, self.world, self.view, self.rng = sensor, world, view, rng
         self.camera = PinholeCamera(view.intrinsics)
         self.photo: Photo
-        self.detector = sensor.detector or FixedDetections(self._simulated())
-
-    def _simulated(self) -> Iterator[Detections2D]:
-        while True:
-            yield simulated_detections(self.photo, self.world.arena)
 
     def scan(self) -> Observation:
         """Render a frame, estimate its depth, and lift objects if there is a lifter."""
@@ -102,7 +97,10 @@ class CameraInstance:
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
             return Observation(ranges, fed_by, frame, depth)
-        detections = self.detector(frame)
+        if sensor.detector is None:
+            detections = simulated_detections(self.photo, self.world.arena)
+        else:
+            detections = sensor.detector(frame)
         boxes = sensor.lifter(depth, detections, self.camera)
         faces = near_faces(boxes, detections, self.camera)
         by_box = (faces < ROBOT.far) & (ranges > faces * (1 - IN_FRONT))

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.navigation.qnetwork import QNetwork
+from eldenet.system.files import part_file
 
 CHECKPOINT = "dqn.pt"
 
@@ -209,7 +210,6 @@ class DQN:
 
     def save(self, path: Path) -> None:
         """Write a checkpoint; a kill during the write leaves the previous one whole."""
-        path.parent.mkdir(parents=True, exist_ok=True)
         state = {
             "policy_dqn": self.policy_dqn.state_dict(),
             "target_dqn": self.target_dqn.state_dict(),
@@ -218,18 +218,11 @@ class DQN:
             "num_timesteps": self.num_timesteps,
             "updates": self.updates,
         }
-        unfinished = path.with_name(f".{path.name}.part")
-        torch.save(state, unfinished)
-        unfinished.replace(path)
+        with part_file(path) as unfinished:
+            torch.save(state, unfinished)
 
     def restore(self, path: Path) -> None:
-        """Load a checkpoint.
-
-        Raises:
-            FileNotFoundError: there is none.
-        """
-        if not path.is_file():
-            raise FileNotFoundError(f"no checkpoint at {path}: training has not reached its first one")
+        """Load a checkpoint."""
         state = torch.load(path, weights_only=True)
         self.policy_dqn.load_state_dict(state["policy_dqn"])
         self.target_dqn.load_state_dict(state["target_dqn"])

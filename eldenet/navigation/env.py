@@ -12,6 +12,7 @@ from eldenet.navigation.observer import Observer
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.simulation.arenas import Arena
+from eldenet.system.checks import one_of
 
 GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0.01
 
@@ -34,8 +35,7 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
     """Return a sensor by name, "ranges" or "noisy" (with the packaged errors); a sensor is returned as is."""
     if not isinstance(sensor, str):
         return sensor
-    if sensor not in ("ranges", "noisy"):
-        raise ValueError(f"sensor={sensor!r}: choose ranges or noisy, or give a Camera with its network")
+    one_of("sensor", sensor, ("ranges", "noisy"))
     return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 

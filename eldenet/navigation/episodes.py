@@ -11,17 +11,20 @@ from enum import IntEnum
 
 import numpy as np
 
-from eldenet.navigation.localization import Fixes, Localizer
+from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 SUBSTEPS = 2  # contact checks per control period: at most 10 cm apart
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
 GOALS = ("known", "fixes", "odometry")
+FIX_EVERY = 5  # control periods between two positions for goal="fixes"
+FIX_DEVIATION = 0.15  # standard deviation of their x and y [m]
 
 
 class Event(IntEnum):
@@ -40,12 +43,11 @@ class EpisodeSettings:
     Attributes:
         physics: "kinematic" or "wheels"; see :class:`~eldenet.simulation.arena_world.ArenaWorld`.
         goal: source of the goal's distance and bearing. "known": the true ones, as with a beacon at the goal;
-            "fixes": a :class:`~eldenet.navigation.localization.Localizer` that gets a noisy position now and
-            then and calibrates the odometry; "odometry": the odometry alone, so they drift with it. The true
-            pose decides when an episode ends.
+            "fixes": a :class:`~eldenet.navigation.localization.Localizer` that gets a noisy position every
+            second and calibrates the odometry; "odometry": the odometry alone, so they drift with it. The
+            true pose decides when an episode ends.
         time_limit: [s].
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
-        fixes: rate and accuracy of the positions for ``goal="fixes"``.
 
     Raises:
         ValueError: unknown goal.
@@ -55,11 +57,9 @@ class EpisodeSettings:
     goal: str = "known"
     time_limit: float = TIME_LIMIT
     seed: int = 0
-    fixes: Fixes = Fixes()  # noqa: RUF009 - immutable
 
     def __post_init__(self) -> None:
-        if self.goal not in GOALS:
-            raise ValueError(f"goal={self.goal!r}: choose one of {', '.join(GOALS)}")
+        one_of("goal", self.goal, GOALS)
 
 
 class Episodes:
@@ -102,10 +102,7 @@ class Episodes:
         drift = self.sensor.drift
         self._odometry[slot] = Odometry(drift, rng, world.pose)
         if self.settings.goal == "fixes":
-            deviation = self.settings.fixes.deviation
-            self._localizers[slot] = Localizer(
-                world.pose, deviation=deviation, distance=drift.distance, heading=drift.heading
-            )
+            self._localizers[slot] = Localizer(world.pose, deviation=FIX_DEVIATION, **drift._asdict())
             self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
         self.poses[slot] = world.pose
         self.travelled[slot] = 0.0
@@ -167,10 +164,7 @@ class Episodes:
         return progress, events
 
     def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:
-        """Drive one robot for one period; a collision counts before the goal.
-
-        Progress is towards the way-point at the start of the period.
-        """
+        """Drive one robot for one period; progress is towards the way-point at its start."""
         world = self._world(slot)
         goal = self.goal(slot)
         distance = before = math.dist(self.poses[slot, :2], goal)
@@ -203,9 +197,8 @@ class Episodes:
         if localizer is None or rng is None:
             return
         localizer.move(self._odometry[slot].pose)  # type: ignore[union-attr]
-        period, deviation = self.settings.fixes
-        if self._steps[slot] % max(1, round(period / ROBOT.period)) == 0:
-            error = deviation * rng.standard_normal(2)
+        if self._steps[slot] % FIX_EVERY == 0:
+            error = FIX_DEVIATION * rng.standard_normal(2)
             localizer.fix(*(self.poses[slot, :2] + error).tolist())
 
     def _world(self, slot: int) -> ArenaWorld:

@@ -1,6 +1,5 @@
 """Run a driver through a fixed set of arenas and summarize: success, collision, time-out, time, path."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -113,18 +112,20 @@ def run_episodes(
 
 
 def summarize(rows: Sequence[Episode]) -> dict[str, Any]:
-    """Rates [%] with Wilson intervals, mean time of the successes [s], SPL."""
+    """Rates [%] with Wilson's 95 % intervals, mean time of the successes [s], SPL."""
+    from scipy.stats import binomtest
+
     outcomes = np.array([row.outcome for row in rows])
     success = outcomes == "success"
-    low, high = wilson_interval(int(success.sum()), len(rows))
+    low, high = binomtest(int(success.sum()), len(rows)).proportion_ci(method="wilson")
     seconds, travelled, shortest = (
         np.array([getattr(row, name) for row in rows]) for name in ("seconds", "travelled", "shortest")
     )
     return {
         "worlds": len(rows),
         "success": 100 * float(success.mean()),
-        "success_low": 100 * low,
-        "success_high": 100 * high,
+        "success_low": 100 * float(low),
+        "success_high": 100 * float(high),
         "collision": 100 * float((outcomes == "collision").mean()),
         "timeout": 100 * float((outcomes == "timeout").mean()),
         "seconds": float(seconds[success].mean()) if success.any() else float("nan"),
@@ -148,14 +149,6 @@ def as_rows(rows: Sequence[Any], without: Sequence[str] = ()) -> tuple[list[str]
     """Header and rows of a list of dataclasses, for :func:`eldenet.results.run_record.write_rows`."""
     names = [name for name in vars(rows[0]) if name not in without]
     return names, [[getattr(row, name) for name in names] for row in rows]
-
-
-def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """Confidence interval of a rate (95 % by default): Wilson, JASA 1927."""
-    rate = successes / trials
-    middle = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
-    half = z / (1 + z * z / trials) * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials**2))
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int, float]:

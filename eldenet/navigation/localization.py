@@ -9,23 +9,10 @@ Needs NumPy only, no simulator.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 Pose = tuple[float, float, float]
-
-
-class Fixes(NamedTuple):
-    """External positions.
-
-    Attributes:
-        period: time between two [s].
-        deviation: standard deviation of x and of y [m].
-    """
-
-    period: float = 1.0
-    deviation: float = 0.15
 
 
 class Localizer:

@@ -142,14 +142,8 @@ def run_mode(setup: ModeSetup) -> None:
     choose_resources(device="cpu", precision="fp32", threads=setup.threads)
     setup.folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(setup.folder)
-    if isinstance(setup, TrainSetup):
-        train(setup, log)
-    elif isinstance(setup, NoiseSetup):
-        fit_noise(setup, log)
-    elif isinstance(setup, RecordSetup):
-        record(setup, log)
-    elif isinstance(setup, EvaluationSetup):
-        {"evaluate": evaluate, "analyze_failures": analyze_failures}[setup.mode](setup, log)
+    modes: tuple[Callable[[Any, RunLog], None], ...] = (record, evaluate, analyze_failures, fit_noise, train)
+    {mode.__name__: mode for mode in modes}[setup.mode](setup, log)
     log.close()
 
 

@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
+from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.obstacle_memory import MEMORY_REACH, Memory
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 SECTORS = 5
 HORIZON = 1.8  # duration of the arcs [s]
@@ -79,8 +80,7 @@ class Observer:
         seen_through: int = 2,
         walkers: bool = False,
     ) -> None:
-        if speed not in SPEED_LAWS:
-            raise ValueError(f"speed={speed!r}: choose one of {', '.join(SPEED_LAWS)}")
+        one_of("speed", speed, SPEED_LAWS)
         if len(turn_rates) != len(turn_factors) or not turn_rates:
             raise ValueError(
                 f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
@@ -173,7 +173,9 @@ class Observer:
 
     def _free_times(self, who: np.ndarray, row: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Free time along each action's arc, relative to the horizon ``(len(who), actions)``."""
-        table = _action_arcs(tuple(self.turn_rates.tolist()))
+        speeds = [level / _LEVELS for level in range(-_LEVELS, _LEVELS + 1)]
+        commands = tuple((speed, rate) for speed in speeds for rate in self.turn_rates.tolist())
+        table = arc_table(commands, HORIZON)
         inside = (np.abs(x) < REACH) & (np.abs(y) < REACH)
         row, cells = row[inside], table.cells(x[inside], y[inside])
         level = np.clip(np.rint(self.speeds[who] * _LEVELS), -_LEVELS, _LEVELS).astype(np.intp) + _LEVELS
@@ -186,8 +188,3 @@ class Observer:
                 times = table.time.ravel().take(cells + command[:, action].take(row))
                 out[row[first], action] = np.minimum.reduceat(times, first)
         return out * np.float32(STEP / HORIZON)
-
-
-def _action_arcs(turn_rates: tuple[float, ...]) -> ArcTable:
-    speeds = [level / _LEVELS for level in range(-_LEVELS, _LEVELS + 1)]
-    return arc_table(tuple((speed, rate) for speed in speeds for rate in turn_rates), HORIZON)

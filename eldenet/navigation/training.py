@@ -106,12 +106,7 @@ def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
 
 
 def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
-    """Load the checkpoint in ``folder`` into the learner and return the training's note.
-
-    Raises:
-        ValueError: its settings differ from those of ``fresh``, or it is unfinished and another version
-            started it.
-    """
+    """Load the checkpoint in ``folder`` into the learner and return the training's note."""
     note: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
     if note["settings"] != json.loads(json.dumps(fresh["settings"])):
         raise ValueError(f"run_dir={folder} has a training with other settings: give another run_dir")

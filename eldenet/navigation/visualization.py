@@ -33,6 +33,7 @@ _FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "box": (239, 108, 80
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 TITLE = 20  # height of the line of text above a picture [px]
 VIDEO_FORMATS = ("gif", "mp4")
+SPEED = 2.0  # of a video, relative to real time
 _ENDS = {Event.NONE: "", Event.GOAL: "  goal", Event.COLLISION: "  COLLISION", Event.TIMEOUT: "  time-out"}
 
 
@@ -159,24 +160,19 @@ def camera_panels(scan: Observation, size: int) -> np.ndarray:
     """Photo, depth and sector bars, one below the other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
     height = size * 2 // 5
     width = height * 4 // 3
-    near, far = (0.3, 8.0) if scan.depth is None else visible_range(scan.depth)
-    empty = np.full((height, width, 3), 225, np.uint8)
-    photo = empty
+    photo = depth = np.full((height, width, 3), 225, np.uint8)
     if scan.image is not None:
         photo = np.asarray(cv2.resize(scan.image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
         if scan.boxes is not None:
             camera = PinholeCamera(robot_intrinsics((height, width)))
-            photo = draw_boxes(photo, scan.boxes, camera, front=False)
-    depth = empty
-    if scan.depth is not None:
-        colors = color_depth(scan.depth, near, far, scan.depth > 0)
-        depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
-    bars = sector_bars(scan, (size - 2 * height, width))
-    if scan.image is not None:
+            photo = draw_boxes(photo, scan.boxes, camera)
         _label(photo, "camera")
     if scan.depth is not None:
+        near, far = visible_range(scan.depth)
+        colors = color_depth(scan.depth, near, far, scan.depth > 0)
+        depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
         _label(depth, f"depth, {near:.1f} to {far:.1f} m")
-    return np.concatenate([photo, depth, bars], axis=0)
+    return np.concatenate([photo, depth, sector_bars(scan, (size - 2 * height, width))], axis=0)
 
 
 def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
@@ -202,7 +198,6 @@ def record_episode(
     path: Path,
     settings: EpisodeSettings = EpisodeSettings(),  # noqa: B008 - immutable
     *,
-    speed: float = 2.0,
     advance: Callable[[int], None] = lambda count: None,
 ) -> tuple[Event, float]:
     """Run one episode and write it as a video; no display is needed.
@@ -213,7 +208,6 @@ def record_episode(
         sensor: of the robot.
         path: of the video, ``.gif`` or ``.mp4``.
         settings: of the episode.
-        speed: of the video, relative to real time.
         advance: called for each frame.
 
     Returns:
@@ -224,7 +218,7 @@ def record_episode(
     policy.reset(0, episodes.worlds[0])
     scene, view = Scene(arena), ArenaView(arena)
     event = Event.NONE
-    with video_writer(path, speed / ROBOT.period) as add:
+    with video_writer(path, SPEED / ROBOT.period) as add:
         while True:
             senses = episodes.sense()
             scene.trail.append(tuple(episodes.poses[0]))

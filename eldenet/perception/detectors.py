@@ -8,6 +8,7 @@ import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.geometry import from_corner
+from eldenet.perception.iou import iou_2d
 
 COCO_NAMES = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat",
@@ -138,14 +139,12 @@ def merge_cyclists(detections: Detections2D) -> Detections2D:
     classes, xyxy = detections.classes, np.array(detections.xyxy, np.float64)
     label, kept = detections.label.copy(), np.ones(len(detections), bool)
     mask = None if detections.mask is None else detections.mask.copy()
+    covered = iou_2d(xyxy, xyxy, of_first=True)
     riders = [i for i, name in enumerate(classes) if name == "person"]
     for bicycle in (i for i, name in enumerate(classes) if name == "bicycle"):
         best, most = None, 0.2
         for person in riders:
-            low = np.maximum(xyxy[bicycle, :2], xyxy[person, :2])
-            high = np.minimum(xyxy[bicycle, 2:], xyxy[person, 2:])
-            areas = [np.prod(xyxy[i, 2:] - xyxy[i, :2]) for i in (bicycle, person)]
-            share = float(np.prod(np.maximum(high - low, 0)) / max(min(areas), 1e-9))
+            share = max(covered[bicycle, person], covered[person, bicycle])  # of the smaller one
             tall = xyxy[person, 3] - xyxy[person, 1]
             if share > most and xyxy[person, 3] < xyxy[bicycle, 3] + 0.1 * tall:
                 best, most = person, share

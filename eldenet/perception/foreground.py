@@ -249,9 +249,7 @@ def trusted_edges(detections: Detections2D, size: tuple[int, int]) -> tuple[np.n
             share = (high - low) / np.maximum(box[2:] - box[:2], 1e-9)
             hidden[index] += max(share[0], 0.0) * max(share[1], 0.0)
             for axis in (0, 1) if tight else ():
-                if (
-                    share[1 - axis] < 0.3
-                ):  # left and right are hidden over a share of the height; and vice versa
+                if share[1 - axis] < 0.3:  # left and right are hidden over a share of the height
                     continue
                 slack = 0.05 * (box[2 + axis] - box[axis]) + 1.0
                 for edge in (axis, 2 + axis):

@@ -37,17 +37,17 @@ class GroundPlane:
         return np.asarray((self.offset - n[0] * x - n[2] * z) / n[1])
 
 
-def flat_ground(camera_height: float, tilt: float = 0.02) -> GroundPlane:
-    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about ``tilt`` [rad]."""
-    return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=tilt)
+def flat_ground(camera_height: float) -> GroundPlane:
+    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about 0.02 rad."""
+    return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=0.02)
 
 
-def fit_ground(depth: np.ndarray, camera: PinholeCamera, *, seed: int = 0) -> GroundPlane | None:
+def fit_ground(depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
     """Fit the ground to a depth map ``(H, W)`` [m] (0 or NaN: unknown): RANSAC, then least squares.
 
     Return None if no nearly level plane below the camera holds a tenth of the lower half of the image.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rows, columns = _known_pixels(depth, rng)
     if len(rows) < 50:
         return None

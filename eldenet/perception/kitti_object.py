@@ -139,14 +139,13 @@ def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = No
     )  # fmt: skip
 
 
-def write_labels(path: Path, labels: KittiLabels, *, with_score: bool = True) -> None:
-    """Write a result file (16 columns), or labels (15)."""
+def write_labels(path: Path, labels: KittiLabels) -> None:
+    """Write a result file (16 columns)."""
     lines = []
     for i, kind in enumerate(labels.types):
         length, width, height = labels.size[i]
         numbers = [*labels.xyxy[i], height, width, length, *labels.location[i], labels.yaw[i]]
-        if with_score:
-            numbers.append(labels.score[i])
+        numbers.append(labels.score[i])
         text = " ".join(f"{value:.4f}" for value in numbers)
         lines.append(f"{kind} {labels.truncated[i]:.2f} {labels.occluded[i]} {labels.alpha[i]:.4f} {text}\n")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,7 +160,7 @@ class KittiObjects:
         names: frames to use; None: all that are complete.
 
     Raises:
-        FileNotFoundError: the folder or a file of a named frame does not exist.
+        FileNotFoundError: the folder does not exist.
     """
 
     def __init__(self, root: str | Path | None = None, names: Sequence[str] | None = None) -> None:
@@ -170,10 +169,6 @@ class KittiObjects:
             names = sorted(path.stem for path in (self.root / "label_2").glob("*.txt"))
             names = [name for name in names if all(path.is_file() for path in self._files(name))]
         self.names = list(names)
-        for name in self.names:
-            for path in self._files(name):
-                if not path.is_file():
-                    raise FileNotFoundError(f"{path} does not exist: frame {name} needs it")
 
     def _files(self, name: str) -> tuple[Path, Path]:
         return self.root / "image_2" / f"{name}.png", self.root / "calib" / f"{name}.txt"

@@ -13,6 +13,7 @@ from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
 from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
 from eldenet.perception.solvers import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
+from eldenet.system.checks import one_of
 
 Method = Literal["refine", "lshape", "paper", "no_depth"]
 METHODS = get_args(Method)
@@ -66,8 +67,7 @@ class BoxLifter:
         small_sigma: float | None = None,
         occlusion_mask: bool = True,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method={method!r}: give one of {', '.join(METHODS)}")
+        one_of("method", method, METHODS)
         if not (ground is None or ground == "fit" or isinstance(ground, GroundPlane)):
             raise ValueError(f"ground={ground!r}: give 'fit', a GroundPlane or None")
         if camera_height is not None and camera_height <= 0:

@@ -75,15 +75,11 @@ class BoxTracker:
         report_unseen: bool = False,
         still_camera: bool = False,
     ) -> None:
-        settings = {
-            "max_distance": max_distance, "min_hits": min_hits, "max_age": max_age,
-            "position_sigma": position_sigma, "acceleration": acceleration,
-        }  # fmt: skip
-        for name, value in settings.items():
-            if value <= 0:
-                raise ValueError(f"{name}={value}: give a number above 0")
         self.max_distance, self.min_hits, self.max_age = max_distance, min_hits, max_age
         self.position_sigma, self.acceleration = position_sigma, acceleration
+        for name, value in vars(self).items():
+            if value <= 0:
+                raise ValueError(f"{name}={value}: give a number above 0")
         self.report_unseen, self.still_camera = report_unseen, still_camera
         self.tracks: list[Track] = []
         self._last_number = 0

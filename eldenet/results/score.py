@@ -10,12 +10,7 @@ from torch import nn
 from eldenet.data.rendered import RenderedScenes
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
-from eldenet.evaluation.evaluator import (
-    PER_IMAGE_HEADER,
-    Evaluation,
-    evaluate,
-    sample_rows,
-)
+from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, sample_rows
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.model import DepthNet
 from eldenet.results.fingerprints import fingerprints
@@ -102,7 +97,7 @@ def score_and_record(
         "errors_by_class": result.classes or None,
         "constant_predictor": _constant_score(setup, train_set, dataset, log),
         "normalization": _normalization(model),
-        "cost": setup.measure(model, (size[0], size[1])).as_dict(),
+        "cost": asdict(setup.measure(model, (size[0], size[1]))),
         "seed": setup.seed,
         "resources": asdict(setup.resources),
         "training": facts.get("training"),
@@ -130,10 +125,7 @@ def _score(
 
 
 def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "DepthDataset | None":
-    """Frames whose mean depth map is the constant predictor; None where only the scored split is on disk.
-
-    An evaluation does not render thousands of frames for their mean depth: it takes the first 512 of them.
-    """
+    """Frames whose mean depth map is the constant predictor; None where only the scored split is on disk."""
     try:
         few: dict[str, Any] = {}
         wanted = setup.training_frames

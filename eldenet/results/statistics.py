@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval
 
-DRAWS, LEVEL = 10_000, 0.95
+DRAWS = 10_000
 AT_ONCE = 1000  # draws at a time, which bounds the memory
 IMAGES_ALONE = "images alone"  # an interval that does not include the chance in a training
 
@@ -75,9 +75,7 @@ def per_image(files: Sequence[Path], metric: str) -> Scores:
     return Scores(images, np.array([[values[name] for name in images] for values in found]))
 
 
-def paired_interval(
-    ours: Scores, theirs: Scores, *, draw_seeds: bool, seed: int = 0
-) -> tuple[float, float, float]:
+def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[float, float, float]:
     """Mean difference ``ours - theirs`` and its 95 % interval: paired percentile bootstrap.
 
     Images are drawn for both rows together, so that a hard image affects both alike.
@@ -87,7 +85,6 @@ def paired_interval(
         theirs: of the other.
         draw_seeds: draw the runs of each row as well, independently, so that the interval includes the chance
             in a training; it takes several runs of both.
-        seed: of the draws.
 
     Raises:
         ValueError: the two rows scored different images.
@@ -98,19 +95,15 @@ def paired_interval(
     mine, other = ours.values[:, known], theirs.values[:, known]
     difference = mine.mean(axis=0) - other.mean(axis=0)
     if draw_seeds and len(difference):
-        low, high = two_level_interval(mine, other, seed=seed)
+        low, high = two_level_interval(mine, other)
     else:
         low, high = bootstrap_interval(
-            lambda chosen: float(difference[chosen].mean()),
-            len(difference),
-            draws=DRAWS,
-            share=LEVEL,
-            seed=seed,
+            lambda chosen: float(difference[chosen].mean()), len(difference), draws=DRAWS
         )
     return float(difference.mean()), low, high
 
 
-def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) -> tuple[float, float]:
+def two_level_interval(mine: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """Interval of the mean difference over drawn runs and drawn images.
 
     A draw takes as many runs of each row as it has, and as many images as there are, with replacement; all
@@ -120,16 +113,16 @@ def two_level_interval(mine: np.ndarray, other: np.ndarray, *, seed: int = 0) ->
     Args:
         mine: ``(runs, images)`` of one row.
         other: ``(runs, images)`` of the other.
-        seed: of the draws.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     means = []
     for _ in range(DRAWS // AT_ONCE):
         images = _shares(rng, mine.shape[1])
         one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
         means.append(one.sum(axis=1) - two.sum(axis=1))
-    ends = np.quantile(np.concatenate(means), ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    low, high = ends.round(12)  # rounding errors around 0 are no verdict
+    low, high = np.quantile(np.concatenate(means), LIMITS).round(
+        12
+    )  # rounding errors around 0 are no verdict
     return float(low), float(high)
 
 

@@ -79,7 +79,7 @@ def test_noisy_is_the_same_as_in_the_command():
     from eldenet.config import compose, instantiate
 
     assert make_sensor("noisy").errors == instantiate(compose("navigate", ["sensor=noisy"]).sensor).errors
-    with pytest.raises(ValueError, match="choose ranges or noisy"):
+    with pytest.raises(ValueError, match="give one of ranges, noisy"):
         make_sensor("camera")
 
 

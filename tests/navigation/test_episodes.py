@@ -129,7 +129,7 @@ def test_a_goal_by_odometry_drifts_with_the_odometry():
         ahead = np.array([math.cos(pose[2] + bearing), math.sin(pose[2] + bearing)])
         assert pose[:2] + distance * ahead == pytest.approx([8.0, 0.0])
     assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
-    with pytest.raises(ValueError, match="goal='gps': choose one of known, fixes, odometry"):
+    with pytest.raises(ValueError, match="goal='gps': give one of known, fixes, odometry"):
         EpisodeSettings(goal="gps")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.episodes import Episodes, EpisodeSettings
-from eldenet.navigation.localization import Fixes, Localizer
+from eldenet.navigation.localization import Localizer
 from eldenet.navigation.sensors import Drift, Odometry, Ranges
 from eldenet.simulation.arenas import generate_arena
 
@@ -64,7 +64,7 @@ def test_episodes_with_fixes_know_the_goal_within_decimeters():
     class Drifting(Ranges):
         drift = Drift(0.05, math.radians(3))
 
-    episodes = Episodes(2, Drifting(), EpisodeSettings(goal="fixes", fixes=Fixes(1.0, 0.1)))
+    episodes = Episodes(2, Drifting(), EpisodeSettings(goal="fixes"))
     lost = Episodes(2, Drifting(), EpisodeSettings(goal="odometry"))
     for running in (episodes, lost):
         for slot in range(2):

@@ -84,7 +84,7 @@ def test_settings_of_earlier_versions_are_renamed():
     (["density=[5,20]"], "records one arena"),
     (["video=avi"], "video='avi': give one of gif, mp4"),
     (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
-    (["goal=gps", "density=5", "physics=kinematic"], "choose one of known, fixes, odometry"),
+    (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),

@@ -11,6 +11,7 @@ import numpy as np
 from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.observer import SECTORS, Observer, Senses
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
@@ -18,34 +19,18 @@ COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
 TURNING_GAP = 0.03  # between corners and points while turning on the spot [m]
 STOPPING_TIME = 0.6  # for which an arc must be free; longer at higher speeds [s]
+CLEARANCE = 0.8  # weight of the clearance, relative to progress towards the target [1/m]
+ROOM = 0.10  # least clearance of an arc [m]; the robot can then turn on the spot (its corners stick out)
+MARGIN = 0.05  # added to the footprint on all sides [m]
+ENOUGH = 0.30  # clearance above which more adds no score [m]
+ACCELERATION, TURN_ACCELERATION = 2.5, 6.0  # bounds of the window [m/s2], [rad/s2]
 
 
 class DynamicWindow:
-    """Chooses a command towards a target among obstacle points, for one robot.
+    """Chooses a command towards a target among obstacle points, for one robot."""
 
-    Args:
-        clearance: weight of the clearance, relative to progress towards the target [1/m].
-        room: least clearance of an arc [m]; with 0.10 the robot can turn on the spot anywhere (its corners
-            stick out).
-        margin: added to the footprint on all sides [m].
-        enough: clearance above which more adds no score [m].
-        acceleration: bound of the window [m/s2].
-        turn_acceleration: bound of the window [rad/s2].
-    """
-
-    def __init__(
-        self,
-        *,
-        clearance: float = 0.8,
-        room: float = 0.10,
-        margin: float = 0.05,
-        enough: float = 0.30,
-        acceleration: float = 2.5,
-        turn_acceleration: float = 6.0,
-    ) -> None:
-        self.clearance, self.room, self.enough = clearance, room, enough
-        self.acceleration, self.turn_acceleration = acceleration, turn_acceleration
-        self.table = arc_table(COMMANDS, HORIZON, margin)
+    def __init__(self) -> None:
+        self.table = arc_table(COMMANDS, HORIZON, MARGIN)
         speed, turn = self.table.commands.T
         self.speed, self.turn = speed, turn
         self._standing = int(np.flatnonzero((speed == 0) & (turn == 0))[0])
@@ -70,9 +55,9 @@ class DynamicWindow:
             free = self.table.time[cells].min(axis=0) * STEP
             gap = self.table.gap[cells].min(axis=0) / 100.0
         else:
-            free, gap = np.full(len(self.speed), HORIZON), np.full(len(self.speed), self.enough)
-        window = (np.abs(self.speed - last[0]) <= self.acceleration * ROBOT.period + 1e-9) & (
-            np.abs(self.turn - last[1]) <= self.turn_acceleration * ROBOT.period + 1e-9
+            free, gap = np.full(len(self.speed), HORIZON), np.full(len(self.speed), ENOUGH)
+        window = (np.abs(self.speed - last[0]) <= ACCELERATION * ROBOT.period + 1e-9) & (
+            np.abs(self.turn - last[1]) <= TURN_ACCELERATION * ROBOT.period + 1e-9
         )
         x, y = target
         before = float(np.hypot(x, y))
@@ -82,11 +67,11 @@ class DynamicWindow:
         turned = np.abs(np.arctan2(np.sin(bearing), np.cos(bearing)))
         # close to the target its bearing is meaningless
         turned *= np.clip(reached / 0.5, 0, 1)
-        score = (before - reached) - 0.35 * turned + self.clearance * np.minimum(gap, self.enough)
+        score = (before - reached) - 0.35 * turned + CLEARANCE * np.minimum(gap, ENOUGH)
         score += 0.15 * self.speed
         safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
         # with less room already, no arc may reduce it
-        room = min(self.room, float(gap[self._standing]))
+        room = min(ROOM, float(gap[self._standing]))
         allowed = safe & window & (self.speed > 0) & (gap >= room)
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))
@@ -115,8 +100,7 @@ class LocalDWA:
     name = "dwa"
 
     def __init__(self, *, sight: str = "columns", memory: int = 60, robots: int = 1) -> None:
-        if sight not in ("sectors", "columns"):
-            raise ValueError(f"sight={sight!r}: choose sectors or columns")
+        one_of("sight", sight, ("sectors", "columns"))
         self.sight = sight
         self.window = DynamicWindow()
         self.observer = Observer(robots, memory=memory, bins=1, arcs=False)
