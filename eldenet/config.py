@@ -272,7 +272,8 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
         "settings": settings,
     }
     if config.mode == "train":
-        return modes.TrainSetup(**common, make_training=functools.partial(_build_driver_training, config))
+        make_learner = functools.partial(_build_learner, config)
+        return modes.TrainSetup(**common, make_learner=make_learner, validate=config.training.validate)
     densities = [int(density) for density in listed(config.density)]
     if config.mode == "fit_noise":
         return modes.NoiseSetup(
@@ -294,10 +295,9 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     )
 
 
-def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
+def _build_learner(config: DictConfig, sensor: Any) -> Any:
     from eldenet.navigation.dqn import DQN
     from eldenet.navigation.env import ArenaNavVectorEnv
-    from eldenet.navigation.training import TrainingSetup
 
     settings = plain(config)
     if "policy" in settings and settings["policy"].get("path", "planner") is not None:
@@ -305,21 +305,11 @@ def _build_driver_training(config: DictConfig, sensor: Any) -> Any:
             "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
         )
 
-    def make_learner() -> DQN:
-        env = ArenaNavVectorEnv(
-            config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
-            time_limit=config.time_limit, goal=config.goal, **settings["observer"],
-        )  # fmt: skip
-        return DQN(env, instantiate(config.learner)(seed=config.seed))
-
-    compared = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
-    return TrainingSetup(
-        make_learner,
-        sensor,
-        config.training.validate,
-        {name: settings[name] for name in compared},
-        settings,
-    )
+    env = ArenaNavVectorEnv(
+        config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
+        time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+    )  # fmt: skip
+    return DQN(env, instantiate(config.learner)(seed=config.seed))
 
 
 def build_model(config: Any, **arguments: Any) -> Any:

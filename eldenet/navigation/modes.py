@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eldenet.navigation.dqn import DQN
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, as_rows, run_episodes, summarize
 from eldenet.navigation.failures import KINDS, draw_worst, trace
@@ -15,7 +16,6 @@ from eldenet.navigation.provenance import driver_identity, sensor_identity
 from eldenet.navigation.range_errors import fit_errors, scan_along, scan_near
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.navigation.training import TrainingSetup
 from eldenet.navigation.training import train as train_driver
 from eldenet.navigation.visualization import VIDEO_FORMATS, record_episode
 from eldenet.results.run_log import RunLog
@@ -130,10 +130,12 @@ class TrainSetup(ModeSetup):
     """A training of a driver.
 
     Attributes:
-        make_training: sensor -> the training.
+        make_learner: sensor -> the learner with its environment.
+        validate: arenas to validate on at every checkpoint; 0: no validation.
     """
 
-    make_training: Callable[[Sensor], TrainingSetup]
+    make_learner: Callable[[Sensor], DQN]
+    validate: int
 
 
 def run_mode(setup: ModeSetup) -> None:
@@ -274,5 +276,8 @@ def fit_noise(setup: NoiseSetup, log: RunLog) -> None:
 
 def train(setup: TrainSetup, log: RunLog) -> None:
     """Train a driver; continue if the folder has an unfinished training."""
-    note = train_driver(setup.make_training(setup.make_sensor()), setup.folder, log)
+    sensor = setup.make_sensor()
+    note = train_driver(
+        setup.make_learner(sensor), sensor, setup.folder, log, validate=setup.validate, config=setup.settings
+    )
     log.say(f"policy in {setup.folder / POLICY}; {note['cpu_seconds']:.0f} s of processor time")

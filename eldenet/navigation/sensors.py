@@ -12,11 +12,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from eldenet.boxes import Boxes3D
+from eldenet.navigation.localization import Pose
 from eldenet.navigation.observer import SECTORS
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
-Pose = tuple[float, float, float]
 FED_BY = ("simulator", "depth", "box")
 
 

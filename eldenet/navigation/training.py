@@ -2,8 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +20,26 @@ from eldenet.system.files import write_json
 
 PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80
+#: Settings that a checkpoint and the training that continues it have in common.
+COMPARED = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
 
 
-@dataclass(frozen=True)
-class TrainingSetup:
-    """A training.
-
-    Attributes:
-        make_learner: builds the learner with its environment.
-        sensor: for the validation.
-        validate: number of arenas to validate on; 0: no validation.
-        settings: a checkpoint only fits a training with equal settings.
-        config: the resolved config, for the record.
-    """
-
-    make_learner: Callable[[], DQN]
-    sensor: Sensor
-    validate: int
-    settings: dict[str, Any]
-    config: dict[str, Any]
-
-
-def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
+def train(
+    learner: DQN, sensor: Sensor, folder: Path, log: RunLog, *, validate: int, config: Mapping[str, Any]
+) -> dict[str, Any]:
     """Train in ``folder`` to the end; continue from its checkpoint if there is one with the same settings.
 
     A finished training is left unchanged: its record keeps the version that trained it. At each checkpoint
     the driver is validated on dense arenas of the "val" split. The last policy is kept, whatever the
     validation says.
+
+    Args:
+        learner: with its environment.
+        sensor: for the validation.
+        folder: of the run.
+        log: what the person sees.
+        validate: number of arenas to validate on; 0: no validation.
+        config: resolved, for the record.
 
     Returns:
         Settings, version, seconds of processor time and wall clock, and the validation at each checkpoint
@@ -56,19 +48,21 @@ def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
     Raises:
         ValueError: the folder has a training with other settings, or one that another version started.
     """
-    learner = setup.make_learner()
     total = learner.settings.total_timesteps
     note: dict[str, Any] = {
-        "settings": setup.settings, "version": TRAINING_VERSION, "legs": [],
-        "cpu_seconds": 0.0, "wall_seconds": 0.0,
-    }  # fmt: skip
+        "settings": {name: config[name] for name in COMPARED if name in config},
+        "version": TRAINING_VERSION,
+        "legs": [],
+        "cpu_seconds": 0.0,
+        "wall_seconds": 0.0,
+    }
     if (folder / CHECKPOINT).is_file() and (folder / PROGRESS).is_file():
         note = _restore(learner, folder, note)
         if learner.finished and (folder / POLICY).is_file() and (folder / RECORD).is_file():
             log.say(f"{folder}: already finished")
             return note
         log.say(f"continuing at step {learner.num_timesteps:,} of {total:,}")
-    arenas = frozen_arenas(VALIDATION_DENSITY, setup.validate, split="val")
+    arenas = frozen_arenas(VALIDATION_DENSITY, validate, split="val")
     clocks = time.process_time(), time.perf_counter()
     spent = note["cpu_seconds"], note["wall_seconds"]
     with log.bar("training", total, learner.num_timesteps, "steps") as bar:
@@ -82,9 +76,7 @@ def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
             leg: dict[str, Any] = {"steps": learner.num_timesteps}
             if arenas:
                 settings = EpisodeSettings(goal=learner.env.episodes.settings.goal)
-                rows = run_episodes(
-                    arenas, lambda robots: as_navigator(learner, robots), setup.sensor, settings
-                )
+                rows = run_episodes(arenas, lambda robots: as_navigator(learner, robots), sensor, settings)
                 summary = summarize(rows)
                 leg |= {name: summary[name] for name in ("success", "collision", "timeout", "seconds")}
                 log.scalars(leg["steps"], {f"validation/{name}": value for name, value in leg.items()})
@@ -101,7 +93,7 @@ def train(setup: TrainingSetup, folder: Path, log: RunLog) -> dict[str, Any]:
     navigator = as_navigator(learner, 1)
     navigator.info = {"steps": learner.num_timesteps, "seed": learner.settings.seed}
     navigator.save(folder / POLICY)
-    write_json(folder / RECORD, {**note, "config": setup.config, **environment()})
+    write_json(folder / RECORD, {**note, "config": config, **environment()})
     return note
 
 

@@ -183,19 +183,11 @@ def _face_distances(
     eye: tuple[np.ndarray, np.ndarray, np.ndarray],
     extent: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Distance of every point to the face of the box that it should lie on.
+    """Distance of every point beyond the face that it should lie on [m], whether it is outside, derivatives.
 
     A point outside belongs to the face that it is farthest beyond, one inside to the nearest of the faces
-    that the camera sees.
-
-    Args:
-        point: along the length (u), the width (v) and up from the lower face, ``(B, P)`` each [m].
-        eye: the camera, likewise, ``(B, 1)`` each.
-        extent: half length, half width and height ``(B, 1)`` [m].
-
-    Returns:
-        Distance beyond the face [m], negative inside the box; bool: outside; derivatives of the distance with
-        respect to u, v and up (-1, 0 or 1); ``(B, P)`` each.
+    that the camera sees. ``point`` and ``eye`` are along the length (u), the width (v) and up from the lower
+    face, ``extent`` is half the length, half the width and the height; derivatives are -1, 0 or 1.
     """
     half_l, half_w, tall = extent
     u, v, up = point

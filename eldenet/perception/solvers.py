@@ -175,11 +175,8 @@ def _problem(evidence: ObjectEvidence) -> box_fit.Problem:
 
 
 def _ground_prior(evidence: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
-    """Y of the ground below each object as ``a + b x + c z`` ``(N, 3)``, and its error ``(N,)`` [m].
-
-    A plane fitted to depth is as wrong as the depth's scale; one from the camera's height is wrong by the
-    tilt. Where both are known, each is weighted by its error.
-    """
+    """Y of the ground below each object as ``a + b x + c z`` ``(N, 3)``, and its error ``(N,)`` [m]."""
+    # a plane fitted to depth is as wrong as the depth's scale, one from the camera's height by the tilt
     distance = _distance_by_size(evidence)
     total, sums = np.full(len(distance), 1e-12), np.zeros((len(distance), 3))
     for plane, scale in ((evidence.plane, evidence.plane_sigma), (evidence.nominal, 0.0)):

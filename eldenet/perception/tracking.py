@@ -153,18 +153,16 @@ class BoxTracker:
             track.heading_known = True
         track.mean[3] = (track.mean[3] + np.pi) % (2 * np.pi) - np.pi
         track.hits, track.missed = track.hits + 1, 0
-        track.score = float(boxes.score[index])
-        track.quality = {name: float(values[index]) for name, values in boxes.quality.items()}
+        track.score, track.quality = boxes[index].score, boxes[index].quality
 
     def _begin(self, boxes: Boxes3D, index: int) -> Track:
         covariance = np.zeros((_STATE, _STATE))
         covariance[:_MEASURED, :_MEASURED] = self._noise(float(np.linalg.norm(boxes.center[index])))
         covariance[7:, 7:] = np.diag([10.0, 0.5, 10.0]) ** 2
         mean = np.array([*boxes.center[index], boxes.yaw[index], *boxes.size[index], 0.0, 0.0, 0.0])
-        quality = {name: float(values[index]) for name, values in boxes.quality.items()}
         self._last_number += 1
-        score = float(boxes.score[index])
-        return Track(self._last_number, boxes.classes[index], mean, covariance, score, quality=quality)
+        box = boxes[index]
+        return Track(self._last_number, box.name, mean, covariance, box.score, quality=box.quality)
 
     def _report(self, boxes: Boxes3D) -> Boxes3D:
         shown = [

@@ -30,17 +30,15 @@ def train(folder: Path, *, version: int = 1, stop_after: int | None = None, seed
             if self.num_timesteps // 300 == stop_after:
                 raise Stopped
 
-    def make_learner() -> DQN:
-        settings = DQNSettings(
-            total_timesteps=600, checkpoint_interval=300, learning_starts=100, batch_size=16,
-            buffer_size=1000, hidden=(16,), seed=seed,
-        )  # fmt: skip
-        return Stopping(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), settings)
-
-    setup = training.TrainingSetup(make_learner, Ranges(), 0, {"seed": seed}, {"seed": seed})
+    settings = DQNSettings(
+        total_timesteps=600, checkpoint_interval=300, learning_starts=100, batch_size=16,
+        buffer_size=1000, hidden=(16,), seed=seed,
+    )  # fmt: skip
+    learner = Stopping(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), settings)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "TRAINING_VERSION", version)
-        return training.train(setup, folder, RunLog(folder, quiet=True))
+        log = RunLog(folder, quiet=True)
+        return training.train(learner, Ranges(), folder, log, validate=0, config={"seed": seed})
 
 
 def record(folder: Path) -> dict:

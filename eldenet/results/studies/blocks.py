@@ -14,7 +14,7 @@ from eldenet.results.statistics import Difference
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.results.tables import heading, protocol_line, training_line
+from eldenet.results.tables import heading, number, protocol_line, training_line
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # costs that a busy machine does not change; a benchmark measures latencies
@@ -167,7 +167,9 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
-        columns.append((f"{latencies.title} ↓", lambda member: latencies.text(member.row.name)))
+        columns.append(
+            (f"{latencies.title} ↓", lambda member: number("latency_ms_p50", latencies.of(member.row.name)))
+        )
     published = len(columns)
     if any(line[column] for line in expected for column in PUBLISHED):
         for column in (*PUBLISHED, "protocol", "source"):

@@ -74,9 +74,9 @@ def first_epoch(epochs: Sequence[float], values: Sequence[float], level: float) 
     return next((epoch for epoch, value in zip(epochs, values, strict=True) if value <= level), None)
 
 
-def own_descent(epochs: Sequence[float], values: Sequence[float], share: float = SHARE) -> float | None:
-    """First epoch at which a falling curve has made ``share`` of its way from its first to its best value."""
-    return first_epoch(epochs, values, values[0] - share * (values[0] - min(values)))
+def own_descent(epochs: Sequence[float], values: Sequence[float]) -> float | None:
+    """First epoch at which a falling curve has made 90 % of its way from its first to its best value."""
+    return first_epoch(epochs, values, values[0] - SHARE * (values[0] - min(values)))
 
 
 def fluctuation(values: Sequence[float]) -> float | None:

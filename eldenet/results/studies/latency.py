@@ -158,11 +158,6 @@ class Latencies:
         """Median latency of a row's network [ms], None where it was not measured."""
         return float(self.lines[row]["latency_ms_p50"]) if row in self.lines else None
 
-    def text(self, row: str) -> str:
-        """The same for a table."""
-        latency = self.of(row)
-        return "-" if latency is None else f"{latency:.2f}"
-
     @property
     def title(self) -> str:
         """Title of the column and of the plot's axis."""
