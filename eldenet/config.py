@@ -216,14 +216,13 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
     Raises:
         ValueError: the folder holds another run already, or libreyolo is missing.
     """
+    if (folder / "train").exists() and not config.resume:
+        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.perception.libreyolo_detector import YoloTraining
     from eldenet.simulation.street_views import NAMES
-    from eldenet.system.resources import choose_resources
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
-    if (folder / "train").exists() and not config.resume:
-        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
     resources = choose_resources(**settings["runtime"])
     return DetectorTrainingSetup(
         folder=folder,
@@ -663,6 +662,7 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         ValueError: a setting is wrong.
     """
     from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
+    from eldenet.evaluation.metric_names import METRICS
 
     several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
     lists = {name: tuple(listed(config[name])) for name in several}
@@ -675,13 +675,12 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     sizes = plain(config.sizes)
     if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
         raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
-    from eldenet.deploy.benchmarking.run import BenchmarkSetup
-    from eldenet.evaluation.metric_names import METRICS
-
     one_of("accuracy", str(config.accuracy), METRICS)
     models = list_models() if config.models is None else listed(config.models)
     for model in models:
         check_source(str(model), "models")
+    from eldenet.deploy.benchmarking.run import BenchmarkSetup
+
     return _filled(
         BenchmarkSetup,
         config,

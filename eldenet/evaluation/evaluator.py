@@ -13,7 +13,6 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
-from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.model import eval_mode
 
@@ -72,6 +71,8 @@ def evaluate(
     Raises:
         ValueError: the data set's ground truth is not of the protocol's kind or size, or a prediction is NaN.
     """
+    from eldenet.evaluation.metrics import DepthMetrics  # torchmetrics takes seconds to load
+
     protocol.check_ground_truth(dataset.ground_truth)
     rank, processes = shard
     loader = evaluation_loader(dataset, batch_size, workers=workers, rank=rank, processes=processes)

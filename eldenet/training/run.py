@@ -38,13 +38,13 @@ def train(setup: TrainingSetup) -> float:
         best_value = record["training"]["best_value"]
         return math.nan if best_value is None else float(best_value)
     checkpoint = checkpoint_to_resume(setup)
+    resources = choose_resources(**setup.resources)
     from eldenet.results.fingerprints import fingerprints
     from eldenet.results.tables import closing_table
     from eldenet.training.initialization import initial_model
     from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.trainer import TrainingData
 
-    resources = choose_resources(**setup.resources)
     # before the data, which may take minutes to render: a wrong setting shows at once
     trainer, loss = setup.make_trainer(), make_loss(setup)
     initial_model(setup, RunLog(setup.folder, quiet=True))
