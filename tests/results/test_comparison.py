@@ -19,15 +19,9 @@ RUN = {
     "protocol": EvalProtocol("rooms", ground_truth="dense").as_dict(),
     "metrics": {"abs_rel": 0.2, "rmse": 0.5, "mae": 0.4, "mse": 0.25, "delta1": 0.8, "images": 4},
     "constant_predictor": {"abs_rel": 0.4, "rmse": 1.0, "mae": 0.9, "mse": 1.0, "delta1": 0.4, "images": 4},
-    "cost": {
-        "params": 587353,
-        "gmacs": 0.1,
-        "gflops": 0.2,
-        "latency_ms_p50": 3.14159,
-        "throughput_img_s": 321.4,
-    }
+    "cost": {"params": 587353, "gmacs": 0.1, "gflops": 0.2, "latency_ms_p50": 3.14159}
     | {"runtime": "torch", "precision": "fp32", "threads": 2, "device": "cpu"}
-    | {"height": 128, "width": 160, "throughput_img_s": 321.4},
+    | {"height": 128, "width": 160, "batch": 8, "throughput_img_s": 321.4},
     "seed": 0,
     "hardware": {"processor": "some processor"},
 }
