@@ -133,16 +133,6 @@ def test_images_without_a_known_pixel_are_left_out() -> None:
         assert all(math.isnan(value) for value in nothing.values())
 
 
-def test_rows_are_the_images_of_the_last_batch() -> None:
-    protocol = EvalProtocol("p")
-    prediction, depth, mask = batch(4)
-    metrics = DepthMetrics(protocol)
-    metrics.update(prediction, depth, mask)
-    for i, row in enumerate(metrics.rows.tolist()):
-        expected = reference(protocol, prediction[i : i + 1], depth[i : i + 1], mask[i : i + 1])
-        assert row == pytest.approx([expected[name] for name in METRICS], rel=1e-4, nan_ok=True)
-
-
 def test_sums_of_many_pixels_keep_their_digits() -> None:
     # 3e8 pixels of 0.1 m: single precision would have stopped counting at 2^24
     sums = torch.zeros(12, dtype=torch.float64)

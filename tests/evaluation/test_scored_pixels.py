@@ -96,23 +96,6 @@ def test_predictions_of_0_or_less_are_never_right(value: float) -> None:
         assert not math.isfinite(result["silog"])
 
 
-def test_median_scale_forgives_a_factor_per_image() -> None:
-    _, depth, mask = batch(7, images=2)
-    factors = torch.tensor([0.5, 3.0]).view(2, 1, 1, 1)
-    protocol = EvalProtocol("p", scale="median", max_depth=12.0)
-    assert scores(protocol, (depth * factors, depth, mask))["abs_rel"] == pytest.approx(0, abs=1e-6)
-
-
-def test_median_of_an_even_number_is_numpys() -> None:
-    depth, prediction = torch.full((1, 1, 8, 8), 1.0), torch.full((1, 1, 8, 8), 1.0)
-    depth[..., 0, :2] = torch.tensor([2.0, 4.0])
-    prediction[..., 0, :2] = torch.tensor([1.0, 2.0])
-    mask = torch.zeros_like(depth, dtype=torch.bool)
-    mask[..., 0, :2] = True
-    ready = EvalProtocol("p", scale="median").align(prediction, depth, mask)
-    torch.testing.assert_close(ready[..., 0, :2].flatten(), torch.tensor([1.0, 2.0]) * 3.0 / 1.5)
-
-
 @pytest.mark.parametrize("size", [(16, 24), (19, 31), (5, 7)])
 def test_nearest_is_that_of_the_pixels_centers(size: tuple[int, int]) -> None:
     depth, small = torch.full((1, 1, *size), 2.0), 1 + torch.arange(96.0).view(1, 1, 8, 12) / 96

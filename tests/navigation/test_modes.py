@@ -150,16 +150,6 @@ def test_evaluate_writes_rows_and_a_record_of_driver_and_sensor(run_command, tmp
     assert run["inputs"] == {"errors": {"source": "packaged", "sha256": errors}}
 
 
-def test_a_sweep_evaluates_several_drivers(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "-m", "mode=evaluate", "policy=straight,dwa", "density=5", "episodes=1",
-        "physics=kinematic", "hydra.sweep.dir=sweep",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    runs = [read_run(path.parent) for path in sorted(tmp_path.glob("sweep/*/run.json"))]
-    assert [(run["policy"], run["driver"]) for run in runs] == [("straight", None), ("dwa", None)]
-
-
 def test_analyze_failures_writes_a_table_and_a_picture(run_command, tmp_path):
     import cv2
 

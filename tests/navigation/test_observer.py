@@ -89,11 +89,8 @@ def test_points_are_forgotten_once_two_scans_in_a_row_see_through_them():
                     entry[1] = entry[1] + 1 if seen > away * 1.2 + 0.05 else 0
             frame[:] = [entry for entry in frame if entry[1] < 2]
         angles = np.array(ROBOT.column_angles) + pose[2]
-        frame = [
-            [camera + r * np.array([math.cos(a), math.sin(a)]), 0]
-            for r, a in zip(ranges, angles, strict=True)
-            if r < ROBOT.far
-        ]
+        rays = zip(ranges, np.stack([np.cos(angles), np.sin(angles)], axis=1), strict=True)
+        frame = [[camera + away * direction, 0] for away, direction in rays if away < ROBOT.far]
         kept = [*kept[: number // 2], frame]
         points = np.array([entry[0] for frame in kept for entry in frame])
         near = np.sort(np.hypot(*(points - pose[:2]).T))
@@ -151,13 +148,10 @@ def test_noise_has_the_given_deviations():
     instance = NoisyRanges(scale=0.1, smooth=0.05, column=0.03).begin(world, np.random.default_rng(0))
     true = world.ranges()
     inside = (true > 0.6) & (true < 7)
-    error = np.log(np.array([instance.scan().ranges[inside] for _ in range(3000)]) / true[inside])
+    error = np.log(np.array([instance.scan().ranges[inside] for _ in range(1500)]) / true[inside])
     # of a sum of independent errors; the interpolated one loses up to half of its variance between knots
-    assert (
-        math.sqrt(0.1**2 + 0.5 * 0.05**2 + 0.03**2) * 0.93
-        < error.std()
-        < math.sqrt(0.1**2 + 0.05**2 + 0.03**2) * 1.07
-    )
+    least, most = (math.sqrt(0.1**2 + part * 0.05**2 + 0.03**2) for part in (0.5, 1.0))
+    assert least * 0.93 < error.std() < most * 1.07
     frames = error.mean(axis=1)
     assert np.corrcoef(frames[1:], frames[:-1])[0, 1] == pytest.approx(0.75, abs=0.1)
 

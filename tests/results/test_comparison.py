@@ -19,20 +19,9 @@ RUN = {
     "protocol": EvalProtocol("rooms", ground_truth="dense").as_dict(),
     "metrics": {"abs_rel": 0.2, "rmse": 0.5, "mae": 0.4, "mse": 0.25, "delta1": 0.8, "images": 4},
     "constant_predictor": {"abs_rel": 0.4, "rmse": 1.0, "mae": 0.9, "mse": 1.0, "delta1": 0.4, "images": 4},
-    "cost": {
-        "params": 587353,
-        "gmacs": 0.1,
-        "gflops": 0.2,
-        "latency_ms_p50": 3.14159,
-        "throughput_img_s": 321.4,
-        "runtime": "torch",
-        "precision": "fp32",
-        "threads": 2,
-        "device": "cpu",
-        "height": 128,
-        "width": 160,
-        "batch": 8,
-    },
+    "cost": {"params": 587353, "gmacs": 0.1, "gflops": 0.2, "latency_ms_p50": 3.14159}
+    | {"runtime": "torch", "precision": "fp32", "threads": 2, "device": "cpu"}
+    | {"height": 128, "width": 160, "batch": 8, "throughput_img_s": 321.4},
     "seed": 0,
     "hardware": {"processor": "some processor"},
 }
@@ -74,14 +63,11 @@ def test_constant_predictors_of_other_training_frames_are_told_apart():
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"protocol": EvalProtocol("other", ground_truth="dense").as_dict()}, "protocol"),
         ({"protocol": EvalProtocol("rooms", ground_truth="dense", average="pixel").as_dict()}, "protocol"),
         ({"split_hash": "another"}, "split_hash"),
         ({"data": "nyu_mat"}, "data"),
         ({"cost__device": "GPU"}, "device"),
-        ({"cost__runtime": "onnxruntime"}, "runtime"),
         ({"cost__threads": 1}, "threads"),
-        ({"cost__precision": "bf16"}, "precision"),
         ({"cost__height": 224}, "height"),
         ({"hardware__processor": "another"}, "processor"),
     ],
@@ -108,22 +94,17 @@ def test_markdown_and_latex():
     assert markdown[-1] == "- a note"
     assert all(line.count("|") == markdown[0].count("|") for line in markdown[:4])
     name = "a|b_c & 50% {x}"  # signs of Markdown and LaTeX do not break a table
-    assert (
-        to_markdown(titles, [[name, *rows[0][1:]]], [])
-        .splitlines()[2]
-        .startswith(r"| a\|b_c & 50% {x} | 1 |")
-    )
-    latex = to_latex(titles, [[name, *rows[0][1:]]], ["a note"])
+    renamed = [[name, *rows[0][1:]]]
+    assert to_markdown(titles, renamed, []).splitlines()[2].startswith(r"| a\|b_c & 50% {x} | 1 |")
+    latex = to_latex(titles, renamed, ["a note"])
     assert r"a|b\_c \& 50\% \{x\} & 1 & 0.200" in latex
     assert r"$\delta$1 $\uparrow$" in latex
     assert latex.count("&") == 2 * (len(titles) - 1) + 1
 
 
 def test_other_settings_are_no_seeds():
-    runs = [
-        run_with(seed=seed, config={"optimizer": {"lr": lr}, "seed": seed})
-        for seed, lr in ((0, 1e-3), (1, 1e-2))
-    ]
+    configs = ({"optimizer": {"lr": lr}, "seed": seed} for seed, lr in ((0, 1e-3), (1, 1e-2)))
+    runs = [run_with(seed=config["seed"], config=config) for config in configs]
     with pytest.raises(ValueError, match=r"optimizer differs"):
         table_of(runs, COLUMNS)
     runs[1]["config"]["optimizer"]["lr"] = 1e-3
@@ -164,14 +145,18 @@ def test_a_printed_table_keeps_its_units_and_its_words(capsys, tmp_path):
         assert text in printed
 
 
+def store(folder, record: dict) -> None:
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps(record))
+
+
 def test_runs_are_found_and_damaged_ones_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         find_runs([str(tmp_path / "none")])
     with pytest.raises(FileNotFoundError, match=r"no run\.json below"):
         find_runs([str(tmp_path)])
     for name in ("b", "a"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "run.json").write_text(json.dumps(run_with(model=name)))
+        store(tmp_path / name, run_with(model=name))
     assert [run["model"] for run in find_runs([str(tmp_path)])] == ["a", "b"]
     assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
     assert len(find_runs([str(tmp_path), str(tmp_path / "a")])) == 2  # not twice
@@ -186,9 +171,8 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
 @pytest.mark.parametrize("record", [{"metrics": {"5": 1}, "policy": "dwa"}, {"mode": "watch"}])
 def test_records_of_other_commands_are_no_rows(tmp_path, record):
     """``runs=[runs]`` holds films and detectors, too."""
-    for name, content in (("depth", RUN), ("other", record)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "run.json").write_text(json.dumps(content))
+    store(tmp_path / "depth", RUN)
+    store(tmp_path / "other", record)
     assert [run["model"] for run in find_runs([str(tmp_path)])] == ["eldenet"]
     with pytest.raises(ValueError, match="not written by eldenet's train or evaluate"):
         find_runs([str(tmp_path / "other" / "run.json")])
@@ -198,9 +182,8 @@ def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     old = run_with(seed=1)
     for rule in ("crop_fractions", "frame_box", "frame_anchor", "frame_size", "paste"):
         del old["protocol"][rule]
-    for name, run in (("new", run_with(seed=0)), ("old", old)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "run.json").write_text(json.dumps(run))
+    store(tmp_path / "new", run_with(seed=0))
+    store(tmp_path / "old", old)
     assert table_of(find_runs([str(tmp_path)]), COLUMNS)[1][0][1] == "2"
 
 
@@ -209,9 +192,7 @@ def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     [
         ("rooms", "10 m, no crop, mean"),
         ("nyu_bts", "10 m, crop (45, 471, 41, 601), mean"),
-        ("nyu_paper", "frame resized by 0.5, then cut to (228, 304) at the center, all of it scored"),
         ("cityscapes_paper", "frame resized to (128, 256), all of it scored"),
-        ("kitti_depth", "frame cut to (352, 1216) at the bottom, all of it scored"),
         ("kitti_paper", "cut to (352, 1216) at the bottom, then resized to (228, 912), all of it scored"),
         ("kitti_s2d_912x228", "cut to (130, 370, 10, 1210), then cut to (228, 912) at the center, all"),
         (

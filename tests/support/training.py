@@ -21,14 +21,33 @@ PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
 ONE_THREAD = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
 
 
-def make_trainer(**options) -> Trainer:
+class Stopped(Exception):
+    """Ends a training as a kill does."""
+
+
+def stopping_at(call: int) -> type[Trainer]:
+    """Return a class of trainers that stop instead of their ``call``-th step."""
+
+    class StoppingTrainer(Trainer):
+        calls = 0
+
+        def train_step(self, batch, *, update):
+            StoppingTrainer.calls += 1
+            if StoppingTrainer.calls == call:
+                raise Stopped
+            return super().train_step(batch, update=update)
+
+    return StoppingTrainer
+
+
+def make_trainer(kind: type[Trainer] = Trainer, **options) -> Trainer:
     defaults = {
         "optimizer": partial(torch.optim.Adam, lr=3e-3),
         "scheduler": partial(cosine),
         "epochs": 2,
         "batch_size": 4,
     }
-    return Trainer(**(defaults | options))
+    return kind(**(defaults | options))
 
 
 def fit(
@@ -47,7 +66,7 @@ def fit(
     """Train a tiny network; returns (trainer, model, progress)."""
     seed_everything(0)
     model = eldenet.load("eldenet_s").train()
-    loss = WeightedSum({"l1": WeightedTerm(options.pop("loss", L1Loss()))})
+    loss = WeightedSum({"l1": WeightedTerm(options.pop("loss", L1Loss())), **options.pop("terms", {})})
     transform = options.pop("transform", Augmentation(affine=0.0))
     train = SyntheticDepth(frames, transform=transform) if data is None else data
     trainer = trainer or make_trainer(**options)

@@ -1,13 +1,11 @@
 """Distillation: the teacher is frozen, absent from checkpoints, checked on resuming; it needs no labels."""
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
-from support.synthetic import SyntheticDepth
-from support.training import ONE_THREAD, PROTOCOL
+from support.training import Stopped, fit, make_trainer, stopping_at
 
 import eldenet
 from eldenet import zoo
@@ -18,9 +16,7 @@ from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.system.resources import seed_everything
 from eldenet.training.checkpoint import load_checkpoint
-from eldenet.training.optim import cosine
 from eldenet.training.run import train
-from eldenet.training.trainer import Trainer, TrainingData
 
 SHAPE = (2, 1, 64, 96)
 NOTHING_KNOWN = torch.zeros(SHAPE, dtype=torch.bool)
@@ -152,47 +148,19 @@ def test_a_teacher_without_a_distilled_term_is_refused(tmp_path):
         train(build_training(config, tmp_path))
 
 
-def fit(folder: Path, network: torch.nn.Module, *, stop: int | None = None, ckpt_path=None):
+def distill(folder: Path, network: torch.nn.Module, *, stop: int = 0, ckpt_path: Path | None = None) -> None:
     """Train a student against ``network``, with outputs and features."""
-
-    class Stopped(Exception):
-        pass
-
-    class Stopping(Trainer):
-        calls = 0
-
-        def train_step(self, batch, *, update):
-            Stopping.calls += 1
-            if Stopping.calls == stop:
-                raise Stopped
-            return super().train_step(batch, update=update)
-
-    seed_everything(0)
-    student = eldenet.load("eldenet_s").train()
-    distilled = DistilledTerm(L1Loss(), Teacher(network, source="there"), feature_weight=0.5)
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss()), "distilled": distilled})
-    optimizer = partial(torch.optim.Adam, lr=3e-3)
-    trainer = Stopping(optimizer=optimizer, scheduler=cosine, epochs=2, batch_size=4, checkpoint_every=1)
-    sets = SyntheticDepth(12), SyntheticDepth(4)
-    try:
-        trainer.fit(
-            student,
-            loss,
-            TrainingData(*sets, PROTOCOL),
-            folder,
-            ONE_THREAD,
-            ckpt_path=ckpt_path,
-        )
-    except Stopped:
-        assert stop is not None
-    return student
+    terms = {"distilled": DistilledTerm(L1Loss(), Teacher(network, source="there"), feature_weight=0.5)}
+    trainer = make_trainer(stopping_at(stop), checkpoint_every=1)
+    fit(folder, trainer=trainer, frames=12, val_frames=4, terms=terms, ckpt_path=ckpt_path)
 
 
 def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tmp_path, networks):
     network = networks[1]
-    fit(tmp_path / "whole", network)
-    fit(tmp_path / "part", network, stop=5)
-    fit(tmp_path / "part", network, ckpt_path=tmp_path / "part")
+    distill(tmp_path / "whole", network)
+    with pytest.raises(Stopped):
+        distill(tmp_path / "part", network, stop=5)
+    distill(tmp_path / "part", network, ckpt_path=tmp_path / "part")
     whole, part = (load_checkpoint(tmp_path / name) for name in ("whole", "part"))
     for group in ("model", "loss"):
         assert whole[group]
@@ -202,8 +170,8 @@ def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tm
     assert set(eldenet.load(tmp_path / "whole").state_dict()) == set(student.state_dict())
     with torch.no_grad():
         next(network.parameters()).add_(1e-3)
-    with pytest.raises(ValueError, match="teacher differ"):
-        fit(tmp_path / "part", network, ckpt_path=tmp_path / "part")
+    with pytest.raises(ValueError, match=r"belongs to another training: teacher\.distilled\.weights"):
+        distill(tmp_path / "part", network, ckpt_path=tmp_path / "part")
 
 
 TINY = (

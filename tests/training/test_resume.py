@@ -15,7 +15,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 from support.synthetic import SyntheticDepth
-from support.training import ONE_THREAD, digest, fit, make_trainer
+from support.training import ONE_THREAD, Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.config import build_training, compose, plain
 from eldenet.evaluation.protocol import EvalProtocol
@@ -24,7 +24,6 @@ from eldenet.system.files import write_json
 from eldenet.training.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.training.optim import cosine
 from eldenet.training.run import train
-from eldenet.training.trainer import Trainer
 
 
 class NoisyLoss(L1Loss):
@@ -46,27 +45,10 @@ class NoisyLoss(L1Loss):
 def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, options, loss):
     fit(tmp_path / "whole", epochs=3, checkpoint_every=1, loss=loss(), **options)
 
-    class Stopped(Exception):
-        pass
-
-    class StoppingTrainer(Trainer):
-        calls = 0
-
-        def train_step(self, batch, *, update):
-            StoppingTrainer.calls += 1
-            if StoppingTrainer.calls == 7:  # in the middle of the second epoch
-                raise Stopped
-            return super().train_step(batch, update=update)
-
-    settings = {
-        "optimizer": partial(torch.optim.Adam, lr=3e-3),
-        "scheduler": cosine,
-        "epochs": 3,
-        "batch_size": 4,
-        "checkpoint_every": 1,
-    } | options
+    settings = {"epochs": 3, "checkpoint_every": 1} | options
+    in_the_second_epoch = make_trainer(stopping_at(7), **settings)
     with pytest.raises(Stopped):
-        fit(tmp_path / "part", trainer=StoppingTrainer(**settings), loss=loss())
+        fit(tmp_path / "part", trainer=in_the_second_epoch, loss=loss())
     assert load_checkpoint(tmp_path / "part")["progress"]["epoch"] == 1
     fit(tmp_path / "part", trainer=make_trainer(**settings), ckpt_path=tmp_path / "part", loss=loss())
     assert digest(tmp_path / "part") == digest(tmp_path / "whole")

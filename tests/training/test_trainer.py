@@ -6,16 +6,17 @@ from functools import partial
 import pytest
 import torch
 from support.synthetic import SyntheticDepth
-from support.training import PROTOCOL, fit, make_trainer
+from support.training import PROTOCOL, Stopped, fit, make_trainer
 
 import eldenet
-from eldenet.evaluation.evaluator import evaluate
+from eldenet.evaluation.evaluator import evaluate, sample_rows
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
+from eldenet.results.run_log import RunLog
 from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.loss_meter import READ_EVERY, LossMeter
-from eldenet.training.optim import constant, cosine
+from eldenet.training.optim import constant
 from eldenet.training.trainer import Trainer, TrainingData
 
 
@@ -88,7 +89,7 @@ def test_weights_that_the_last_update_breaks_are_a_divergence(tmp_path):
                 next(self.bare_model.parameters()).fill_(float("nan"))
             return terms
 
-    breaking = Breaking(optimizer=partial(torch.optim.Adam, lr=3e-3), scheduler=constant, epochs=1)
+    breaking = make_trainer(Breaking, epochs=1, batch_size=16)
     with pytest.raises(FloatingPointError, match="weights are not finite at step 1"):
         fit(tmp_path, trainer=breaking)
 
@@ -138,22 +139,15 @@ def test_validation_is_in_fp32_whatever_the_training(tmp_path, options):
 def test_tensorboard_keeps_every_epoch(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    from eldenet.evaluation.evaluator import sample_rows
-    from eldenet.results.run_log import RunLog
-
-    class Stopped(Exception):
-        pass
-
     class StoppingTrainer(Trainer):
         def _end_epoch(self, epoch):
             super()._end_epoch(epoch)
             raise Stopped
 
-    settings = {"optimizer": partial(torch.optim.Adam, lr=3e-3), "scheduler": cosine, "epochs": 2}
     with pytest.raises(Stopped):
-        fit(tmp_path, trainer=StoppingTrainer(**settings, batch_size=4))
+        fit(tmp_path, trainer=make_trainer(StoppingTrainer))
     time.sleep(1.1)  # tensorboard orders its files by the second they were begun in, then by a number as text
-    _, model, _ = fit(tmp_path, trainer=make_trainer(**settings), ckpt_path=tmp_path)
+    _, model, _ = fit(tmp_path, ckpt_path=tmp_path)
     log = RunLog(tmp_path)  # as the command does, once training is over
     log.picture("predictions", 8, sample_rows(model, SyntheticDepth(2), PROTOCOL))
     log.close()

@@ -130,14 +130,9 @@ def test_the_table_can_show_the_last_epoch(study: Study, tmp_path: Path) -> None
     with pytest.raises(ValueError, match=r"small, seed 1 was validated on other frames .*\(rmse of the kept"):
         build_blocks(study)
     for seed, kept in enumerate((2, 3)):
-        store(
-            study,
-            "small",
-            seed,
-            np.full(40, 0.3 * kept),
-            metrics={"delta1": 0.3 * kept, "rmse": 1.0 / kept, "images": 40},
-            training={"history": epochs, "best_epoch": kept},
-        )
+        changes = {"metrics": {"delta1": 0.3 * kept, "rmse": 1.0 / kept, "images": 40}}
+        changes |= {"training": {"history": epochs, "best_epoch": kept}}
+        store(study, "small", seed, np.full(40, 0.3 * kept), **changes)
     cells = table(study)["small"]
     assert (cells["δ1 ↑"], cells["RMSE [m] ↓"]) == ("0.900 ± 0.000", "0.333 ± 0.000")
     assert not any("95 %" in title for title in cells)

@@ -8,9 +8,6 @@ from support.stored_study import figures, history, store, write_plan
 from eldenet import config as cfg
 from eldenet.results.studies.convergence import (
     convergence,
-    first_epoch,
-    fluctuation,
-    own_descent,
     validation_loss,
 )
 from eldenet.results.studies.plan import Study
@@ -60,20 +57,6 @@ def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> No
     epochs = [row | {"val_ssim": None} for row in history([3.0, 2.0, 1.0])]  # as run.json has NaN
     store(study, "small", 0, figures(0, 0), training={"history": epochs})
     assert set(convergence(study).curves["small/seed0"]) == {"epoch", "train_loss", "val_mse"}
-
-
-def test_speed_and_fluctuation_of_known_curves():
-    epochs = list(range(1, 11))
-    falling = [10.0 - epoch for epoch in epochs]  # 9 ... 0
-    assert own_descent(epochs, falling) == 10.0  # 0.9 is first reached at 0
-    assert own_descent(epochs, [9, 1, 0.5, 0, 0, 0, 0, 0, 0, 0]) == 3
-    assert first_epoch(epochs, falling, 4.5) == 6
-    assert first_epoch(epochs, falling, -1.0) is None
-    assert fluctuation([1.0] * 10) == 0.0
-    assert fluctuation(falling) == pytest.approx(0.0, abs=1e-12)  # a descent is none
-    # places 5 to 7 of ten have a whole window; a zigzag of 2 and 1 lies 0.4 off its means 1.6 and 1.4 there
-    assert fluctuation([9, 9, 9, 2, 1, 2, 1, 2, 1, 2]) == pytest.approx(0.4 / (5 / 3))
-    assert fluctuation([1.0, 2.0]) is None
 
 
 @pytest.mark.parametrize(
