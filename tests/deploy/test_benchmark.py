@@ -230,7 +230,7 @@ def test_a_group_holds_all_rows_that_compare() -> None:
         (["models=[]"], "models is empty"),
         (["models=[eldenet_s,eldenet_s]"], "two models are called 'eldenet_s'.*another model_name="),
         (["accuracy=delta"], "accuracy='delta'"),
-        (["reference=eldenet_x"], "reference=eldenet_x: none of the models, which are eldenet_s"),
+        (["reference=eldenet_x"], "reference=eldenet_x is not among the models: choose one of eldenet_s"),
         (["rounds=0"], "rounds=0"),
     ],
 )

@@ -65,7 +65,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
     with pytest.raises(ValueError, match="in a circle: tiny -> other -> tiny"):
         read_study(tiny, training_composition())
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
-    with pytest.raises(ValueError, match="without its protocol and source"):
+    with pytest.raises(ValueError, match="no protocol or source"):
         read_expected(tiny)
 
 
