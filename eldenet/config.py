@@ -42,7 +42,7 @@ USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
 def config_folder() -> Path:
-    """Where the YAML files lie: ``configs/`` of a checkout, ``eldenet/configs`` of an installed wheel."""
+    """Return the folder of the YAML files: ``configs/`` in a checkout, ``eldenet/configs`` in a wheel."""
     package = Path(__file__).resolve().parent
     for folder in (package / "configs", package.parent / "configs"):
         if (folder / "train.yaml").is_file():
@@ -78,7 +78,7 @@ def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
 
 
 def added_sources() -> list[str]:
-    """Where the command of ours that is running finds configs beside our own; none elsewhere."""
+    """Return where the running eldenet command finds configs beside our own; none outside of a command."""
     if not HydraConfig.initialized():
         return []
     sources = HydraConfig.get().runtime.config_sources
@@ -109,10 +109,10 @@ def _test_part(test_root: str | None, root: str | None) -> str:
 
 
 def read_yaml(path: Path) -> Any:
-    """A YAML file as plain values.
+    """Return the plain values of a YAML file.
 
     Raises:
-        ValueError: it is no YAML.
+        ValueError: it is not YAML.
     """
     from yaml import YAMLError
 
@@ -123,12 +123,12 @@ def read_yaml(path: Path) -> Any:
 
 
 def plain(config: Any, *, resolve: bool = True) -> Any:
-    """Dicts, lists and values, resolved unless ``resolve`` is False; what ``run.json`` stores."""
+    """Return plain dicts, lists and values, as ``run.json`` stores them; by default resolved."""
     return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
 
 
 def listed(config: Any) -> list[Any]:
-    """A setting that takes several values: one alone counts as a list of one, as a person would write it."""
+    """Return a setting that takes several values as a list; a single value becomes a list of one."""
     values = plain(config)
     return values if isinstance(values, list) else [values]
 
@@ -154,7 +154,7 @@ def instantiate(config: Any, **arguments: Any) -> Any:
 
 
 def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
-    """What ``python -m eldenet.train`` trains in ``folder``."""
+    """Return the setup of ``python -m eldenet.train`` in ``folder``."""
     check_data_folders(config)
     if not (folder / "run.json").is_file():  # a finished run needs them no more
         check_sources(config, "weights", "teacher")
@@ -184,7 +184,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
 
 
 def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
-    """What ``python -m eldenet.evaluate`` scores, with its results in ``folder``."""
+    """Return the setup of ``python -m eldenet.evaluate``, which writes its results into ``folder``."""
     check_data_folders(config)
     check_sources(config, "checkpoint")
     _split_node(config, config.split)
@@ -211,7 +211,7 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
 
 
 def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
-    """What ``python -m eldenet.train_detector`` trains in ``folder``.
+    """Return the setup of ``python -m eldenet.train_detector`` in ``folder``.
 
     Raises:
         ValueError: the folder holds another run already, or libreyolo is missing.
@@ -245,7 +245,7 @@ def _build_trainer(config: DictConfig) -> Any:
 
 
 def _named_modules(settings: Any) -> list[str]:
-    """Modules that the user's own settings name: these are trusted, a downloaded config's are not."""
+    """Return the modules that the user's own settings name; these are trusted, a downloaded config's not."""
     if not isinstance(settings, dict):
         return []
     named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
@@ -312,25 +312,25 @@ def _build_learner(config: DictConfig, sensor: Any) -> Any:
 
 
 def build_model(config: Any, **arguments: Any) -> Any:
-    """A :class:`~eldenet.model.DepthNet` from a node of ``configs/model``, and further arguments of it."""
+    """Build a :class:`~eldenet.model.DepthNet` from a node of ``configs/model`` and further arguments."""
     return instantiate(config, **arguments)
 
 
 def build_protocol(config: DictConfig) -> Any:
-    """The protocol named on the command line, else the data set's own."""
+    """Build the protocol named on the command line, else the data set's own."""
     chosen = config.get("protocol")
     return instantiate(chosen if chosen is not None else config.data.protocol)
 
 
 def _split_node(config: DictConfig, split: str) -> DictConfig:
-    """The settings of one split's data set."""
+    """Return the settings of one split's data set."""
     node = config.data.get(split)
     if not OmegaConf.is_dict(node):
         raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
     if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
         raise ValueError(
-            f"data.{split} of data={config.data.name} are another split's settings, by reference: override "
-            f"those (data.val...), or give a whole data.{split}"
+            f"data.{split} in data={config.data.name} refers to another split's settings: override "
+            f"those (data.val...), or give every setting of data.{split}"
         )
     return node
 
@@ -409,14 +409,14 @@ def build_split(
 
 
 def training_composition() -> "Composition":
-    """How a study turns overrides of ``eldenet.train`` into settings and networks."""
+    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks."""
     from eldenet.results.studies.plan import Composition
 
     return Composition(lambda overrides: plain(compose("train", overrides)), build_model)
 
 
 def build_report(config: DictConfig) -> "ReportSetup":
-    """What ``eldenet.report`` shows."""
+    """Return the setup of ``python -m eldenet.report``."""
     from eldenet.results.comparison import ReportSetup
 
     if config.study is not None:
@@ -430,7 +430,7 @@ def build_report(config: DictConfig) -> "ReportSetup":
 
 
 def build_study(config: DictConfig) -> "StudySetup":
-    """Which runs of a study are trained, and where."""
+    """Return the setup of ``python -m eldenet.study``: which runs are trained, and where."""
     from eldenet.results.studies.runner import StudySetup
 
     return StudySetup(
@@ -498,7 +498,7 @@ def check_source(source: str, setting: str = "source") -> None:
 
 
 def build_check_data(config: DictConfig) -> "CheckDataSetup":
-    """The :class:`~eldenet.data.inspection.CheckDataSetup` of ``check_data``.
+    """Return the setup of ``python -m eldenet.check_data``.
 
     Raises:
         ValueError: ``frames`` or ``samples`` is out of its range.
@@ -543,7 +543,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
 
 
 def build_prediction(config: DictConfig) -> "PredictionSetup":
-    """What ``configs/predict.yaml`` asks for; torch is not loaded before everything else is checked.
+    """Return the setup of ``python -m eldenet.predict``; all else is checked before torch is loaded.
 
     Raises:
         ValueError: a setting or the source is wrong.
@@ -576,14 +576,14 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         formats = [str(name) for name in listed(config.formats)]
     for name in formats:
         if name == "colour":
-            raise ValueError("formats: colour is called color now")
+            raise ValueError("formats: 'colour' is now called 'color'")
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
     if "ply" in formats and not camera:
         raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
     if camera and "ply" not in formats and not config.boxes:
-        raise ValueError(f"formats={formats} does not use intrinsics: add ply for point clouds")
+        raise ValueError(f"formats={formats} do not use intrinsics: add ply, or remove intrinsics")
     results = Results(
         output,
         tuple(formats),
@@ -608,7 +608,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
 
 
 def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video: bool) -> Callable[..., Any]:
-    """What adds 3D boxes to the results of ``predict``: detector, lifter and, of a video, tracker.
+    """Return what adds 3D boxes to the results of ``predict``: detector, lifter and, for a video, tracker.
 
     Raises:
         ValueError: no intrinsics or no detector were given.
@@ -632,7 +632,7 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
 
 
 def build_export(config: DictConfig) -> "ExportSetup":
-    """What ``configs/export.yaml`` asks for.
+    """Return the setup of ``python -m eldenet.export``.
 
     Raises:
         ValueError: a setting is wrong.
@@ -643,7 +643,7 @@ def build_export(config: DictConfig) -> "ExportSetup":
     one_of("format", kind, tuple(ENDINGS))
     if precision not in PRECISIONS[kind]:
         raise ValueError(
-            f"precision={precision}: format={kind} has {', '.join(PRECISIONS[kind])}"
+            f"precision={precision}: for format={kind} choose from {', '.join(PRECISIONS[kind])}"
             + ("; for bf16 give format=openvino" if precision == "bf16" else "")
         )
     output = None if config.output is None else Path(config.output).expanduser()
@@ -656,7 +656,7 @@ def build_export(config: DictConfig) -> "ExportSetup":
 
 
 def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
-    """What ``configs/benchmark.yaml`` asks for.
+    """Return the setup of ``python -m eldenet.benchmark``.
 
     Raises:
         ValueError: a setting is wrong.
@@ -693,16 +693,16 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
 
 
 def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
-    """A dataclass with the settings that its fields name; ``given`` ones are checked already."""
+    """Fill a dataclass from the settings that its fields name; those in ``given`` are checked already."""
     names = [field.name for field in fields(setup) if field.name not in given]
     return setup(**{name: plain(config[name]) for name in names}, **given)
 
 
 def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
-    """A setting such as ``[near, far] in meters``; None where it is null.
+    """Return a setting such as ``[near, far] in meters`` as numbers, or None for null.
 
     Raises:
-        ValueError: it is no list of as many finite numbers.
+        ValueError: it is not a list of as many finite numbers.
     """
     given = plain(config[name])
     if given is None:
@@ -718,10 +718,10 @@ def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] |
 
 
 def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
-    """A setting ``[height, width]`` [px]; None where it is null.
+    """Return a setting ``[height, width]`` [px], or None for null.
 
     Raises:
-        ValueError: it is no such pair.
+        ValueError: it is not such a pair.
     """
     given = plain(config[name])
     if given is None:

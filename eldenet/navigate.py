@@ -25,7 +25,7 @@ def main(config: "DictConfig", folder: Path) -> None:
 
 
 def check_mode(words: Sequence[str]) -> None:
-    """End the command in one line if its words name an unknown mode; an old name is answered with the new."""
+    """Exit with a one-line error for an unknown mode; for an old name, it gives the new one."""
     for word in words:
         for mode in word.removeprefix("mode=").split(",") if word.startswith("mode=") else []:
             if mode not in MODES:

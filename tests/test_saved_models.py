@@ -150,5 +150,5 @@ def test_a_training_starts_from_fitting_weights_only(tmp_path: Path) -> None:
         torch.equal(ours[name], value) for name, value in eldenet.load("eldenet_rooms").state_dict().items()
     )
     other = compose("train", ["model=resnet18_upconv", "model_name=r", "weights=eldenet_rooms"])
-    with pytest.raises(ValueError, match=r"eldenet_rooms: they fit \d % of this network"):
+    with pytest.raises(ValueError, match=r"eldenet_rooms: they fit only \d % of this network"):
         initial_model(build_training(other, tmp_path), log)

@@ -72,7 +72,7 @@ class Results:
             raise ValueError(f"{lost[0]} is a source and would be overwritten: give another output=")
         if existing and not self.overwrite:
             raise ValueError(
-                f"{len(existing)} results are there already, such as {existing[0]}: give another output=, or "
+                f"{len(existing)} results exist already, such as {existing[0]}: give another output=, or "
                 "overwrite=true"
             )
 
@@ -118,7 +118,7 @@ class Results:
     def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
         """Print what was written, where and how fast, and what was not."""
         if stop and not self.images:
-            log.say(f"stopped by {stop} before the first result: nothing is written")
+            log.say(f"stopped by {stop} before the first result: nothing was written")
             return
         ended = f"stopped by {stop}: " if stop else ""
         written = " + ".join(self.formats)
@@ -130,7 +130,7 @@ class Results:
             for line in self.skipped:
                 log.say(f"  {line}")
         if self.too_far:
-            log.say(f"{self.too_far} pixels are farther than 65.535 m: 0 (unknown) in the depth files")
+            log.say(f"{self.too_far} pixels are farther than 65.535 m: stored as 0 (unknown)")
 
 
 def write_ply(path: Path, points: np.ndarray, colors: np.ndarray) -> int:

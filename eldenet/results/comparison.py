@@ -145,7 +145,7 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         seeds = [run.get("seed") for run in members]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
-                f"{len(members)} runs are called {model!r} and seeds {seeds} repeat: give them different "
+                f"{len(members)} runs are called {model!r}, but seeds {seeds} repeat: give them different "
                 "names (model_name=...), or report them separately"
             )
         for section in SAME_IN_A_ROW:
@@ -194,7 +194,7 @@ def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:
         different = list(dict.fromkeys(map(str, values)))
         if len(different) > 1:
             raise ValueError(
-                f"these runs do not compare: {name} differs ({' | '.join(different[:3])}). Report them "
+                f"these runs cannot be compared: {name} differs ({' | '.join(different[:3])}). Report them "
                 "separately" + (", or without costs (costs=false)" if of_cost else "")
             )
 

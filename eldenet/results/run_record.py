@@ -24,14 +24,14 @@ def read_record(path: Path) -> dict[str, Any]:
     """Read the ``run.json`` of any command, with today's names.
 
     Raises:
-        ValueError: it is no JSON object.
+        ValueError: it is not a JSON object.
     """
     try:
         content = json.loads(path.read_text())
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{path} is no JSON object: it was not written by eldenet")
+        raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
     return dict(renamed(content))
 
 
@@ -40,7 +40,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it is no JSON, or has no metrics.
+        ValueError: it is not JSON, or has no metrics.
     """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path

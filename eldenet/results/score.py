@@ -142,7 +142,7 @@ def _training_set(setup: ScoreSetup, scored: "DepthDataset", log: RunLog) -> "De
             few = {"frames": RENDERED_FOR_A_CONSTANT}
         train_set = setup.make_split("train", setup.protocol, **few)
     except (FileNotFoundError, ValueError) as error:
-        log.say(f"no constant predictor beside the result, the training frames are missing: {error}")
+        log.say(f"no constant predictor in the table, because the training frames are missing: {error}")
         return None
     if train_set.cache == "ram":
         train_set.cache = "none"  # each frame is read once: nothing to keep
@@ -158,7 +158,7 @@ def _constant_score(
     try:
         constant = fit_constant_predictor(train_set)
     except ValueError as error:
-        log.say(f"no constant predictor beside the result: {error}")
+        log.say(f"no constant predictor in the table: {error}")
         return None
     return _score(setup, constant, dataset, "evaluating the constant predictor", log).metrics
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and a service manager's order to stop, obeyed once the current piece of work is finished."""
+"""Stop on Ctrl-C or SIGTERM, once the current piece of work is finished."""
 
 import signal
 import threading

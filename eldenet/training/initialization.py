@@ -54,14 +54,14 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
     share = sum(value.numel() for value in fitting.values()) / sum(value.numel() for value in own.values())
     if share < LEAST_SHARE:
         raise ValueError(
-            f"weights={weights}: they fit {100 * share:.0f} % of this network, which would start from "
-            "scratch: use the network that they belong to"
+            f"weights={weights}: they fit only {100 * share:.0f} % of this network: choose the one they "
+            "belong to, or leave weights out"
         )
     model.load_state_dict(fitting, strict=False)
     if len(fitting) < len(own):
         missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
-        log.say(f"weights: {len(fitting)} of {len(own)} tensors taken over; not: {missing}, ...")
+        log.say(f"weights: {len(fitting)} of {len(own)} tensors copied; not copied: {missing}, ...")
     if line := keep_normalization(model, start, chosen=chosen):
         log.say(line)
     if found := differences(model.config, start.config, ignored=frozenset({"mean", "std"})):
-        log.say(f"weights: of a network with other settings; here {', '.join(found)}")
+        log.say(f"weights: from a network with other settings; here {', '.join(found)}")

@@ -15,7 +15,7 @@ OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 
 
 def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str, Any] | None:
-    """The ``run.json`` of this very run if it is finished already and ``ckpt_path=auto`` asks for it.
+    """Return the ``run.json`` of this run if it has finished and ``ckpt_path=auto`` asks for it.
 
     Args:
         setup: of the training.
@@ -36,12 +36,12 @@ def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str
             found = setup.make_split(split, setup.protocol).split_hash
             if record.get(name, found) != found:
                 different.append(f"the frames of data.{split} ({found}, there {record[name]})")
-    _refuse(folder, "finished run of", different)
+    _refuse(folder, "finished run with", different)
     return record
 
 
 def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
-    """The checkpoint that ``ckpt_path`` names; None: it names none, or there is none yet.
+    """Return the checkpoint that ``ckpt_path`` names; None if it names none, or there is none yet.
 
     Raises:
         ValueError: the run folder holds another run, or this one begun with other settings.
@@ -66,8 +66,8 @@ def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
 def _refuse(folder: Path, held: str, different: list[str]) -> None:
     if different:
         raise ValueError(
-            f"{folder} holds a {held} other settings: {'; '.join(different[:5])}. Use those, give another "
-            "folder, or remove that one"
+            f"{folder} holds a {held} other settings: {'; '.join(different[:5])}. Use those settings, "
+            "give another folder, or remove this one"
         )
 
 
@@ -97,5 +97,5 @@ def checkpoint_file(path: str | Path) -> Path:
 
 
 def run_folder(checkpoint: Path) -> Path:
-    """The run folder that a checkpoint belongs to; a run folder is its own."""
+    """Return the run folder that a checkpoint belongs to; a run folder is its own."""
     return checkpoint if checkpoint.is_dir() else checkpoint.parent.parent

@@ -34,7 +34,7 @@ def train(setup: TrainingSetup) -> float:
     log = RunLog(setup.folder, quiet=not is_main_process())
     record = finished_run(setup)
     if record is not None:
-        log.say(f"{setup.folder}: finished already")
+        log.say(f"{setup.folder}: already finished")
         best_value = record["training"]["best_value"]
         return math.nan if best_value is None else float(best_value)
     checkpoint = checkpoint_to_resume(setup)
@@ -81,10 +81,10 @@ def train(setup: TrainingSetup) -> float:
 
 
 def make_loss(setup: TrainingSetup) -> "WeightedSum":
-    """What is minimized.
+    """Build the loss.
 
     Raises:
-        ValueError: a teacher is named, and no term of the loss learns from one.
+        ValueError: a teacher is named, but no term of the loss learns from one.
     """
     loss = setup.make_loss()
     if setup.teacher is not None and not loss.signature:
@@ -98,7 +98,7 @@ def make_loss(setup: TrainingSetup) -> "WeightedSum":
 def make_splits(
     setup: TrainingSetup, resources: "Resources"
 ) -> tuple["DepthDataset", "DepthDataset", "DepthDataset"]:
-    """Training, validation and test frames.
+    """Return training, validation and test frames.
 
     Raises:
         ValueError: they cannot be scored; better now than after the training.
@@ -120,26 +120,26 @@ def announce_frames(
     scored: Mapping[str, "DepthDataset"],
     log: "RunLog",
 ) -> None:
-    """Say which scored frames are trained on, and what a teacher sees of them."""
+    """Say how many scored frames are also training frames, and at what size a teacher sees frames."""
     from eldenet.losses.distillation import DistilledTerm
 
     for split, frames in scored.items():
         if count := common_frames(train_set, frames):
-            log.say(f"note: {count} of {len(frames)} {split} frames are trained on")
+            log.say(f"note: {count} of {len(frames)} {split} frames are also training frames")
     for term in loss.terms.values():
         if isinstance(term, DistilledTerm):
             log.say(term.teacher.describe(setup.input_size))
 
 
 def common_frames(train_set: "DepthDataset", scored: "DepthDataset") -> int:
-    """How many frames of ``scored`` are in ``train_set`` too: their scores measure memory."""
+    """Return how many frames of ``scored`` are in ``train_set`` too: their scores measure memorization."""
     from eldenet.data.inspection import identities
 
     return len(identities(train_set).keys() & identities(scored).keys())
 
 
 def model_info(setup: TrainingSetup, train_set: "DepthDataset") -> dict[str, Any]:
-    """What is stored beside the weights: where they come from, and the sizes that they were trained at."""
+    """Return what is stored beside the weights: their origin, and the sizes that they were trained at."""
     return {
         "model_name": setup.name,
         "seed": setup.seed,
@@ -152,7 +152,7 @@ def model_info(setup: TrainingSetup, train_set: "DepthDataset") -> dict[str, Any
 def trained_sizes(
     input_size: Sequence[int] | None, protocol: "EvalProtocol", train_set: "DepthDataset"
 ) -> dict[str, list[int] | None]:
-    """``(height, width)`` [px] of what the network sees and, where a protocol crops frames, of the whole one.
+    """Return ``(height, width)`` [px] of the network's input and, where a protocol crops, of the whole frame.
 
     The latter is that of the first frame.
     """

@@ -212,7 +212,7 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
         (["models=[]"], "models is empty"),
         (["models=[eldenet_s,eldenet_s]"], "two models are called 'eldenet_s'.*another model_name="),
         (["accuracy=delta"], "accuracy='delta'"),
-        (["reference=eldenet_x"], "reference=eldenet_x: none of the models, which are eldenet_s"),
+        (["reference=eldenet_x"], "reference=eldenet_x is not among the models: choose one of eldenet_s"),
         (["rounds=0"], "rounds=0"),
     ],
 )

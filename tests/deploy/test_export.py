@@ -83,7 +83,7 @@ def test_the_command_exports_from_another_folder(
     assert differences(depth, reference)["max_relative"] < 1e-5
     again = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}")
     assert again.returncode == 1
-    assert "is there already: give another output=, or overwrite=true" in again.stderr
+    assert "exists already: give another output=, or overwrite=true" in again.stderr
     assert "Traceback" not in again.stderr
 
 
@@ -124,7 +124,7 @@ def test_a_camera_file_takes_frames(model_folder: Path, photos: Path, tmp_path: 
     ("overrides", "message"),
     [
         (["format=tflite"], "onnx, openvino"),
-        (["precision=bf16"], "format=onnx has fp32, int8; for bf16 give format=openvino"),
+        (["precision=bf16"], "for format=onnx choose from fp32, int8; for bf16 give format=openvino"),
         (["size=[32]"], r"size=\[32\]: give \[height, width\]"),
         (["camera=5"], r"camera=5: give \[height, width\]"),
         (["output=depth.xml"], r"needs a name that ends in \.onnx"),

@@ -116,7 +116,7 @@ def test_the_error_for_what_is_missing_lists_what_there_is(trained_model, files,
         (files["onnx"], {"runtime": "onnxruntime", "precision": "bf16"}, "only fp32: bf16 runs under Open"),
         (files["onnx"], {"runtime": "onnxruntime", "precision": "fp8"}, "choose fp32, bf16, fp16, int8"),
         (files["onnx"], {"runtime": "onnxruntime", "precision": "int8"}, "export it with precision=int8"),
-        (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO here has .*cpu"),
+        (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO offers .*cpu"),
         (files["int8 xml"], {"precision": "bf16"}, "only int8"),
         (trained_model, {"precision": "int8"}, "export a file"),
         (

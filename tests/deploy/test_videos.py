@@ -30,7 +30,7 @@ def test_a_video_becomes_a_video(model_folder: Path, model: DepthNet, tmp_path: 
     expected = photo_beside_depth(first, depth, *visible_range(depth))
     assert frames[0].shape == expected.shape
     assert np.abs(frames[0][..., ::-1].astype(float) - expected).mean() < 12  # lossy
-    with pytest.raises(ValueError, match="there already"):
+    with pytest.raises(ValueError, match="exist already"):
         run(model_folder, source, tmp_path / "out")
 
 

@@ -75,7 +75,7 @@ def test_frames_of_several_sizes_are_scored_but_have_no_mean_depth_map(
     several = input_size == "null"
     assert record["metrics"]["images"] == 9
     assert (record["constant_predictor"] is None) == several
-    assert ("no constant predictor beside the result: the depth of" in words_of(capsys)) == several
+    assert ("no constant predictor in the table: the depth of" in words_of(capsys)) == several
 
 
 def test_intrinsics_need_frames_of_one_size(mixed: Path) -> None:

@@ -112,7 +112,7 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
     if elsewhere and not setup.overwrite:
         log.say(
             f"{len(elsewhere)} rows come from another machine ({other_machine(elsewhere[0], here)}) and are "
-            "measured again: a table is of one machine"
+            "measured again: all rows of a table come from one machine"
         )
     # rows of a study compare across inputs, so all of them take turns
     by_group = itertools.groupby(cases, key=lambda case: case.group)
@@ -181,7 +181,7 @@ def study_models(setup: BenchmarkSetup) -> Networks:
         name for name in ("batches", "runtimes", "precisions", "threads") if len(getattr(setup, name)) != 1
     ]
     if several:
-        raise ValueError(f"a study's table has one latency: give one value of {', '.join(several)}")
+        raise ValueError(f"a study has one latency per row: give one value each for {', '.join(several)}")
     study = read_study(str(setup.study), setup.composition)
     if study.latency is not None and Path(study.latency).parent != Path():
         raise ValueError(
@@ -206,7 +206,7 @@ def load_models(setup: BenchmarkSetup) -> Networks:
         name = str(model.info.get("model_name", Path(source).name))
         if name in models:
             raise ValueError(
-                f"two models are called {name!r}, and rows are named so: train one with another model_name="
+                f"two models are called {name!r}, but rows need distinct names: give one another model_name="
             )
         models[name] = model
     if not models:

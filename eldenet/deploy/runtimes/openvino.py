@@ -34,7 +34,7 @@ class OpenvinoRuntime(Runtime):
         name = device.upper()
         if name.partition(".")[0] not in {each.partition(".")[0] for each in core.available_devices}:
             raise ValueError(
-                f"device={device!r}: OpenVINO here has {', '.join(core.available_devices).lower()}"
+                f"device={device!r}: OpenVINO offers {', '.join(core.available_devices).lower()} here"
             )
         metadata = read_metadata(path)
         own = metadata.get("precision", "fp32")

@@ -76,10 +76,10 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
         reader = csv.DictReader(lines)
         header, entries = tuple(reader.fieldnames or ()), list(reader)
     if header != EXPECTED_HEADER:
-        raise ValueError(f"{path} has the columns {list(header)}, needed are {list(EXPECTED_HEADER)}")
+        raise ValueError(f"{path} has the columns {list(header)}, but needs {list(EXPECTED_HEADER)}")
     for entry in entries:
         if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
-            raise ValueError(f"{path}: {entry['row']} has a figure without its protocol and source")
+            raise ValueError(f"{path}: {entry['row']} has a figure but no protocol or source: give both")
     return entries
 
 

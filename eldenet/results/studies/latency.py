@@ -60,8 +60,8 @@ def row_networks(study: Study) -> RowNetworks:
         settings, size = config["model"], config["data"]["input_size"]
         if size is None:
             raise ValueError(
-                f"{study.name}, row {row.name}: data.input_size is null, so there is no one input to measure "
-                "its latency at; give it a (height, width)"
+                f"{study.name}, row {row.name}: data.input_size is null, so its latency has no single input "
+                "size: give [height, width]"
             )
         name = first.setdefault(json.dumps([settings, size], sort_keys=True, default=str), row.name)
         if name == row.name:
@@ -82,7 +82,7 @@ def write_costs(study: Study, measured: Sequence[Mapping[str, Any]], rows: RowNe
     path = study.folder / (study.latency or COSTS_FILE)
     if not by_network:
         reason = next((line["failed"] for line in measured if line.get("failed")), "nothing was measured")
-        raise ValueError(f"no network of {study.name} has a latency, {path} stays as it is: {reason}")
+        raise ValueError(f"no latency of {study.name} was measured, and {path} was not changed: {reason}")
     lines = [
         [
             *(row, line["latency_ms_p50"], *(_text(line[name]) for name in (*COLUMNS, *FACTS))),
@@ -128,7 +128,7 @@ class Latencies:
         for name in SAME:
             values = sorted({line[name] for line in lines.values()})
             if len(values) > 1:
-                raise ValueError(f"{path}: {name} differs ({' | '.join(values)}): they do not compare")
+                raise ValueError(f"{path}: {name} differs ({' | '.join(values)}): they cannot be compared")
         return cls(lines)
 
     def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:

@@ -161,13 +161,13 @@ def last_metrics(run: Mapping[str, Any]) -> dict[str, Any]:
     kept, last = history[run["training"]["best_epoch"]], history[max(history)]
     who = f"{run['model']}, seed {run['seed']}"
     if "val_delta1" not in last:
-        raise ValueError(f"{who} was not validated after its last epoch: epoch: last needs that")
+        raise ValueError(f"{who} was not validated after its last epoch, as 'epoch: last' needs")
     known = {name for name in run["metrics"] if f"val_{name}" in last}  # not: images, pixels
     other = [name for name in sorted(known) if not _close(kept.get(f"val_{name}"), run["metrics"][name])]
     if other:
         raise ValueError(
             f"{who} was validated on other frames than those of its table ({', '.join(other)} of the kept "
-            "epoch differ): epoch: last has no metrics for the table"
+            "epoch differ), so 'epoch: last' has no metrics for the table"
         )
     return {**run["metrics"], **{name: last[f"val_{name}"] for name in known}}
 

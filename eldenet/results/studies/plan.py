@@ -195,7 +195,7 @@ def _taken_row(
     _checked(path, f"row {name}, taken from another study: ", entry, {"from", "block"})
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
-        raise ValueError(f"{path}: row {name} is taken in a circle: {' -> '.join((*readers, entry['from']))}")
+        raise ValueError(f"{path}: row {name} is taken from itself: {' -> '.join((*readers, entry['from']))}")
     owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), composition, readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))
@@ -224,7 +224,7 @@ def _checked(
     unknown = sorted(set(entries) - allowed)
     if unknown:
         known = ", ".join(sorted({*allowed, *also}))
-        raise ValueError(f"{path}: {where}unknown entries {unknown}, allowed are {known}")
+        raise ValueError(f"{path}: {where}unknown entries {unknown}: choose from {known}")
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
     for name, value in values.items():
         fits, words = _KINDS.get(name, (lambda _: True, ""))

@@ -206,7 +206,7 @@ class _RowRun:
         try:
             different = run_differences(self.study.composition.resolve(overrides), read_run(stored))
             if different:
-                raise ValueError(f"{stored} holds a run of other settings: {'; '.join(different[:5])}")
+                raise ValueError(f"{stored} holds a run with other settings: {'; '.join(different[:5])}")
             self.training.check_finished(overrides, stored)
         except FileNotFoundError as error:
             note = f"; its frames are not here to be compared ({str(error).splitlines()[0]})"
@@ -280,7 +280,7 @@ class _RowRun:
         different = search_differences(self.study.learning_rates, trial, kept)
         if different and not self.setup.rerun:
             raise ValueError(
-                f"{file} was chosen by another rule ({'; '.join(different[:5])}). Restore the rule, or "
+                f"{file} was chosen by another rule ({'; '.join(different[:5])}). Restore that rule, or "
                 "choose and train again with rerun=true, which replaces what is stored"
             )
         return None if different else float(kept["learning_rate"])
