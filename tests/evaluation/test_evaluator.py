@@ -65,7 +65,7 @@ def test_batches_of_several_sizes_score_as_single_frames() -> None:
     one, four = (evaluate(FOUR_METERS, data, PROTOCOL, batch_size=size) for size in (1, 4))
     assert [row[0] for row in four.rows] == data.names
     assert four.metrics == pytest.approx(one.metrics)
-    with pytest.raises(ValueError, match=r"different sizes.*training batch.*set data\.input_size"):
+    with pytest.raises(ValueError, match=r"different sizes in one training batch.*set data\.input_size"):
         collate([data[0], data[2]])
 
 
