@@ -13,6 +13,7 @@ import numpy as np
 
 from eldenet.data.array_files import read_text, reading
 from eldenet.data.base import SampleOptions
+from eldenet.data.kitti_calibration import PROJECTIONS, project_scan, read_scan, velodyne_to_image
 from eldenet.data.kitti_files import (
     DEPTH_KINDS,
     DEPTH_TREE,
@@ -27,7 +28,6 @@ from eldenet.data.kitti_files import (
     scans,
     selected,
 )
-from eldenet.data.kitti_lidar import PROJECTIONS, project_scan, read_scan, velodyne_to_image
 from eldenet.data.paths import find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
@@ -112,7 +112,7 @@ class KITTIRaw(KITTIFrames):
 
     Args:
         root: the folder with the dates; None for ``$ELDENET_DATA/kitti/raw``.
-        projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_lidar.project_scan`.
+        projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_calibration.project_scan`.
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
         cameras: 2 (left), 3 (right) or both.

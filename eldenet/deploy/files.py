@@ -94,7 +94,7 @@ def write_onnx(
     import onnx
     import torch
 
-    from eldenet.deploy.camera import CameraNet
+    from eldenet.deploy.camera_net import CameraNet
     from eldenet.deploy.fold import fold
 
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:

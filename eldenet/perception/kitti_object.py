@@ -14,7 +14,7 @@ import numpy as np
 
 from eldenet.boxes import ArrayRows, Boxes3D, Detections2D
 from eldenet.data.io import read_image
-from eldenet.data.kitti_lidar import entry
+from eldenet.data.kitti_calibration import entry
 from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera, nearest_points
 

@@ -1,4 +1,7 @@
-"""Whether and from where a training resumes: what its run folder holds, and whether that is this run."""
+"""Whether and from where a training resumes: what its run folder holds, and whether that is this run.
+
+Settings that may differ are ``NOT_COMPARED`` in :mod:`eldenet.results.fingerprints`.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

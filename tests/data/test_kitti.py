@@ -22,8 +22,8 @@ from support.layouts import (
 )
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
+from eldenet.data.kitti_calibration import rectified_intrinsics, velodyne_to_image
 from eldenet.data.kitti_files import frame_list
-from eldenet.data.kitti_lidar import rectified_intrinsics, velodyne_to_image
 from eldenet.geometry import back_project
 
 

@@ -9,7 +9,13 @@ import pytest
 from support.layouts import devkit_meters, real_folder
 
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
-from eldenet.data.kitti_lidar import entry, project_scan, read_scan, rectified_intrinsics, velodyne_to_image
+from eldenet.data.kitti_calibration import (
+    entry,
+    project_scan,
+    read_scan,
+    rectified_intrinsics,
+    velodyne_to_image,
+)
 
 
 @pytest.fixture

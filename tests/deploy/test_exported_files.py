@@ -11,7 +11,7 @@ from support.rooms_network import ROUNDING, SIZE
 
 import eldenet
 from eldenet.deploy import runtimes
-from eldenet.deploy.camera import CameraNet
+from eldenet.deploy.camera_net import CameraNet
 from eldenet.deploy.files import describe, differences, write_onnx, write_openvino
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost

@@ -10,9 +10,9 @@ import numpy as np
 
 from eldenet.config import training_composition
 from eldenet.evaluation.metric_names import METRICS
-from eldenet.results.studies.blocks import build_blocks
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.studies.tables import build_blocks
 
 PLAN = """
 overrides: [data=rooms, "data.frames={train: 16, val: 4, test: 6}", trainer.epochs=3]

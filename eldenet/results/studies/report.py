@@ -6,10 +6,10 @@ from pathlib import Path
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results.plots import curves_plot, differences_plot, pareto_plot
 from eldenet.results.run_log import RunLog
-from eldenet.results.studies.blocks import Block, build_blocks
 from eldenet.results.studies.convergence import NOTES, convergence
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Composition, Study, read_study
+from eldenet.results.studies.tables import Block, build_blocks
 from eldenet.results.tables import WORDS, to_latex, to_markdown
 from eldenet.system.files import write_rows
 

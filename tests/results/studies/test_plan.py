@@ -12,9 +12,9 @@ from support.tiny_study import EXPECTED, cells, run, short
 
 from eldenet import config as cfg
 from eldenet.config import training_composition
-from eldenet.results.studies.blocks import read_expected
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
+from eldenet.results.studies.tables import read_expected
 from eldenet.zoo import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}

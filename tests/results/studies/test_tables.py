@@ -10,9 +10,9 @@ from support.stored_study import figures, notes, store, table, write_plan
 
 from eldenet.config import training_composition
 from eldenet.results import statistics
-from eldenet.results.studies.blocks import build_blocks
 from eldenet.results.studies.plan import Study
 from eldenet.results.studies.report import write_study_report
+from eldenet.results.studies.tables import build_blocks
 from eldenet.system.files import write_rows
 
 DIFFERENCE = "delta1 - small's [95 %]"
