@@ -78,7 +78,7 @@ ENCODINGS: dict[str, DepthEncoding] = {
         DepthEncoding("sunrgbd", 1e-3, decode=_turned_bits, lowest_peak=255),
         # DenseDepth's training pictures: 8 bits over 10 m
         DepthEncoding("nyu8", 10 / 255, dtype="uint8"),
-        # the labelled frames in 8 bits: bin centers up to the set's largest depth
+        # the labeled frames in 8 bits: bin centers up to the set's largest depth
         DepthEncoding("nyu8_labelled", 9.99547 / 255, 0.5, dtype="uint8"),
     )
 }

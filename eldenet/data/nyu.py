@@ -1,7 +1,7 @@
 """NYU Depth V2 in the layouts in use, one class per layout.
 
 Silberman et al., "Indoor Segmentation and Support Inference from RGBD Images", ECCV 2012. The official split
-is 795 training and 654 test frames of the 1,449 labelled ones. Which ground truth a test uses (in-painted
+is 795 training and 654 test frames of the 1,449 labeled ones. Which ground truth a test uses (in-painted
 ``depths`` or ``rawDepths`` with holes) changes every number, so each class states it in ``ground_truth``.
 """
 
@@ -25,7 +25,7 @@ NYU_FOCAL = 518.8579
 NYU_RANGE = (1e-3, 10.0)  # [m], of the field's tables
 
 # Our validation part of the 795 official training frames: first and last frame numbers (1-based, of the
-# labelled .mat), 130 frames. Frames of a scene follow each other in the .mat, and the official split never
+# labeled .mat), 130 frames. Frames of a scene follow each other in the .mat, and the official split never
 # cuts a scene, so the training frames between two test frames are whole scenes. The blocks below are such
 # runs, spread over every kind of room that occurs several times (office, classroom, study, bath, kitchen,
 # bedroom, living and dining room ...). Checked on the pictures: no pair across the border has more than 12
@@ -42,7 +42,7 @@ DEV_FRAMES: tuple[tuple[int, int], ...] = (
     *((863, 868), (929, 931), (948, 958), (1024, 1031), (1040, 1047), (1132, 1134), (1137, 1143)),
     *((1213, 1215), (1251, 1253), (1415, 1420), (1425, 1429)),
 )
-LABELLED_SPLITS = {
+LABELED_SPLITS = {
     "all": ("fit", "dev", "val"),
     "train": ("fit", "dev"),
     "val": ("val",),
@@ -56,8 +56,8 @@ def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:
     return resize_intrinsics(pinhole(NYU_FOCAL, 519.4696, 325.5824, 253.7362), NYU_SIZE, size)
 
 
-def labelled_part(number: int) -> str:
-    """Return "val", "dev" or "fit": the part of the labelled training frame ``number`` (1-based)."""
+def labeled_part(number: int) -> str:
+    """Return "val", "dev" or "fit": the part of the labeled training frame ``number`` (1-based)."""
     for name, blocks in (("val", VAL_FRAMES), ("dev", DEV_FRAMES)):
         if any(first <= number <= last for first, last in blocks):
             return name
@@ -138,11 +138,11 @@ class NYUDenseDepth(_NYUPairs):
 
 
 class NYULabelled(_NYUPairs):
-    """The 795 official training frames of the labelled set, in DenseDepth's layout, split in two.
+    """The 795 official training frames of the labeled set, in DenseDepth's layout, split in two.
 
     Args:
         root: the folder with ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``. The file names are
-            the frame numbers of the labelled .mat (1-based).
+            the frame numbers of the labeled .mat (1-based).
         split: "train" or "val", which share no scene (see ``VAL_FRAMES``), or "all" for the 795; "fit" or
             "dev", parts of "train" that share no scene either, for choosing a recipe before "val" scores it.
         encoding: of the depth files.
@@ -163,11 +163,11 @@ class NYULabelled(_NYUPairs):
         encoding: Encoding = "nyu8_labelled",
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, tuple(LABELLED_SPLITS))
+        one_of("split", split, tuple(LABELED_SPLITS))
         table = "data/nyu2_train.csv"
         folder = find_root(root, "nyu_depth_v2/labeled", [table], DENSEDEPTH_TREE)
         pairs = csv_pairs(folder / table)
-        pairs = [pair for pair in pairs if labelled_part(_frame_number(pair[0])) in LABELLED_SPLITS[split]]
+        pairs = [pair for pair in pairs if labeled_part(_frame_number(pair[0])) in LABELED_SPLITS[split]]
         super().__init__(folder, pairs, "all", encoding, "data/nyu2_train/", **options)
 
 
@@ -256,7 +256,5 @@ def _is_focal(cell: str) -> bool:
 def _frame_number(file: str) -> int:
     stem = Path(file).stem
     if not stem.isdecimal():
-        raise ValueError(
-            f"{file}: a labelled frame must be named by its number in the .mat, such as 0003.jpg"
-        )
+        raise ValueError(f"{file}: a labeled frame must be named by its number in the .mat, such as 0003.jpg")
     return int(stem)

@@ -1,4 +1,4 @@
-"""NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labelled .mat."""
+"""NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labeled .mat."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.data.array_files import reading
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
-from eldenet.data.nyu import NYU_RANGE, labelled_part, nyu_intrinsics
+from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
 from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
@@ -214,5 +214,5 @@ def _split_numbers(path: Path, split: str) -> Sequence[int]:
         raise ValueError(f"{path}: its frame numbers must start at 1 and not repeat: fetch it again")
     numbers = parts["testNdxs" if split == "test" else "trainNdxs"]
     if split in ("train", "val"):
-        numbers = [n for n in numbers if (labelled_part(n) == "val") == (split == "val")]
+        numbers = [n for n in numbers if (labeled_part(n) == "val") == (split == "val")]
     return numbers

@@ -80,7 +80,7 @@ class KittiLabels(ArrayRows):
 
     @property
     def detections(self) -> Detections2D:
-        """The labelled 2D boxes. They are projections of the 3D boxes: lifting them leaks the answer."""
+        """The labeled 2D boxes. They are projections of the 3D boxes: lifting them leaks the answer."""
         label, names = self._numbered
         return Detections2D(self.xyxy, self.score, label, names, "projected")
 

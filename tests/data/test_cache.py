@@ -53,7 +53,7 @@ def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path, mo
 
 def test_ground_truth_keeps_its_own_size(tmp_path: Path) -> None:
     options = {"resize_on_load": (12, 16), "resize_depth": False}
-    plain = NYULabelled(layouts.labelled(tmp_path), **options)
+    plain = NYULabelled(layouts.labeled(tmp_path), **options)
     for kind in ("ram", "disk"):
         cached = NYULabelled(tmp_path, cache=kind, **options)
         assert all(same(cached[0], plain[0]) for _ in range(2))
@@ -76,7 +76,7 @@ def test_a_frame_that_is_too_large_is_read_each_time(kind: str, tmp_path: Path, 
 
 
 def test_changed_settings_read_everything_again(tmp_path: Path, monkeypatch) -> None:
-    root = layouts.labelled(tmp_path)
+    root = layouts.labeled(tmp_path)
     usual = {"cache": "disk", "resize_on_load": (12, 16)}
     every = list(range(len(NYULabelled(root))))
     assert reads_of(NYULabelled(root, **usual)) == every
@@ -125,7 +125,7 @@ def test_every_adapter_names_its_settings(tmp_path: Path) -> None:
 
 
 def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
-    root, options = layouts.labelled(tmp_path), {"cache": "disk", "resize_on_load": (12, 16)}
+    root, options = layouts.labeled(tmp_path), {"cache": "disk", "resize_on_load": (12, 16)}
     assert len(reads_of(NYULabelled(root, **options))) == 2
     path = root / "data/nyu2_train/labeled_out/0030.png"
     old = path.stat()
@@ -140,7 +140,7 @@ def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
 
 
 def test_changed_code_of_an_adapter_is_noticed(tmp_path: Path, monkeypatch) -> None:
-    root = layouts.labelled(tmp_path / "data")
+    root = layouts.labeled(tmp_path / "data")
     module = tmp_path / "adapter_of_a_user.py"
     monkeypatch.syspath_prepend(str(tmp_path))
     base = "from eldenet.data.nyu import NYULabelled\n\n\nclass Mine(NYULabelled):\n    pass\n"

@@ -104,7 +104,7 @@ def test_writers_killed_at_random_while_others_write_and_read(tmp_path: Path) ->
 
 
 def test_a_damaged_slot_is_read_again(tmp_path: Path, store_folder: Path) -> None:
-    root = layouts.labelled(tmp_path)
+    root = layouts.labeled(tmp_path)
     assert len(reads_of(NYULabelled(root, cache="disk"))) == 2
     (file,) = store_folder.rglob("frames.bin")
     content = bytearray(file.read_bytes())
@@ -117,7 +117,7 @@ def test_a_damaged_slot_is_read_again(tmp_path: Path, store_folder: Path) -> Non
 
 
 def test_a_full_disk_is_said_once_and_the_work_goes_on(tmp_path: Path, caplog) -> None:
-    plain, cached = (NYULabelled(layouts.labelled(tmp_path), cache=kind) for kind in ("none", "disk"))
+    plain, cached = (NYULabelled(layouts.labeled(tmp_path), cache=kind) for kind in ("none", "disk"))
     cached.open_cache()
     store = cached._cache
     full = os.open("/dev/full", os.O_RDWR)  # says "no space left on device" to every write
@@ -132,14 +132,14 @@ def test_a_full_disk_is_said_once_and_the_work_goes_on(tmp_path: Path, caplog) -
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch, caplog) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "file"))
-    plain, cached = (NYULabelled(layouts.labelled(tmp_path), cache=kind) for kind in ("none", "disk"))
+    plain, cached = (NYULabelled(layouts.labeled(tmp_path), cache=kind) for kind in ("none", "disk"))
     assert all(same(cached[0], plain[0]) for _ in range(2))
     assert caplog.text.count("no frame cache in") == 1
 
 
 def test_the_log_says_where_and_how_large(tmp_path: Path, store_folder: Path, caplog) -> None:
     with caplog.at_level(logging.INFO, "eldenet"):
-        NYULabelled(layouts.labelled(tmp_path), cache="disk")[0]
+        NYULabelled(layouts.labeled(tmp_path), cache="disk")[0]
     assert str(store_folder) in caplog.text
     assert "0.00 GB once all 2 frames are in it" in caplog.text
     assert "remove the folder" in caplog.text

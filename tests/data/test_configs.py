@@ -38,7 +38,7 @@ TREES: dict[str, Callable[[Path], list[str]]] = {
     ],
     "nyu_densedepth": lambda root: [f"data.root={layouts.densedepth(root, FULL)}"],
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
-    "nyu_labelled": lambda root: [f"data.root={layouts.labelled(root, FULL)}"],
+    "nyu_labelled": lambda root: [f"data.root={layouts.labeled(root, FULL)}"],
     "nyu_mat": lambda root: [f"data.root={mat_with_all_splits(root)}"],
     "nyu_tar": lambda root: [f"data.root={layouts.tar(root, FULL)}", f"data.index={root / 'index'}"],
     "nyu_sync": lambda root: [

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support.layouts import SMALL, densedepth, hdf5, labelled, mat, mat_split, sync
+from support.layouts import SMALL, densedepth, hdf5, labeled, mat, mat_split, sync
 
 from eldenet.data.nyu import (
     DEV_FRAMES,
@@ -14,7 +14,7 @@ from eldenet.data.nyu import (
     NYUDenseDepth,
     NYULabelled,
     NYUSync,
-    labelled_part,
+    labeled_part,
     nyu_intrinsics,
 )
 from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
@@ -61,7 +61,7 @@ def test_sample_after_resize(tmp_path: Path) -> None:
 
 
 def test_labelled_frames_are_split_by_number(tmp_path: Path) -> None:
-    labelled(tmp_path)
+    labeled(tmp_path)
     assert NYULabelled(tmp_path, split="train").names == ["labeled_out/0003", "labeled_out/0030"]
     assert NYULabelled(tmp_path, split="val").names == ["labeled_out/0022", "labeled_out/0023"]
     assert len(NYULabelled(tmp_path, split="all")) == 4
@@ -148,7 +148,7 @@ def test_val_and_dev_frames_are_in_order_and_apart() -> None:
     assert [*DEV_FRAMES] == sorted(DEV_FRAMES)
     # another frame at least stands between two blocks of different parts, or they would share a scene
     assert all(end + 1 < start for (_, end), (start, _) in pairwise(blocks))
-    assert labelled_part(22) == "val"
-    assert labelled_part(27) == "val"
-    assert labelled_part(21) != "val"
-    assert labelled_part(28) != "val"
+    assert labeled_part(22) == "val"
+    assert labeled_part(27) == "val"
+    assert labeled_part(21) != "val"
+    assert labeled_part(28) != "val"

@@ -12,7 +12,7 @@ from eldenet.data.nyu import (
     VAL_FRAMES,
     NYULabelled,
     NYUSync,
-    labelled_part,
+    labeled_part,
 )
 from eldenet.data.nyu_hdf5 import NYUMat
 
@@ -106,7 +106,7 @@ def test_real_split_shares_no_view(real: Path) -> None:
             inliers(views[x], views[y])
             for x in views
             for y in views
-            if labelled_part(x) != "val" and labelled_part(y) == "val"
+            if labeled_part(x) != "val" and labeled_part(y) == "val"
         ]
         within.append(inliers(views[first], views[numbers[a + 1]]))
     assert max(across) <= 15

@@ -123,9 +123,9 @@ LAYOUTS = {
             Target("data/nyu2_train.csv", LIST, None, "nyu2_train|office_0002|data set/dat"),
         ),
     ),
-    "labelled": Layout(
+    "labeled": Layout(
         "nyu_labelled",
-        layouts.labelled,
+        layouts.labeled,
         ALL,
         (
             Target("data/nyu2_train/labeled_out/0022.jpg", COLOR_JPG, "labeled_out/0022"),

@@ -56,7 +56,7 @@ def densedepth(root: Path, frame: Content = SMALL) -> Path:
     return root
 
 
-def labelled(root: Path, frame: Content = SMALL, numbers: tuple[int, ...] = (3, 22, 23, 30)) -> Path:
+def labeled(root: Path, frame: Content = SMALL, numbers: tuple[int, ...] = (3, 22, 23, 30)) -> Path:
     rows = []
     for n in numbers:
         stem = f"data/nyu2_train/labeled_out/{n:04d}"
