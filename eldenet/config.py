@@ -492,7 +492,7 @@ def check_source(source: str, setting: str = "source") -> None:
         )
     if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1:
         raise FileNotFoundError(
-            f"{setting}={source} is neither a folder here nor a Hub id 'owner/name': give a run folder or a "
+            f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
             "saved model"
         )
 

@@ -58,9 +58,9 @@ HIDDEN: dict[str, set[str]] = {
     },
     "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, for whole networks
     "eldenet.perception.lifter.BoxLifter": {"priors"},  # a table of class sizes, given from Python
-    # depends on the machine, not on the data set; the default fits every machine
-    "eldenet.data.rooms.Rooms": {"workers"},
-    "eldenet.data.arenas.Arenas": {"workers"},
+    # workers depend on the machine; rendered frames are never missing and need no cache
+    "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
+    "eldenet.data.arenas.Arenas": {"workers", "cache", "on_error", "resize_on_load"},
     # torch's rarely used options; +optimizer.eps=... adds one
     "torch.optim.": {
         *("eps", "amsgrad", "foreach", "maximize", "capturable", "differentiable", "fused"),

@@ -132,7 +132,7 @@ def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for read in (eldenet.load, lambda source: runtimes.load(source, threads=1)):
         read("~/runs/mine")
         read("~/runs/mine/model")
-        with pytest.raises(FileNotFoundError, match="~/nothing is neither a folder"):
+        with pytest.raises(FileNotFoundError, match="~/nothing is neither a local folder"):
             read("~/nothing")
     with pytest.raises(FileNotFoundError, match=f"{tmp_path}/nothing.onnx does not exist"):
         runtimes.load("~/nothing.onnx")

@@ -11,7 +11,6 @@ import numpy as np
 import eldenet
 from eldenet.deploy import runtimes
 from eldenet.deploy.predictor import DepthPredictor, as_image
-from eldenet.deploy.quantize import read_pictures
 from eldenet.geometry import resize_image
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def export(setup: ExportSetup) -> Path:
         ValueError: the file exists already, the pictures are missing, or an fp32 file differs from torch.
     """
     from eldenet.deploy.files import describe, write_onnx, write_openvino
-    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
+    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
     from eldenet.results.run_log import RunLog, untrained_note
 
     model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)

@@ -130,7 +130,7 @@ def test_mat_own_split_is_by_frame_number(tmp_path: Path) -> None:
     assert NYUMat(tmp_path, split="train").names == ["0003", "0028"]
     assert NYUMat(tmp_path, split="val").names == ["0022", "0023"]
     mat_split(tmp_path, train=(6, 25, 26, 31), test=(3, 22))
-    with pytest.raises(ValueError, match="30 frames, split 'trainval' has frame 31"):
+    with pytest.raises(ValueError, match="has 30 frames, not 31 as 'trainval' needs"):
         NYUMat(tmp_path, split="trainval")
 
 

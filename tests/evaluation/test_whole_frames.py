@@ -106,7 +106,7 @@ def network_of_crops() -> DepthNet:
 def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> None:
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
-        config = compose("export", ["checkpoint=x", f"output='{tmp_path / 'm.onnx'}'", *overrides])
+        config = compose("export", ["checkpoint=eldenet", f"output='{tmp_path / 'm.onnx'}'", *overrides])
         assert list(target_of(build_export(config), model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)

@@ -100,7 +100,7 @@ def test_a_mistake_is_one_clear_line(run_command, arguments, message):
 def test_no_mode_replaces_the_record_of_another(tmp_path, record):
     refuse_to_replace(tmp_path, "record")
     (tmp_path / "run.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match=r"has a run\.json of (evaluate|another command): give another"):
+    with pytest.raises(ValueError, match=r"holds results of (evaluate|another command): give another"):
         refuse_to_replace(tmp_path, "record")
     refuse_to_replace(tmp_path, "train")  # writes none
     (tmp_path / "run.json").write_text('{"mode": "watch"}')  # an earlier version's name

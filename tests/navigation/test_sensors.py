@@ -149,7 +149,7 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
         assert seen.depth.shape == (60, 80)
         intrinsics = ArenaView(ARENA, (60, 80)).intrinsics
         np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
-    with pytest.raises(FileNotFoundError, match="neither a local folder"):
+    with pytest.raises(ValueError, match="unknown model 'no-such-run'"):
         camera("no-such-run")
 
 

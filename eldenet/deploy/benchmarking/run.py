@@ -93,7 +93,7 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
     if setup.reference not in found.models:
         if setup.reference != DEFAULT_REFERENCE:
             names = ", ".join(found.models)
-            raise ValueError(f"reference={setup.reference}: none of the models, which are {names}")
+            raise ValueError(f"reference={setup.reference} is not among the models: choose one of {names}")
         log.say(f"reference {setup.reference} is not among the models: no ratio_latency (give reference=)")
     cases = list_cases(setup, list(found.models), found.sizes)
     accuracies = read_accuracies(setup.accuracies, setup.accuracy, found.models)

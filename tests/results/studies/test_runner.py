@@ -154,7 +154,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path):
     assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
     again = measure("runtimes=[torch]")
     assert [line["date"] for line in again] == [line["date"] for line in rows]  # not measured again
-    with pytest.raises(ValueError, match="give one value of runtimes"):
+    with pytest.raises(ValueError, match="give one value each for runtimes"):
         measure()
     before = (tiny / "benchmark.csv").read_bytes()
     with pytest.raises(ValueError, match=r"no latency of tiny was measured.* was not changed"):
