@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,20 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
 
     def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], None]:
         composed = False
+        held, stderr = StringIO(), sys.stderr  # Hydra's own lines, which ours replace where there is one
 
         @functools.wraps(main)
         def task(config: DictConfig) -> Any:
             nonlocal composed
             composed = True
+            release()
             return _run(main, config)
+
+        def release() -> None:
+            sys.stderr = stderr
+            stderr.write(held.getvalue())
+            held.truncate(0)
+            held.seek(0)
 
         @functools.wraps(main)
         def command() -> None:
@@ -45,15 +54,20 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 version_base="1.3", config_path=str(config_folder()), config_name=config_name
             )
             try:
+                sys.stderr = held
                 decorated(task)()
                 sys.stdout.flush()
             except SystemExit as end:
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)
                 if end.code and may_be_unknown and (line := advice(config_name, words)):
+                    held.truncate(0)
+                    sys.stderr = stderr
                     _print_error(line)
                 raise
             except BrokenPipeError:  # as after `| head`
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for Python's last flush
+            finally:
+                release()
 
         return command
 
