@@ -81,7 +81,11 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
         ("train", [*TINY, "runtime.device=cuda"], "device=cuda"),
         ("train", [*TINY, "protocol=nyu_bts"], "protocol nyu_bts scores raw ground truth"),
         ("train", ["data=nyu_mat", "data.root=/nowhere"], "/nowhere"),
-        ("evaluate", ["checkpoint=eldenet_s", "data=kitti_raw", "data.root=.", "++data.test.split=val"], "(data.val...)"),
+        (
+            "evaluate",
+            ["checkpoint=eldenet_s", "data=kitti_raw", "data.root=.", "++data.test.split=val"],
+            "(data.val...)",
+        ),
         ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
         ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
     ],
