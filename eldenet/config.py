@@ -108,20 +108,6 @@ def _test_part(test_root: str | None, root: str | None) -> str:
     return "val" if len(places) == 1 else "all"
 
 
-def read_yaml(path: Path) -> Any:
-    """Return the plain values of a YAML file.
-
-    Raises:
-        ValueError: it is not YAML.
-    """
-    from yaml import YAMLError
-
-    try:
-        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (YAMLError, OSError) as error:
-        raise ValueError(f"{path} can't be read as YAML: {error}") from error
-
-
 def plain(config: Any, *, resolve: bool = True) -> Any:
     """Return plain dicts, lists and values, as ``run.json`` stores them; by default resolved."""
     return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config

@@ -15,6 +15,7 @@ from eldenet.backbones.weights import load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.heads import Head
+from eldenet.system.files import read_json
 from eldenet.types import FeatureInfo
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -168,10 +169,7 @@ class DepthNet(Configurable, nn.Module):
                 not fit.
         """
         folder = _local_folder(source, revision)
-        try:
-            config = json.loads((folder / CONFIG_NAME).read_text())
-        except ValueError as error:  # not JSON, or not text
-            raise ValueError(f"{folder / CONFIG_NAME} is not JSON: {error}") from error
+        config = read_json(folder / CONFIG_NAME)
         if not isinstance(config, dict) or "model" not in config:
             raise ValueError(f"{folder} is not an eldenet model folder: {CONFIG_NAME} has no entry 'model'")
         model = build(config["model"], trusted_modules)

@@ -15,7 +15,7 @@ from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
 from eldenet.data.paths import default_cache, find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
-from eldenet.system.files import part_file
+from eldenet.system.files import part_file, read_json
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -120,7 +120,7 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
     key = [path, state.st_size, state.st_mtime_ns]
     file = cache / f"{hashlib.sha256(path.encode()).hexdigest()[:16]}.json"
     try:
-        known = json.loads(file.read_text())
+        known = read_json(file)
         if known["shard"] == key:
             # under the name that was asked for: the path may be a link
             return [Member(f"data/{shard.name}", *entry[1:]) for entry in known["members"]], known["fault"]

@@ -23,6 +23,7 @@ from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, cell_center, clearance_map
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import read_json
 
 EDGES = (0.3, 1.0, 2.0, 3.0, 4.5, 6.5, 10.0)  # of the distance bins [m]
 NEAR = (0.3, 0.9)  # clearance of a place near an obstacle [m]; the robot fits from 0.3 m on
@@ -153,7 +154,7 @@ class RangeErrors:
                 "sensor=camera"
             )
         try:
-            content = json.loads(Path(path).read_text())
+            content = read_json(Path(path))
             lists = ("edges", "bias", "spread", "miss", "far", "sectors")
             errors = cls(**(content | {name: tuple(content[name]) for name in lists}))
         except (ValueError, KeyError, TypeError) as error:

@@ -1,6 +1,5 @@
 """``run.json``, the record of a run: how it is read, and the environment that it states."""
 
-import json
 import os
 import platform
 import shlex
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.renames import renamed
+from eldenet.system.files import read_json
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
@@ -26,10 +26,7 @@ def read_record(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it is not a JSON object.
     """
-    try:
-        content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
     return dict(renamed(content))

@@ -3,10 +3,16 @@
 import csv
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
+
+MOST_VALUES, DEEPEST = 1_000_000, 50
+"""Values in a YAML or JSON file, with every alias in full, and how deep they may be nested."""
+MOST_YAML, MOST_JSON = 1_000_000, 100_000_000  # bytes
+_TOO_DEEP = f"it is nested deeper than {DEEPEST} levels"
 
 
 @contextmanager
@@ -55,11 +61,95 @@ def read_yaml(path: Path) -> Any:
     """Return the plain values of a YAML file.
 
     Raises:
-        ValueError: the file is missing or not YAML.
+        ValueError: the file is missing, not YAML, or larger than any settings are (:data:`MOST_VALUES`).
     """
     import yaml
 
+    with _readable(path, "YAML", (yaml.YAMLError,)):
+        loader = yaml.SafeLoader(_text(path, MOST_YAML))
+        node = loader.get_single_node()
+        _check_extent(node, _parts_of_node)  # of the nodes: building the values would expand all aliases
+        content = None if node is None else loader.construct_document(node)
+    return content
+
+
+def read_json(path: Path) -> Any:
+    """Return the plain values of a JSON file.
+
+    Raises:
+        ValueError: the file is missing, not JSON, or larger than any record is (:data:`MOST_VALUES`).
+    """
+    with _readable(path, "JSON"):
+        return _json(_text(path, MOST_JSON))
+
+
+def parse_json(text: str, source: object) -> Any:
+    """Return the plain values of a JSON text; ``source`` is for messages.
+
+    Raises:
+        ValueError: the text is not JSON, or larger than any record is (:data:`MOST_VALUES`).
+    """
+    with _readable(source, "JSON"):
+        return _json(text)
+
+
+def _json(text: str) -> Any:
+    content = json.loads(text, parse_int=_whole_number)
+    _check_extent(content, lambda value: value.values() if isinstance(value, dict) else value)
+    return content
+
+
+@contextmanager
+def _readable(source: object, kind: str, errors: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     try:
-        return yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, OSError) as error:
-        raise ValueError(f"{path} can't be read as YAML: {error}") from error
+        yield
+    except RecursionError as error:
+        raise ValueError(f"{source} can't be read as {kind}: {_TOO_DEEP}") from error
+    except (ValueError, TypeError, OSError, *errors) as error:  # type: ignore[misc]
+        reason = " ".join(str(error).split())[:300]
+        raise ValueError(f"{source} can't be read as {kind}: {reason}") from error
+
+
+def _text(path: Path, most: int) -> str:
+    size = path.stat().st_size
+    if size > most:
+        raise ValueError(f"{size / 1e6:.1f} MB, more than {most // 1_000_000} MB, is no file of eldenet's")
+    return path.read_text(encoding="utf-8")
+
+
+def _whole_number(digits: str) -> int:
+    _check_digits(digits)
+    return int(digits)
+
+
+def _check_digits(digits: str) -> None:
+    """Refuse numbers that no float holds: they raise OverflowError wherever they are used."""
+    if len(digits) > 300:
+        raise ValueError(f"it has a number of {len(digits)} digits")
+
+
+def _parts_of_node(node: Any) -> Iterable[Any]:
+    """Return the parts of a node of a YAML file."""
+    if isinstance(node.value, str):
+        if node.tag.endswith((":int", ":float")):
+            _check_digits(node.value)
+        return ()
+    return (part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,)))
+
+
+def _check_extent(content: Any, parts: Callable[[Any], Iterable[Any]]) -> None:
+    """Refuse more values, with every alias in full, or deeper nesting than settings and records have."""
+    level, count = [content], 1
+    for _ in range(DEEPEST):
+        inner = (part for value in level if not _is_plain(value) for part in parts(value))
+        level = list(islice(inner, MOST_VALUES))
+        count += len(level)
+        if count > MOST_VALUES:
+            raise ValueError(f"it holds more than {MOST_VALUES:,} values")
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | int | float)
