@@ -147,9 +147,14 @@ def _walk(shard: Path) -> tuple[list[Member], str]:
                 end = entry.offset_data + -(-entry.size // 512) * 512
                 if entry.offset_data + entry.size > length:
                     return members, f"{entry.name} is incomplete"
-                if entry.isfile() and entry.name.endswith(".h5"):
+                if entry.size < 0:
+                    return members, f"{entry.name} has a size below 0"
+                if entry.name.endswith(".h5") and not entry.isdir():
+                    outside = entry.name.startswith("/") or ".." in PurePosixPath(entry.name).parts
+                    if outside or not entry.isfile() or entry.issparse():
+                        return members, f"{entry.name} is a link, or lies outside the archive: not followed"
                     members.append(Member(f"data/{shard.name}", entry.name, entry.offset_data, entry.size))
-    except (tarfile.TarError, OSError, ValueError) as error:
+    except Exception as error:  # tarfile raises many kinds
         return members, f"no tar header at byte {end}: {error}"
     with shard.open("rb") as file:
         file.seek(end)

@@ -101,6 +101,7 @@ def render_missing(
     """Render scenes into ``folder``, here (``workers=0``) or in worker processes, with a progress bar.
 
     Raises:
+        OSError: the disk is full.
         RuntimeError: a worker process failed.
     """
     from rich.console import Console
@@ -145,6 +146,9 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
         os.close(report)
         with os.fdopen(done) as lines:
             for line in lines:
+                if line.startswith("error "):
+                    _, number, file = line.rstrip("\n").split(" ", 2)
+                    raise OSError(int(number), os.strerror(int(number)), file)
                 advance(int(line))
         for process in processes:
             if process.wait() != 0:
@@ -164,7 +168,11 @@ def _work() -> None:
     scenes = job["scenes"]
     store = SceneStore(Path(job["folder"]), job["name"], job["split"], max(scenes) + 1, tuple(job["size"]))
     for scene in scenes:
-        store.render(job["renderer"], scene)
+        try:
+            store.render(job["renderer"], scene)
+        except OSError as error:  # a full disk: the caller says so once for all processes
+            print(f"error {error.errno or 0} {error.filename}", flush=True)  # noqa: T201
+            os._exit(1)
         try:
             sys.stdout.write(f"{VIEWS}\n")
             sys.stdout.flush()
