@@ -57,7 +57,7 @@ class FrameStore:
         self.handle = _open(path) if handle is None else handle
         if os.fstat(self.handle).st_size < count * slot:
             # sparse: takes no room yet. Unlike ftruncate, this cannot cut what another process just added
-            self._write(b"\0", count * slot - 1)
+            _write(self.handle, b"\0", count * slot - 1, path)
 
     def __del__(self) -> None:
         if hasattr(self, "handle"):
@@ -117,17 +117,9 @@ class FrameStore:
         has_intrinsics = int(frame.intrinsics is not None)
         fields = _FIELDS.pack(stamp, *image.shape[:2], *depth.shape, has_intrinsics, *camera)
         header = fields + _SUM.pack(_checksum(fields, image, depth))
-        self._write(image.tobytes() + depth.tobytes(), index * self.slot + HEADER)
-        self._write(header, index * self.slot)
+        _write(self.handle, image.tobytes() + depth.tobytes(), index * self.slot + HEADER, self.path)
+        _write(self.handle, header, index * self.slot, self.path)
         return True
-
-    def _write(self, content: bytes, start: int) -> None:
-        done = 0
-        try:
-            while done < len(content):
-                done += os.pwrite(self.handle, content[done:], start + done)
-        except OSError as error:  # name the file
-            raise OSError(error.errno, error.strerror, str(self.path or "memory")) from None
 
 
 def _open(path: Path | None) -> int:
@@ -140,6 +132,15 @@ def _open(path: Path | None) -> int:
         return os.memfd_create("eldenet-frames")
     with tempfile.TemporaryFile() as file:  # not on Linux: a file without a name, in memory if it fits
         return os.dup(file.fileno())
+
+
+def _write(handle: int, content: bytes, start: int, path: Path | None) -> None:
+    done = 0
+    try:
+        while done < len(content):
+            done += os.pwrite(handle, content[done:], start + done)
+    except OSError as error:  # name the file
+        raise OSError(error.errno, error.strerror, str(path or "memory")) from None
 
 
 def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:
