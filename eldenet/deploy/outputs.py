@@ -13,7 +13,8 @@ import numpy as np
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
-from eldenet.system.files import part_file
+from eldenet.system.disk import disk_errors
+from eldenet.system.files import part_file, part_path, remove_unfinished
 from eldenet.visualization import photo_beside_depth, visible_range, write_picture
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     """
     import av
 
-    unfinished = path.with_name(f".{path.stem}.part.mp4")
+    unfinished = part_path(path)
     container: Any = None
     stream: Any = None
 
@@ -186,6 +187,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
         height, width = picture.shape[:2]
         if container is None:
             path.parent.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(path.parent)
             container = av.open(str(unfinished), "w")
             most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
             stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
@@ -206,8 +208,9 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             unfinished.replace(path)
 
     try:
-        yield add
-        finish()
+        with disk_errors(path.parent, path.name):
+            yield add
+            finish()
     except BaseException:
         with suppress(OSError):
             finish()

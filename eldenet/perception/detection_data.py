@@ -10,6 +10,7 @@ from eldenet.boxes import Detections2D
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
 from eldenet.simulation.street_views import KINDS, NAMES, render_objects
+from eldenet.system.files import write_text
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
@@ -49,7 +50,7 @@ def write_dataset(
             f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    stored.write_text(json.dumps(settings))
+    write_text(stored, json.dumps(settings))
     for split, count in counts.items():
         for number in range(count):
             picture = folder / PICTURES / split / f"{number:06d}.png"
@@ -63,7 +64,7 @@ def write_dataset(
     lines = [f"path: {json.dumps(str(folder.resolve()))}"]
     lines += [f"{split}: {PICTURES}/{split}" for split in counts]
     lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(NAMES))]
-    (folder / "data.yaml").write_text("\n".join(lines) + "\n")
+    write_text(folder / "data.yaml", "\n".join(lines) + "\n")
     return folder / "data.yaml"
 
 

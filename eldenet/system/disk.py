@@ -59,6 +59,18 @@ def is_full(error: BaseException | None) -> bool:
     return False
 
 
+def disk_line(error: BaseException) -> str | None:
+    """Return the line to print for an error of a full disk or a closed folder; None: it is another error."""
+    if isinstance(error, DiskError):
+        return str(error)
+    named = f"{error.filename}" if isinstance(error, OSError) and error.filename else "this disk"
+    if is_full(error):
+        return f"no space left on {named}: free some space and start again"
+    if isinstance(error, OSError) and error.errno in CLOSED and error.filename:
+        return f"{named} cannot be used ({os.strerror(error.errno)}): give another folder or file"
+    return None
+
+
 def _free(folder: Path) -> float:
     """Bytes that are free for ``folder``; infinity where that cannot be told."""
     try:

@@ -29,7 +29,7 @@ def part_file(path: Path) -> Iterator[Path]:
     try:
         with disk_errors(folder, path.name):
             folder.mkdir(parents=True, exist_ok=True)
-            _remove_unfinished(folder)
+            remove_unfinished(folder)
             unfinished = part_path(path)
             unfinished.touch()  # a folder that must not be written says so here, before a library meets it
             yield unfinished
@@ -49,7 +49,7 @@ def part_path(path: Path) -> Path:
     return path.with_name(f".{path.stem[:200]}.{_MACHINE}-{os.getpid()}.part{path.suffix}")
 
 
-def _remove_unfinished(folder: Path) -> None:
+def remove_unfinished(folder: Path) -> None:
     """Remove what dead processes of this machine left in ``folder``; each process looks once."""
     key = os.getpid(), folder.absolute()
     if key in _seen:
