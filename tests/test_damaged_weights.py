@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.damages import refusal
 from support.networks import same_model, small_net
 
 import eldenet
@@ -40,14 +41,13 @@ def test_a_changed_bit_of_a_saved_model_is_noticed(tmp_path: Path) -> None:
         whole = path.read_bytes()
         for content in [*flips(whole, 40), *cuts(whole, 10)]:
             path.write_bytes(content)
-            try:
-                loaded = eldenet.load(tmp_path)
-            except ValueError as error:
-                assert name in str(error) or "config.json" in str(error)
-            else:  # in the digest's own name, or in white space
+            said = refusal(lambda: eldenet.load(tmp_path))
+            if said is None:  # in the digest's own name, or in white space
                 assert name == "config.json"
-                assert same_model(loaded, model)
-                assert loaded.info == {"input_size": [64, 96]}
+                assert same_model(eldenet.load(tmp_path), model)
+                assert eldenet.load(tmp_path).info == {"input_size": [64, 96]}
+            else:
+                assert name in said or "config.json" in said
         path.write_bytes(whole)
     assert same_model(eldenet.load(tmp_path), model)
 
@@ -70,7 +70,10 @@ def test_an_odd_size_in_a_config_is_named(size: Any, tmp_path: Path) -> None:
 
 def test_the_packaged_files_match_their_digests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in list_weights():
-        assert set(json.loads((PACKAGED / name / "config.json").read_text())["sha256"]) == {"config", "weights"}
+        assert set(json.loads((PACKAGED / name / "config.json").read_text())["sha256"]) == {
+            "config",
+            "weights",
+        }
     monkeypatch.setattr("eldenet.weights.PACKAGED", tmp_path)
     readers = {"arena_dqn.safetensors": Navigator.load, "arena_range_errors.json": RangeErrors.read}
     for name in ("SHA256SUMS", *readers):
@@ -89,10 +92,11 @@ def test_a_changed_bit_of_a_state_dict_is_noticed(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for content in [*flips(whole, 40), *cuts(whole, 10)]:
         path.write_bytes(content)
-        try:
-            assert torch.equal(read_weights(path)["weight"], state["weight"])  # between the zip's entries
-        except ValueError as error:
-            assert str(path) in str(error)
+        said = refusal(lambda: read_weights(path))
+        if said is None:  # between the zip's entries
+            assert torch.equal(read_weights(path)["weight"], state["weight"])
+        else:
+            assert str(path) in said
 
 
 def policy(path: Path) -> Path:
@@ -108,12 +112,12 @@ def test_a_changed_bit_of_a_policy_is_noticed(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for content in [*flips(whole, 40), *cuts(whole, 10)]:
         path.write_bytes(content)
-        try:
+        said = refusal(lambda: Navigator.load(path))
+        if said is None:
             same = Navigator.load(path).network.state_dict()
-        except ValueError as error:
-            assert str(path) in str(error)
-        else:
             assert all(torch.equal(same[name], value) for name, value in state.items())
+        else:
+            assert str(path) in said
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,14 @@ from eldenet.system.files import part_file, part_path, safe_stem, write_text
 def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> None:
     path = tmp_path / "new" / "a.txt"
     write_text(path, "old")
-    with pytest.raises(RuntimeError, match="odd"), part_file(path) as unfinished:
-        unfinished.write_text("half")
-        raise RuntimeError("odd")
+
+    def fail() -> None:
+        with part_file(path) as unfinished:
+            unfinished.write_text("half")
+            raise RuntimeError("odd")
+
+    with pytest.raises(RuntimeError, match="odd"):
+        fail()
     assert [file.name for file in path.parent.iterdir()] == ["a.txt"]
     assert path.read_text() == "old"
 

@@ -11,9 +11,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
+from support.damages import refusal
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, Stopped, digest, fit, make_trainer, stopping_at
 
@@ -192,3 +194,36 @@ def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
     torch.save({"progress": Dangerous()}, tmp_path / "pickle.pt")
     with pytest.raises(ValueError, match=r"pickle\.pt is truncated or not a valid.*run code"):
         load_checkpoint(tmp_path / "pickle.pt")
+
+
+def test_a_changed_bit_of_a_checkpoint_is_noticed(tmp_path):
+    path = tmp_path / "last.pt"
+    state = {"progress": {}, "identity": "{}", "model": {"weight": torch.randn(100, 100)}}
+    save_checkpoint(path, state)
+    whole, generator = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(40):
+        content = bytearray(whole)
+        content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
+        path.write_bytes(content)
+        said = refusal(lambda: load_checkpoint(path))
+        if said is None:  # the zip has gaps that nothing is read from
+            assert torch.equal(load_checkpoint(path)["model"]["weight"], state["model"]["weight"])
+        else:
+            assert str(path) in said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"epoch": 10**9}, {"batch": 10**9}, {"step": -7}, {"epoch": "1"}, {"best_epoch": 99}, {"history": 3}],
+)
+def test_a_forged_checkpoint_is_refused(change, tmp_path):
+    fit(tmp_path / "run", epochs=1)
+    state = load_checkpoint(tmp_path / "run")
+    forged = tmp_path / "run" / "checkpoints" / "last.pt"
+    save_checkpoint(forged, state | {"progress": state["progress"] | change})
+    with pytest.raises(ValueError, match=rf"last\.pt is .* progress\.{next(iter(change))} is .*train again"):
+        fit(tmp_path / "run", epochs=1, ckpt_path=forged)
+    del state["identity"]
+    save_checkpoint(forged, state)
+    with pytest.raises(ValueError, match="not a training checkpoint of eldenet: it has no entry 'identity'"):
+        fit(tmp_path / "run", epochs=1, ckpt_path=forged)
