@@ -2,6 +2,7 @@
 
 import json
 import logging
+import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -182,21 +183,17 @@ def save_openvino(network: object, path: str | Path, metadata: Mapping[str, str]
     for key, value in metadata.items():
         network.set_rt_info(value, ["eldenet", key])  # type: ignore[attr-defined]
     path = Path(path)
-    with part_file(path) as unfinished, part_file(path.with_suffix(".bin")) as weights:
-        openvino.save_model(network, str(unfinished), compress_to_fp16=False)
-        refuse_cut_weights(unfinished)
-        unfinished.write_bytes(sealed(unfinished.read_bytes(), weights.read_bytes()))
+    with tempfile.TemporaryDirectory() as temporary:  # OpenVINO does not say why it cannot write
+        draft = Path(temporary) / path.name
+        try:
+            openvino.save_model(network, str(draft), compress_to_fp16=False)
+        except RuntimeError as error:
+            raise OSError(f"OpenVINO could not write to {temporary}: is that disk full? ({error})") from error
+        content, weights = draft.read_bytes(), draft.with_suffix(".bin").read_bytes()
+    with part_file(path) as unfinished, part_file(path.with_suffix(".bin")) as unfinished_weights:
+        unfinished_weights.write_bytes(weights)
+        unfinished.write_bytes(sealed(content, weights))
     return path
-
-
-def refuse_cut_weights(path: Path) -> None:
-    """Raise OSError if the weights beside an OpenVINO ``.xml`` are cut: OpenVINO does not say so."""
-    import xml.etree.ElementTree as ElementTree
-
-    held = path.with_suffix(".bin").stat().st_size
-    for data in ElementTree.parse(path).getroot().iter("data"):
-        if int(data.get("offset", 0)) + int(data.get("size", 0)) > held:
-            raise OSError(f"only {held} bytes of {path.with_suffix('.bin').name} were written")
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
