@@ -179,7 +179,7 @@ def predict_pictures(
     stop: "GracefulStop",
     done: Collection[Path | str] = (),
 ) -> None:
-    """Predict the pictures that are not ``done``; unreadable ones stop the command or are listed at the end."""
+    """Predict the pictures that are not ``done``; unreadable ones stop it or are listed at the end."""
     from eldenet.data.io import read_image
 
     results = setup.results
