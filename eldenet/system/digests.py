@@ -30,8 +30,9 @@ def canonical(content: Mapping[str, Any]) -> bytes:
 
 def with_digests(config: Mapping[str, Any], weights: Path) -> dict[str, Any]:
     """Return a config with the digests of its own entries and of the weights beside it."""
-    config = json.loads(json.dumps(config))
-    return config | {KEY: {"config": digest_of([canonical(config)]), "weights": file_digest(weights)}}
+    plain = json.loads(json.dumps(config))
+    digests = {"config": digest_of([canonical(plain)]), "weights": file_digest(weights)}
+    return {**plain, KEY: digests}
 
 
 def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
-CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
 FULL_WORDS = ("No space left on device", "StorageFull", "Disk quota exceeded")
 NO_ROOM = 64 * 1024  # [bytes] fewer are free: a writer that failed in odd words failed for want of space
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from support.networks import small_net
 
+from eldenet.data.rooms import Rooms
 from eldenet.deploy.files import write_onnx, write_openvino
 from eldenet.deploy.outputs import open_video
 from eldenet.results.run_log import RunLog
@@ -31,6 +32,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         yield folder
     finally:
         subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def rooms(folder: Path) -> None:
+    Rooms("train", 16, size=(128, 160), root=folder, workers=1)
 
 
 def openvino(folder: Path) -> None:
@@ -57,6 +62,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "model": lambda folder: small_net().save_pretrained(folder / "model"),
     "onnx": lambda folder: write_onnx(small_net(), folder / "m.onnx", (32, 64), batch=1),
     "openvino": openvino,
+    "rooms": rooms,
     "picture": lambda folder: write_picture(folder / "a.png", NOISE),
     "video": video,
     "tensorboard": tensorboard,
@@ -68,5 +74,6 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 def test_a_full_disk_is_said_in_one_line(writer: str, small_disk: Path) -> None:
     with pytest.raises(DiskError, match=rf"^no space left on {small_disk}[^\n]*free some space[^\n]*$"):
         WRITERS[writer](small_disk)
-    left = [path for path in small_disk.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
+    left = [path for path in small_disk.rglob("*") if path.is_file() and path.suffix != ".frames"]
+    left = [path for path in left if "tensorboard" not in path.parts]  # these two may stay: readers skip ends
     assert left == []
