@@ -556,6 +556,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
     from eldenet.geometry import pinhole
+    from eldenet.results.fingerprints import fingerprint
 
     check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
@@ -594,6 +595,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         (span[0], span[1]) if span else None,
         bool(config.overwrite),
     )
+    if not config.boxes and not source.is_live:
+        deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "intrinsics", "depth_range")
+        results.settings = {name: str(config[name]) for name in deciding}
+        results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
     boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None

@@ -100,7 +100,9 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
             return functools.partial(part, **arguments)
         try:
             return part(**arguments)
-        except (TypeError, AttributeError, LookupError, RuntimeError) as error:
+        except ValueError:
+            raise
+        except Exception as error:  # a damaged config makes a part fail in any way
             raise ValueError(f"config of {config['_target_']} does not fit: {error}") from error
     if isinstance(config, list | tuple):
         return [build(item, trusted_modules) for item in config]

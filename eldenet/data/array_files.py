@@ -4,11 +4,12 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+from eldenet.system.reading import reading
 
 PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
 
@@ -69,18 +70,6 @@ def _check_file(path: Path, advice: str) -> None:
     if not path.is_file():
         folder = " as a file, it is a folder" if path.is_dir() else ""
         raise FileNotFoundError(f"{path} does not exist{folder}: {advice}")
-
-
-@contextmanager
-def reading(source: object, kind: str) -> Iterator[None]:
-    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
-    try:
-        yield
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-        raise ValueError(
-            f"{source} is truncated or not a valid {kind} ({reason}): fetch or write it again"
-        ) from error
 
 
 def read_array(path: Path) -> np.ndarray:

@@ -15,12 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
+from eldenet.system.disk import DiskError, disk_errors
 from eldenet.types import Frame
 
 #: Stored depth is a multiple of this [m]: two bytes would do, and reach 13.1 m.
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
+FULL_DISK = 28  # exit code of a worker, as ENOSPC
 
 
 class Generator(NamedTuple):
@@ -64,6 +66,7 @@ class SceneStore:
     def __init__(self, folder: Path, name: str, split: str, scenes: int, size: tuple[int, int]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.name, self.split, self.scenes, self.size = name, split, scenes, size
+        self.folder = folder
         path = folder / f"{split}.frames"
         self.frames = FrameStore(path, scenes * VIEWS, slot_size(7 * size[0] * size[1]))
 
@@ -80,6 +83,10 @@ class SceneStore:
         """Render and store one scene, unless it is there."""
         if self.has(scene):
             return
+        with disk_errors(self.folder, "a rendered frame"):
+            self._render(renderer, scene)
+
+    def _render(self, renderer: str, scene: int) -> None:
         module, _, function = renderer.rpartition(".")
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS)
         meters = encode_depth(views.depth).astype(np.float32) * np.float32(DEPTH_STEP)
@@ -101,8 +108,8 @@ def render_missing(
     """Render scenes into ``folder``, here (``workers=0``) or in worker processes, with a progress bar.
 
     Raises:
-        OSError: the disk is full.
         RuntimeError: a worker process failed.
+        DiskError: the disk is full.
     """
     from rich.console import Console
 
@@ -146,11 +153,13 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
         os.close(report)
         with os.fdopen(done) as lines:
             for line in lines:
-                if line.startswith("error "):
-                    _, number, file = line.rstrip("\n").split(" ", 2)
-                    raise OSError(int(number), os.strerror(int(number)), file)
                 advance(int(line))
         for process in processes:
+            if process.wait() == FULL_DISK:
+                raise DiskError(
+                    f"no space left on {jobs[0]['folder']}: not all frames were rendered; free some space "
+                    "there, or set $ELDENET_CACHE to another folder, and start again"
+                )
             if process.wait() != 0:
                 raise RuntimeError(
                     f"a render process ended with code {process.returncode}: see its message above"
@@ -170,9 +179,8 @@ def _work() -> None:
     for scene in scenes:
         try:
             store.render(job["renderer"], scene)
-        except OSError as error:  # a full disk: the caller says so once for all processes
-            print(f"error {error.errno or 0} {error.filename}", flush=True)  # noqa: T201
-            os._exit(1)
+        except DiskError:
+            sys.exit(FULL_DISK)
         try:
             sys.stdout.write(f"{VIEWS}\n")
             sys.stdout.flush()

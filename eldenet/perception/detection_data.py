@@ -11,7 +11,7 @@ from eldenet.data.array_files import read_text, reading
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
 from eldenet.simulation.street_views import KINDS, NAMES, render_objects
-from eldenet.system.files import read_json
+from eldenet.system.files import read_json, write_text
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
@@ -51,7 +51,7 @@ def write_dataset(
             f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    stored.write_text(json.dumps(settings))
+    write_text(stored, json.dumps(settings))
     for split, count in counts.items():
         for number in range(count):
             picture = folder / PICTURES / split / f"{number:06d}.png"
@@ -65,7 +65,7 @@ def write_dataset(
     lines = [f"path: {json.dumps(str(folder.resolve()))}"]
     lines += [f"{split}: {PICTURES}/{split}" for split in counts]
     lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(NAMES))]
-    (folder / "data.yaml").write_text("\n".join(lines) + "\n")
+    write_text(folder / "data.yaml", "\n".join(lines) + "\n")
     return folder / "data.yaml"
 
 

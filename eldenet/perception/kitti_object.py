@@ -18,6 +18,7 @@ from eldenet.data.io import read_image
 from eldenet.data.kitti_calibration import entry, read_scan
 from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera, nearest_points
+from eldenet.system.files import write_text
 
 TREE = """
 training/
@@ -150,8 +151,7 @@ def write_labels(path: Path, labels: KittiLabels) -> None:
         numbers.append(labels.score[i])
         text = " ".join(f"{value:.4f}" for value in numbers)
         lines.append(f"{kind} {labels.truncated[i]:.2f} {labels.occluded[i]} {labels.alpha[i]:.4f} {text}\n")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(lines))
+    write_text(path, "".join(lines))
 
 
 class KittiObjects:

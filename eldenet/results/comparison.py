@@ -22,7 +22,7 @@ from eldenet.results.tables import (
     to_latex,
     to_markdown,
 )
-from eldenet.system.files import write_rows
+from eldenet.system.files import write_rows, write_text
 
 # equal in all runs of a table: of its metrics, and of its costs
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
@@ -67,8 +67,8 @@ def report_runs(setup: ReportSetup) -> None:
     output = setup.output
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
     write_rows(output.with_name(f"{stem}.csv"), titles, rows)
-    output.with_name(f"{stem}.md").write_text(to_markdown(titles, rows, notes))
-    output.with_name(f"{stem}.tex").write_text(to_latex(titles, rows, notes))
+    write_text(output.with_name(f"{stem}.md"), to_markdown(titles, rows, notes))
+    write_text(output.with_name(f"{stem}.tex"), to_latex(titles, rows, notes))
     log = RunLog(output.parent)
     log.table(notes[0], titles, rows)
     log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")

@@ -8,13 +8,13 @@ Stores of frames are identified in another way: the frame cache by the state of 
 (:mod:`eldenet.data.cache`), rendered frames and episodes by the version of their generator.
 """
 
-import hashlib
 import inspect
 import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from eldenet.system.digests import file_digest
 from eldenet.weights import WEIGHT_FILES, located
 
 KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder or Hub id
@@ -136,8 +136,7 @@ def sha256(source: str | Path) -> str | None:
     weights = folder.with_suffix(".bin") if folder.suffix == ".xml" else folder
     for file in (weights, *(folder / name for name in WEIGHT_FILES)):
         if file.is_file():
-            with file.open("rb") as content:
-                return hashlib.file_digest(content, "sha256").hexdigest()
+            return file_digest(file)
     return None
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.results.statistics import Difference
+from eldenet.system.files import part_file
 
 
 def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
@@ -32,7 +33,8 @@ def _pyplot() -> Any:
 
 def _save(figure: Any, path: Path) -> None:
     """Write the same bytes for the same runs."""
-    figure.savefig(path, dpi=120, metadata={"Software": None})
+    with part_file(path) as unfinished:
+        figure.savefig(unfinished, dpi=120, metadata={"Software": None})
     _pyplot().close(figure)
 
 

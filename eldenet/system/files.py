@@ -3,11 +3,18 @@
 import csv
 import json
 import math
+import os
+import platform
+import re
+import shutil
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+from eldenet.system.disk import disk_errors
 
 MOST_VALUES, DEEPEST = 1_000_000, 50
 """Values in a YAML or JSON file, with every alias in full, and how deep they may be nested."""
@@ -17,20 +24,80 @@ _TOO_DEEP = f"it is nested deeper than {DEEPEST} levels"
 
 @contextmanager
 def part_file(path: Path) -> Iterator[Path]:
-    """Yield a hidden path beside ``path`` that replaces it at the end; after an error it is removed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.stem}.part{path.suffix}")
+    """Yield a hidden path beside ``path`` that replaces it at the end; after an error it is removed.
+
+    What a killed process left in that folder is removed by the next one that writes there.
+
+    Raises:
+        DiskError: the disk is full, or the folder must not be written.
+    """
+    folder = path.parent
     try:
-        yield unfinished
-        unfinished.replace(path)
+        with disk_errors(folder, path.name):
+            folder.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(folder)
+            unfinished = part_path(path)
+            unfinished.touch()  # a folder that must not be written says so here, before a library meets it
+            yield unfinished
+            unfinished.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):
+            part_path(path).unlink(missing_ok=True)
+
+
+_MACHINE = f"{zlib.crc32(platform.node().encode()):08x}"  # folders may be shared between machines
+_PART = re.compile(rf"\..*\.{_MACHINE}-(\d+)\.part(\.[^.]*)?")
+_seen: set[tuple[int, Path]] = set()  # folders in which this process has looked
+
+
+def part_path(path: Path) -> Path:
+    """Return where this process writes ``path`` until it is complete."""
+    return path.with_name(f".{path.stem[:200]}.{_MACHINE}-{os.getpid()}.part{path.suffix}")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what dead processes of this machine left in ``folder``; each process looks once."""
+    key = os.getpid(), folder.absolute()
+    if key in _seen:
+        return
+    _seen.add(key)
+    for name in os.listdir(folder):
+        found = _PART.fullmatch(name)
+        if found and not _lives(int(found[1])):
+            with suppress(OSError):
+                (folder / name).unlink()
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
+
+
+def copy_file(source: Path, path: Path) -> None:
+    """Copy a file; it appears whole."""
+    with part_file(path) as unfinished:
+        shutil.copy2(source, unfinished)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8); it appears whole."""
+    with part_file(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def safe_stem(name: str) -> str:
+    """Return a name from foreign data as part of a file's name: no folders, no odd characters, not hidden."""
+    return re.sub(r"[^\w.+-]+", "_", name).lstrip(".")[:100] or "unnamed"
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file; NaN and infinity become null, so that any reader can parse it."""
-    with part_file(path) as unfinished:
-        unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
 
 
 def _without_nan(value: Any) -> Any:
@@ -53,8 +120,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain values as a YAML file."""
     import yaml
 
-    with part_file(path) as unfinished:
-        unfinished.write_text(yaml.safe_dump(dict(content), sort_keys=False))
+    write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
 
 
 def read_yaml(path: Path) -> Any:

@@ -250,7 +250,7 @@ class Trainer:
             },
         )
         if ckpt_path is not None:
-            self.state.restore(Path(ckpt_path))
+            self.state.restore(Path(ckpt_path), epochs=self.epochs, batches=self.sampler.batches)
             if self.accelerator.is_main_process:
                 bring_best(Path(ckpt_path), folder, self.progress)
         self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")

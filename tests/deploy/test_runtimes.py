@@ -228,7 +228,8 @@ def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str)
 def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) -> None:
     folder = trained_model.save_pretrained(tmp_path / "model")
     config = folder / "config.json"
-    config.write_text(config.read_text().replace("eldenet.heads", "tests_foreign.heads"))
+    text = config.read_text().replace("eldenet.heads", "tests_foreign.heads")
+    config.write_text(text.replace("sha256", "none"))  # theirs has no digests
     with pytest.raises(ValueError, match="trusted_modules"):
         runtimes.load(folder, threads=1)
     with pytest.raises(ValueError, match="tests_foreign"):  # it is looked for now

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.system.reading import reading
+
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
@@ -25,16 +27,24 @@ def fingerprint(model: "DepthNet") -> str:
 def read_rows(
     folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
 ) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped."""
+    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped.
+
+    Raises:
+        ValueError: a line is no row.
+    """
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
-    if (folder / ROWS_FILE).is_file():
-        for line in (folder / ROWS_FILE).read_text().splitlines():
+    path = folder / ROWS_FILE
+    if path.is_file():
+        with reading(path, "text file"):
+            lines = path.read_text(encoding="utf-8").splitlines()
+        for number, line in enumerate(lines, 1):
             try:
                 row = json.loads(line)
-            except json.JSONDecodeError:
+            except ValueError:
                 continue
-            if wanted(row):
-                rows[tuple(row["key"])] = row
+            with reading(f"{path}, line {number},", "row of a benchmark", "remove that line"):
+                if wanted(row):
+                    rows[tuple(row["key"])] = row
     return rows
 
 

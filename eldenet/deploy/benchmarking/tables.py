@@ -18,13 +18,13 @@ def write_results(
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded) and ``.png``; print the table."""
     from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
     from eldenet.results.tables import to_latex, to_markdown
-    from eldenet.system.files import write_rows
+    from eldenet.system.files import write_rows, write_text
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
     notes = notes_of(rows)
-    (output / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
-    (output / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
+    write_text(output / "results.md", to_markdown(COLUMNS, cells, notes))
+    write_text(output / "results.tex", to_latex(COLUMNS, cells, notes))
     # a terminal is narrow: the title shows what all rows share
     same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
     shown = [position for position, name in enumerate(COLUMNS) if name not in same]
@@ -112,6 +112,7 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
     from matplotlib import pyplot
 
     from eldenet.results.plots import name_points
+    from eldenet.system.files import part_file
 
     given = accuracies is not None
     accuracy, title = accuracies or ({}, "")
@@ -142,6 +143,7 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=7, loc="upper left")
     name_points(axes, points)
-    figure.savefig(path, dpi=150)
+    with part_file(path) as unfinished:
+        figure.savefig(unfinished, dpi=150)
     pyplot.close(figure)
     return True

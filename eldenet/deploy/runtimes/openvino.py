@@ -57,7 +57,7 @@ class OpenvinoRuntime(Runtime):
             settings["INFERENCE_NUM_THREADS"] = threads
         try:
             self.compiled = core.compile_model(str(path), name, settings)
-        except RuntimeError as error:
+        except Exception as error:  # of a damaged file, of any type
             raise ValueError(f"OpenVINO cannot load {path}: {error}") from error
         super().__init__(precision, threads, device.lower(), metadata)
         self.request = self.compiled.create_infer_request()

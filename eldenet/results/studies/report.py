@@ -11,7 +11,7 @@ from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.studies.tables import Block, build_blocks
 from eldenet.results.tables import WORDS, to_latex, to_markdown
-from eldenet.system.files import write_rows
+from eldenet.system.files import write_rows, write_text
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
 
@@ -56,8 +56,8 @@ def write_study_report(folder: str | Path, composition: Composition) -> list[Blo
         markdown += ["![differences to the reference row, with 95 % intervals](differences.png)", ""]
     place = study.folder.as_posix() if study.folder.name not in ("", "..") else study.name
     markdown += [f"Made by `python -m eldenet.report study={place}`.", ""]
-    (study.folder / "results.md").write_text("\n".join(markdown))
-    (study.folder / "results.tex").write_text("\n".join(latex))
+    write_text(study.folder / "results.md", "\n".join(markdown))
+    write_text(study.folder / "results.tex", "\n".join(latex))
     _write_csv(study, blocks)
     return blocks
 

@@ -15,7 +15,7 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
 from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
-from eldenet.system.files import write_json
+from eldenet.system.files import write_json, write_text
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
@@ -172,7 +172,7 @@ class _RowRun:
     def failed(self, folder: Path, name: str, error: Exception) -> Outcome:
         """Record an error; the other runs continue."""
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "failed.txt").write_text(traceback.format_exc())
+        write_text(folder / "failed.txt", traceback.format_exc())
         self.say(f"{name} failed: {error} (see {folder / 'failed.txt'})")
         return Outcome(name, "failed", f"{type(error).__name__}: {error}")
 
