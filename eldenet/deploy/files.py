@@ -3,6 +3,8 @@
 import json
 import logging
 import tempfile
+import sys
+import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -28,6 +30,7 @@ NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 METADATA_PREFIX = "eldenet."
 EXPORT_AGAIN = "export it again (python -m eldenet.export)"
+_ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
 
 
 def describe(
@@ -146,15 +149,30 @@ def _torch_to_onnx(
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal."""
-    disabled = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logging.disable(disabled)
+    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal.
+
+    Other threads wait: those that left in another order than they entered would leave the terminal silent.
+    """
+    with _ONE_AT_A_TIME:
+        disabled = logging.root.manager.disable
+        logging.disable(logging.WARNING)
+        try:
+            with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+                warnings.simplefilter("ignore")
+                yield
+        finally:
+            logging.disable(disabled)
+
+
+def decline_telemetry() -> None:
+    """Keep OpenVINO and nncf from sending telemetry in this process; call it before they are imported.
+
+    Each import and each conversion is reported to Google Analytics, unless a file in the user's home folder
+    declines. Without ``openvino_telemetry``, an optional package, nothing is sent or stored.
+    """
+    telemetry = sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
+    if telemetry is not None:  # the program has imported OpenVINO itself
+        telemetry.main.TelemetrySender.send = lambda *message: None
 
 
 def set_metadata(path: str | Path, metadata: Mapping[str, str]) -> None:
@@ -171,6 +189,7 @@ def set_metadata(path: str | Path, metadata: Mapping[str, str]) -> None:
 
 def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, str]) -> Path:
     """Convert an ONNX file to OpenVINO IR (``.xml`` + ``.bin``) with fp32 weights."""
+    decline_telemetry()
     import openvino
 
     return save_openvino(openvino.convert_model(str(source)), path, metadata)

@@ -1,6 +1,5 @@
 """int8 by post-training quantization: calibration pictures give the scales, without training."""
 
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 
 from eldenet.data.inspection import spread
 from eldenet.data.io import IMAGE_ENDINGS, read_image
-from eldenet.deploy.files import quiet, read_metadata, save_openvino, set_metadata
+from eldenet.deploy.files import decline_telemetry, quiet, read_metadata, save_openvino, set_metadata
 from eldenet.system.files import part_file
 
 
@@ -87,9 +86,9 @@ def quantize_openvino(
     Raises:
         ImportError: nncf is not installed.
     """
+    decline_telemetry()
     import openvino
 
-    os.environ.setdefault("NNCF_DISABLE_TELEMETRY", "1")
     try:
         with quiet():
             import nncf

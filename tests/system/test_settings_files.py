@@ -1,4 +1,4 @@
-"""Settings and records are read in a moment whatever they hold: hostile ones are one line that names the file."""
+"""Settings and records are read in a moment: a hostile one is one line that names the file."""
 
 from pathlib import Path
 
