@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
+from eldenet.system.files import part_file
 from eldenet.training.resume import checkpoint_file
 
 LAST, BEST = "last.pt", "best.pt"
@@ -89,8 +90,11 @@ class TrainingState:
                 "checkpoint was kept. Try a lower optimizer.lr or trainer.max_grad_norm=1"
             )
 
-    def restore(self, path: Path) -> None:
+    def restore(self, path: Path) -> str:
         """Load everything from a checkpoint file or run folder.
+
+        Returns:
+            A note for the user where the result may differ in the last digits; else "".
 
         Raises:
             FileNotFoundError: there is none.
@@ -118,6 +122,13 @@ class TrainingState:
             torch.cuda.set_rng_state(state["cuda_rng"])
         for name, value in state["progress"].items():
             setattr(self.progress, name, value)
+        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
+        if None in threads or threads[0] == threads[1]:
+            return ""
+        return (
+            f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
+            f"another order, so the last digits change (runtime.threads={threads[0]} keeps them)"
+        )
 
 
 def _renamed_identity(identity: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,13 +173,10 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
 
 def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
     """Write ``state`` to ``path`` atomically: a reader finds the old file or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with unfinished.open("wb") as file:
+    with part_file(path) as unfinished, unfinished.open("wb") as file:
         torch.save(dict(state), file)
         file.flush()
         os.fsync(file.fileno())
-    unfinished.replace(path)
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
