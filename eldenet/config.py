@@ -160,6 +160,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         make_loss=functools.partial(instantiate, config.loss),
         make_trainer=functools.partial(_build_trainer, config),
         resources=settings["runtime"],
+        process_timeout=config.process_timeout,
         normalization=settings["normalization"],
         weights=config.weights,
         teacher=config.teacher,

@@ -2,8 +2,8 @@
 
 import json
 import logging
-import tempfile
 import sys
+import tempfile
 import threading
 import warnings
 from collections import Counter

@@ -20,7 +20,10 @@ from eldenet.weights import WEIGHT_FILES, located
 KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder or Hub id
 # where a run lies, its name and the resources that it used: none of them changes a result
 NOT_COMPARED = frozenset(
-    ("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache", "threads", "workers", "device")
+    (
+        *("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache"),
+        *("threads", "workers", "device", "process_timeout"),
+    )
 )
 
 

@@ -92,13 +92,16 @@ class TrainingState:
                 "checkpoint was kept. Try a lower optimizer.lr or trainer.max_grad_norm=1"
             )
 
-    def restore(self, path: Path, *, epochs: int, batches: int) -> None:
+    def restore(self, path: Path, *, epochs: int, batches: int) -> str:
         """Load everything from a checkpoint file or run folder.
 
         Args:
             path: of it.
             epochs: of the training.
             batches: of an epoch.
+
+        Returns:
+            A note for the user where the result may differ in the last digits; else "".
 
         Raises:
             FileNotFoundError: there is none.
@@ -132,6 +135,13 @@ class TrainingState:
         torch.set_rng_state(state["torch_rng"])
         if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # absent in early ones
             torch.cuda.set_rng_state(state["cuda_rng"])
+        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
+        if None in threads or threads[0] == threads[1]:
+            return ""
+        return (
+            f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
+            f"another order, so the last digits change (runtime.threads={threads[0]} keeps them)"
+        )
 
 
 def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> dict[str, Any]:
