@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from eldenet.system.escaping import csv_cell
+
 
 @contextmanager
 def part_file(path: Path) -> Iterator[Path]:
@@ -36,11 +38,11 @@ def _without_nan(value: Any) -> Any:
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file."""
+    """Write a CSV file; a text that a spreadsheet would run as a formula starts with an apostrophe there."""
     with part_file(path) as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+        for row in (header, *rows):
+            writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
