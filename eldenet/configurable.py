@@ -180,8 +180,9 @@ def refuse_foreign_code(settings: Any) -> None:
         names = {"_target_": [value], "trusted_modules": value if isinstance(value, list) else [value]}
         for name in map(str, filter(None, names.get(key, ()))):
             if not _within(name, trusted_modules) and not (key == "_target_" and name in targets):
+                module = name.rpartition(".")[0] or name
                 raise ValueError(
-                    f"refused {key}={name}: a study's settings may name eldenet's own parts only. If "
-                    f"you have read that code and trust it: trusted_modules=[{name.rpartition('.')[0] or name}]"
+                    f"refused {key}={name}: a study's settings may name eldenet's own parts only. If you "
+                    f"have read that code and trust it: trusted_modules=[{module}]"
                 )
         refuse_foreign_code(value)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.renames import renamed
+from eldenet.results.record_checks import HISTORY, RUN, check_shape
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
@@ -24,15 +25,20 @@ def read_record(path: Path) -> dict[str, Any]:
     """Read the ``run.json`` of any command, with today's names.
 
     Raises:
-        ValueError: it is not a JSON object.
+        ValueError: it is not a JSON object, or holds NaN or endless nesting.
     """
     try:
-        content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+        content = json.loads(path.read_bytes(), parse_constant=_refuse_constant)
+        content = renamed(content)
+    except (ValueError, RecursionError) as error:  # undecodable text and endless numbers are ValueErrors
+        raise ValueError(f"{path} is not JSON: {error}. Restore it, or make it again") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
-    return dict(renamed(content))
+    return content
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def read_run(path: str | Path) -> dict[str, Any]:
@@ -40,7 +46,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it is not JSON, or has no metrics.
+        ValueError: it is not JSON, has no metrics, or an entry that cannot be: a text for a number, delta1=7.
     """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
@@ -51,6 +57,9 @@ def read_run(path: str | Path) -> dict[str, Any]:
     content = read_record(path)
     if "metrics" not in content:
         raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
+    if "protocol" in content:  # of train and evaluate; other commands count other things
+        check_shape(path, content, RUN)
+        check_shape(path, content.get("training") or {}, HISTORY, "training")
     return content
 
 

@@ -45,6 +45,29 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]])
             writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
 
 
+def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file by column.
+
+    Raises:
+        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as lines:
+            reader = csv.DictReader(lines, strict=True)
+            rows, header = list(reader), list(reader.fieldnames or ())
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is not a CSV file ({error}): restore it, or make it again") from error
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise ValueError(
+            f"{path} has the columns {header}, but needs {missing}: restore it, or make it again"
+        )
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise ValueError(f"{path}, line {number} is cut or damaged: restore the file, or make it again")
+    return rows
+
+
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain values as a YAML file."""
     import yaml
