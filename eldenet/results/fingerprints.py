@@ -66,7 +66,7 @@ def _default(target: str, option: str, otherwise: Any) -> Any:
 
     A record may come from anywhere: only names of this package and of torch are imported.
     """
-    if not target.startswith(("eldenet.", "torch.")):
+    if not str(target).startswith(("eldenet.", "torch.")):
         return otherwise
     try:
         parameter = inspect.signature(pkgutil.resolve_name(target)).parameters.get(option)

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from eldenet.system.disk import disk_errors
+from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
 from eldenet.system.progress import Bar, progress_bar
 
@@ -81,7 +82,7 @@ class RunLog:
         for number, column in enumerate(columns):
             table.add_column(escape(column), justify="left" if number == 0 else "right")
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*(escape(one_line(cell)) for cell in row))  # no terminal codes
         self.console.print(table)
 
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> AbstractContextManager[Bar]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.system.disk import disk_errors
+from eldenet.system.escaping import csv_cell
 
 MOST_VALUES, DEEPEST = 1_000_000, 50
 """Values in a YAML or JSON file, with every alias in full, and how deep they may be nested."""
@@ -109,11 +110,34 @@ def _without_nan(value: Any) -> Any:
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file."""
+    """Write a CSV file; a text that a spreadsheet would run as a formula starts with an apostrophe there."""
     with part_file(path) as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+        for row in (header, *rows):
+            writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
+
+
+def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file by column.
+
+    Raises:
+        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as lines:
+            reader = csv.DictReader(lines, strict=True)
+            rows, header = list(reader), list(reader.fieldnames or ())
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is not a CSV file ({error}): restore it, or make it again") from error
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise ValueError(
+            f"{path} has the columns {header}, but needs {missing}: restore it, or make it again"
+        )
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise ValueError(f"{path}, line {number} is cut or damaged: restore the file, or make it again")
+    return rows
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
@@ -160,7 +184,7 @@ def parse_json(text: str, source: object) -> Any:
 
 
 def _json(text: str) -> Any:
-    content = json.loads(text, parse_int=_whole_number)
+    content = json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)
     _check_extent(content, lambda value: value.values() if isinstance(value, dict) else value)
     return content
 
@@ -201,6 +225,10 @@ def _parts_of_node(node: Any) -> Iterable[Any]:
             _check_digits(node.value)
         return ()
     return (part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,)))
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number in JSON")
 
 
 def _check_extent(content: Any, parts: Callable[[Any], Iterable[Any]]) -> None:

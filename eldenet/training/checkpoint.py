@@ -122,6 +122,13 @@ class TrainingState:
             self._load(state)
         for name, value in progress.items():
             setattr(self.progress, name, value)
+        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
+        if None in threads or threads[0] == threads[1]:
+            return ""
+        return (
+            f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
+            f"another order, so the last digits change (runtime.threads={threads[0]} keeps them)"
+        )
 
     def _load(self, state: Mapping[str, Any]) -> None:
         self.model.load_state_dict(state["model"])
@@ -135,13 +142,6 @@ class TrainingState:
         torch.set_rng_state(state["torch_rng"])
         if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # absent in early ones
             torch.cuda.set_rng_state(state["cuda_rng"])
-        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
-        if None in threads or threads[0] == threads[1]:
-            return ""
-        return (
-            f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
-            f"another order, so the last digits change (runtime.threads={threads[0]} keeps them)"
-        )
 
 
 def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> dict[str, Any]:

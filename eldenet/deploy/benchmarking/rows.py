@@ -6,12 +6,32 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.system.reading import reading
+from eldenet.results.record_checks import (
+    MAPPING,
+    MAYBE_TEXT,
+    TEXT,
+    WHOLE,
+    Kind,
+    ListOf,
+    check_shape,
+    figure,
+    require,
+)
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 ROWS_FILE = "rows.jsonl"
+ROW: dict[str, Any] = {
+    **dict.fromkeys(("model", "runtime", "precision", "device", "command", "date", "processor"), TEXT),
+    **dict.fromkeys(("height", "width", "batch", "threads"), WHOLE),
+    "key": ListOf(Kind("a text or a number", lambda value: isinstance(value, str | int))),
+    "versions": MAPPING,
+    "failed": MAYBE_TEXT,
+    **{name: figure(name) for name in ("params", "gmacs", "latency_ms_p50", "latency_ms_p95")},
+}
+FIGURES = ("gflops", "fps", "throughput_img_s", "peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak")
+ROW |= {name: figure(name) for name in (*FIGURES, "ratio_latency")}
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
@@ -30,21 +50,21 @@ def read_rows(
     """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped.
 
     Raises:
-        ValueError: a line is no row.
+        ValueError: a line is JSON, but no row of a benchmark.
     """
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
     path = folder / ROWS_FILE
     if path.is_file():
-        with reading(path, "text file"):
-            lines = path.read_text(encoding="utf-8").splitlines()
-        for number, line in enumerate(lines, 1):
+        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
             try:
                 row = json.loads(line)
-            except ValueError:
+            except (ValueError, RecursionError):
                 continue
-            with reading(f"{path}, line {number},", "row of a benchmark", "remove that line"):
-                if wanted(row):
-                    rows[tuple(row["key"])] = row
+            where = f"{path}, line {number} (remove that line, and it is measured again)"
+            check_shape(where, row, ROW)
+            require(where, row, *ROW)
+            if wanted(row):
+                rows[tuple(row["key"])] = row
     return rows
 
 

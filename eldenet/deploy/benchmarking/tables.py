@@ -106,19 +106,16 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
 
 def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path: Path) -> bool:
     """Draw accuracy (None: parameters) over latency; return whether there was a point to draw."""
-    import matplotlib
+    from matplotlib.ticker import LogLocator
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from eldenet.results.plots import name_points
-    from eldenet.system.files import part_file
+    from eldenet.results.plots import name_points, pyplot_for_files
 
     given = accuracies is not None
     accuracy, title = accuracies or ({}, "")
     shown = [row for row in rows if row["latency_ms_p50"] and (not given or row["model"] in accuracy)]
     if not shown:
         return False
+    pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
     series: dict[str, list[Mapping[str, Any]]] = {}
     for row in shown:
@@ -140,6 +137,10 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
         ylabel=title if given else "parameters [M]",
         yscale="linear" if given else "log",
     )
+    for axis in (axes.xaxis, axes.yaxis) if not given else (axes.xaxis,):  # logarithmic
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(LogLocator(subs=(2, 5)))
+        axis.set_minor_formatter("{x:g}")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=7, loc="upper left")
     name_points(axes, points)
