@@ -383,7 +383,7 @@ NETWORKS = (
 
 def _study(root: Path) -> None:
     root.mkdir(parents=True, exist_ok=True)
-    study = write_plan(root)
+    study = write_plan(root, "seeds: [0, 1, 2]", "seeds: [0]")
     for name, offset in (("small", 0.0), ("large", 0.05)):
         for seed in study.rows[0].seeds:
             store(study, name, seed, figures(offset, seed))
@@ -399,6 +399,14 @@ def _tables(root: Path) -> Any:
         (block.titles, block.rows, block.notes)
         for block in build_blocks(read_study(root, training_composition()))
     ]
+
+
+def _plan(root: Path) -> Any:
+    from eldenet.config import training_composition
+    from eldenet.results.studies.plan import read_study
+
+    study = read_study(root, training_composition())
+    return study.rows, study.overrides, study.reference, study.columns, study.epoch, study.plots
 
 
 def _report(root: Path) -> Any:
@@ -485,7 +493,7 @@ def _read_choice(root: Path) -> Any:
 def _setup(root: Path) -> Any:
     from eldenet.config import build_training, compose
 
-    return build_training(compose("train", ["data=rooms", f"run_dir='{root}'", "ckpt_path=auto"]), root)
+    return build_training(compose("train", ["model_name=small", f"run_dir='{root}'", "ckpt_path=auto"]), root)
 
 
 def _begun_run(root: Path) -> None:
@@ -517,7 +525,7 @@ RESULTS = (
     FileKind("run.json in a report", "stored/small/seed0/run.json", _one_run, _report),
     FileKind("run.json in a study", "stored/small/seed0/run.json", _study, _tables, named=("small",)),
     FileKind("per_image.csv", "stored/small/seed0/per_image.csv", _study, _tables, named=("small",)),
-    FileKind("sweep.yaml", "sweep.yaml", _study, _tables),
+    FileKind("sweep.yaml", "sweep.yaml", lambda root: (root.mkdir(parents=True), write_plan(root)), _plan),
     one_file("expected.csv", "expected.csv", _write_expected, _read_expected),
     FileKind("benchmark.csv", "benchmark.csv", _write_latencies, _read_latencies),
     FileKind(
