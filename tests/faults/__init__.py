@@ -1,1 +1,1 @@
-"""Damaged files, hostile files, kills, full disks: what eldenet does then. ``python -m tests.faults`` runs all."""
+"""Damaged files, hostile files, kills, full disks: ``python -m tests.faults`` tries them all."""

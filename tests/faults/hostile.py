@@ -22,9 +22,26 @@ from support.rooms_network import trained
 from support.stored_study import figures, store, write_plan
 
 from .campaign import RAW, Outcome, in_processes, judge
-from .kinds import CAR, _checkpoint, _policy, _read_model, _report, _save_weights, _tables, _weights
+from .kinds import (
+    CAR,
+    _checkpoint,
+    _kitti_objects,
+    _policy,
+    _read_kitti_objects,
+    _read_model,
+    _read_rows,
+    _read_video,
+    _report,
+    _resume,
+    _save_weights,
+    _tables,
+    _train,
+    _weights,
+    frames,
+)
 
 Attack = tuple[Path, Callable[[], Any]]  # the file that a message should name, and what a user does with it
+QUICK_WITHOUT = ("checkpoint of", "checkpoint without", "study", "onnx file", "xml")  # they take seconds
 HOSTILE: dict[str, Callable[[Path], Attack]] = {}
 
 
@@ -34,18 +51,28 @@ def hostile(write: Callable[[Path], Attack]) -> Callable[[Path], Attack]:
     return write
 
 
-def attack_all(folder: Path) -> dict[str, Outcome]:
+def refused(folder: Path, file: Path, use: Callable[[], Any]) -> Attack:
+    """An attack that has reached its goal once ``use`` returns."""
+
+    def and_tell() -> None:
+        use()
+        (folder / "ESCAPED").touch()
+
+    return file, and_tell
+
+
+def attack_all(folder: Path, *, quick: bool) -> dict[str, Outcome]:
     """Outcome of each hostile file; one that reached its goal is raw, whatever was said."""
 
     def one(name: str) -> Outcome:
         place = folder / name.replace(" ", "_") / "inside"
         place.mkdir(parents=True)
         file, use = HOSTILE[name](place)
-        found = judge(use, (file.name, file.stem), None)
+        found = judge(use, (file.name, file.stem, "refused"), None)
         escaped = [path for path in place.parent.rglob("*ESCAPED*") if path.is_file()]
-        return Outcome(RAW, f"wrote {escaped[0]}; {found.said}") if escaped else found
+        return Outcome(RAW, f"reached its goal; {found.said}") if escaped else found
 
-    names = list(HOSTILE)
+    names = [name for name in HOSTILE if not (quick and any(word in name for word in QUICK_WITHOUT))]
     return dict(zip(names, in_processes([partial(one, name) for name in names]), strict=True))
 
 
@@ -123,7 +150,7 @@ def a_study_that_names_write_text(folder: Path) -> Attack:
     from eldenet.config import training_composition
     from eldenet.results.studies.latency import row_networks
 
-    call = f"+model.head.data=x, 'model.head._target_=pathlib.Path.write_text', '+model.head.self={folder}/ESCAPED'"
+    call = f"'model.head={{_target_: pathlib.Path.touch, self: {folder}/ESCAPED}}'"
     study = write_plan(folder, "[model=eldenet_s]", f"[model=eldenet_s, {call}]")
     assert training_composition()
     return folder / "sweep.yaml", lambda: list(row_networks(study).networks)
@@ -168,13 +195,7 @@ def _outside(folder: Path, line: str) -> Attack:
     layouts.folder(folder / "data", count=1)
     layouts.folder(folder / "secret", count=1)
     (folder / "data/pairs.csv").write_text(line)
-    file, read = _folder_data(folder / "data")
-
-    def must_not() -> None:
-        read()
-        (folder / "ESCAPED").touch()  # it has read what lies outside
-
-    return file, must_not
+    return refused(folder, *_folder_data(folder / "data"))
 
 
 @hostile
@@ -198,8 +219,6 @@ def an_archive_that_climbs_out(folder: Path) -> Attack:
         link = tarfile.TarInfo("office_0002/00009.h5")
         link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
         archive.addfile(link)
-    from .kinds import frames
-
     return file, lambda: frames(folder, "tar")
 
 
@@ -214,7 +233,7 @@ def hdf5_that_links_to_another_file(folder: Path) -> Attack:
     with h5py.File(file, "w") as damaged:
         for key in ("rgb", "depth"):
             damaged[key] = h5py.ExternalLink(str(folder / "secret.h5"), key)
-    return file, lambda: _must_not_read(folder)
+    return refused(folder, file, lambda: frames(folder, "hdf5"))
 
 
 @hostile
@@ -228,14 +247,7 @@ def hdf5_with_pixels_in_another_file(folder: Path) -> Attack:
     with h5py.File(file, "w") as damaged:
         damaged.create_dataset("rgb", rgb.shape, "u1", external=[(folder / "secret.bin", 0, rgb.size)])
         damaged["depth"] = layouts.SMALL.meters
-    return file, lambda: _must_not_read(folder)
-
-
-def _must_not_read(folder: Path) -> None:
-    from .kinds import frames
-
-    frames(folder, "hdf5")
-    (folder / "ESCAPED").touch()
+    return refused(folder, file, lambda: frames(folder, "hdf5"))
 
 
 @hostile
@@ -262,8 +274,6 @@ def onnx_with_weights_in_another_file(folder: Path) -> Attack:
 
 @hostile
 def a_playlist_as_video(folder: Path) -> Attack:
-    from .kinds import _read_video
-
     file = folder / "walk.mp4"
     file.write_text("ffconcat version 1.0\nfile /etc/passwd\n")
     return file, lambda: _read_video(file)
@@ -292,7 +302,7 @@ def a_png_of_900_million_pixels(folder: Path) -> Attack:
     file = folder / "picture.png"
     chunks = chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
     file.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
-    return _image(file)
+    return refused(folder, *_image(file))
 
 
 @hostile
@@ -312,8 +322,6 @@ def an_npy_file_of_a_terabyte(folder: Path) -> Attack:
 @hostile
 def hdf5_of_a_terabyte(folder: Path) -> Attack:
     import h5py
-
-    from .kinds import frames
 
     layouts.hdf5(folder)
     file = folder / "train/office_0002/00001.h5"
@@ -388,12 +396,12 @@ def _changed_run(
 
 @hostile
 def a_delta1_of_7(folder: Path) -> Attack:
-    return _changed_run(folder, lambda run: run["metrics"].update(delta1=7.0))
+    return refused(folder, *_changed_run(folder, lambda run: run["metrics"].update(delta1=7.0)))
 
 
 @hostile
 def an_rmse_of_minus_5(folder: Path) -> Attack:
-    return _changed_run(folder, lambda run: run["metrics"].update(rmse=-5.0))
+    return refused(folder, *_changed_run(folder, lambda run: run["metrics"].update(rmse=-5.0)))
 
 
 @hostile
@@ -436,8 +444,6 @@ def odd_sizes_in_the_metadata_of_an_onnx_file(folder: Path) -> Attack:
 def a_checkpoint_without_identity(folder: Path) -> Attack:
     import torch
 
-    from .kinds import _resume, _train
-
     _train(folder)
     file = folder / "checkpoints/last.pt"
     state = torch.load(file)
@@ -450,19 +456,12 @@ def a_checkpoint_without_identity(folder: Path) -> Attack:
 def a_checkpoint_of_epoch_a_billion(folder: Path) -> Attack:
     import torch
 
-    from .kinds import _resume, _train
-
     _train(folder)
     file = folder / "checkpoints/last.pt"
     state = torch.load(file)
     state["progress"] |= {"epoch": 10**9, "batch": 10**9}
     torch.save(state, file)
-
-    def resume() -> None:
-        _resume(folder)
-        (folder / "ESCAPED").touch()  # it took the number
-
-    return file, resume
+    return refused(folder, file, lambda: _resume(folder))
 
 
 @hostile
@@ -476,28 +475,19 @@ def a_policy_that_is_not_a_number(folder: Path) -> Attack:
     with safe_open(str(DEFAULT_WEIGHTS), framework="pt") as packaged:
         weights = {name: packaged.get_tensor(name) * float("nan") for name in packaged.keys()}  # noqa: SIM118
         save_file(weights, str(file), metadata=packaged.metadata())
-
-    def load() -> None:
-        _policy(file)
-        (folder / "ESCAPED").touch()
-
-    return file, load
+    return refused(folder, file, lambda: _policy(file))
 
 
 @hostile
 def labels_that_are_not_numbers(folder: Path) -> Attack:
-    from .kinds import _kitti_objects, _read_kitti_objects
-
     _kitti_objects(folder)
     file = folder / "label_2/000007.txt"
     file.write_text(CAR.replace("13.22", "nan"))
-    return file, lambda: _read_kitti_objects(folder)
+    return refused(folder, file, lambda: _read_kitti_objects(folder))
 
 
 @hostile
 def old_rows_without_a_key(folder: Path) -> Attack:
-    from .kinds import _read_rows
-
     file = folder / "rows.jsonl"
     file.write_text('{"model": "net"}\n[1, 2]\n7\n{"key": {"a": 1}}\n{"key": [[1], {}]}\n')
     return file, lambda: _read_rows(file)

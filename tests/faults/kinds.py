@@ -23,6 +23,9 @@ from support.training import fit, make_trainer
 
 from .campaign import FileKind
 
+#: They take seconds to write or to read.
+COSTLY = ("last.pt", "best.pt", "dqn.pt", "ONNX", "OpenVINO", "run.json in a study", "per_image.csv")
+
 layouts.KITTI_SIZES = {"2011_09_26": (60, 80), "2011_09_28": (56, 84)}  # pictures that are read in no time
 
 

@@ -79,4 +79,5 @@ def _line(name: str, rows: Iterable[Row]) -> str:
     silent = of(SILENT, [row for row in rows if row.digest])
     unseen = of(SILENT, [row for row in rows if not row.digest])
     attacks = sum(map(of, CLASSES))
-    return f"| {name} | {attacks} | {of(CLEAR)} | {of(UNHARMED)} | {silent} | {unseen} | {of(RAW)} | {of(HANG)} |"
+    cells = [name, attacks, of(CLEAR), of(UNHARMED), silent, unseen, of(RAW), of(HANG)]
+    return f"| {' | '.join(map(str, cells))} |"
