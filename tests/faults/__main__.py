@@ -1,6 +1,6 @@
 """``python -m tests.faults``: the whole campaign, for ``results.json`` and the table in docs/reliability.md.
 
-``--quick`` makes one flip and one cut of the kinds that take no seconds, and changes no file of the repository.
+``--quick`` makes one flip and one cut of the kinds that take no seconds, and stores nothing.
 """
 
 import argparse
