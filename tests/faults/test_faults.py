@@ -1,0 +1,49 @@
+"""No damaged or hostile file ends in a traceback, a crash or a hang; none under a check sum passes unseen."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def run(*arguments: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.faults", *arguments],
+        cwd=REPOSITORY,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_short_campaign(tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    pytest.importorskip("OpenEXR")
+    run("--quick", "--output", str(tmp_path / "results.json"))
+    rows = json.loads((tmp_path / "results.json").read_text())
+    assert len(rows) > 60
+    assert not any(row["wrong"] for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_whole_campaign(tmp_path: Path) -> None:
+    run("--output", str(tmp_path / "results.json"))
+
+
+def test_the_page_shows_the_stored_results() -> None:
+    sums = [0, 0]
+    for row in json.loads((REPOSITORY / "tests/faults/results.json").read_text()):
+        sums[row["part"] == "file"] += sum(row["counts"].values())
+    page = (REPOSITORY / "docs/reliability.md").read_text()
+    begin = page.index("| attack |")
+    table = page[begin : page.index("\n\n", begin)]
+    numbers = [int(line.split("|")[2]) for line in table.splitlines()[2:]]
+    assert sum(numbers) == sum(sums)
+    assert sums[True] >= 500
