@@ -52,7 +52,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
     if "protocol" in content:  # of train and evaluate; other commands count other things
         check_shape(path, content, RUN)
         check_shape(path, content.get("training") or {}, HISTORY, "training")
-    return dict(renamed(content))
+    return content
 
 
 def environment() -> dict[str, Any]:
