@@ -11,7 +11,7 @@ import pytest
 from support.stored_study import figures, store, write_plan
 
 from eldenet.deploy.benchmarking.rows import ROWS_FILE, read_rows
-from eldenet.results.comparison import ReportSetup, report_runs
+from eldenet.results.comparison import NEEDED_FOR_COSTS, ReportSetup, find_runs, report_runs
 from eldenet.results.run_record import read_record
 from eldenet.results.statistics import per_image
 from eldenet.results.studies.tables import build_blocks
@@ -114,12 +114,14 @@ def damaged(content: bytes, count: int) -> list[bytes]:
     return found + [content[: RNG.randrange(len(content))] for _ in range(count // 2)]
 
 
-@pytest.mark.parametrize("name", ["run.json", "per_image.csv"])
-def test_flips_and_cuts_of_a_stored_run_are_no_tracebacks(stored, name):
-    study, folder, _ = stored
-    for content in damaged((folder / name).read_bytes(), 20):
-        (folder / name).write_bytes(content)
-        attempt(lambda: build_blocks(study))
+def test_flips_and_cuts_of_a_stored_run_are_no_tracebacks(stored):
+    folder = stored[1]
+    for content in damaged((folder / "run.json").read_bytes(), 20):
+        (folder / "run.json").write_bytes(content)
+        attempt(lambda: find_runs([str(folder)], NEEDED_FOR_COSTS))
+    for content in damaged((folder / "per_image.csv").read_bytes(), 40):
+        (folder / "per_image.csv").write_bytes(content)
+        attempt(lambda: per_image([folder / "per_image.csv"], "delta1"))
 
 
 @pytest.mark.parametrize(
@@ -134,16 +136,9 @@ def test_a_record_that_is_no_json_object_is_named(tmp_path, content):
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "name\na\n",
-        "name,delta1\na\n",
-        "name,delta1\na,x\n",
-        "name,delta1\na,7\n",
-        "name,delta1\na,inf\n",
-        "name,delta1\na,0.5\na,0.5\n",
-        'name,delta1\n"a,0.5\n',
-        "name,delta1\na,0.5,6\n",
-        "name,delta1\nÿ\n",
+        *("", "name\na\n", "name,delta1\na\n", "name,delta1\na,x\n", "name,delta1\na,7\n"),
+        *("name,delta1\na,0.5\na,0.5\n", 'name,delta1\n"a,0.5\n', "name,delta1\na,0.5,6\n"),
+        *("name,delta1\na,inf\n", "name,delta1\n\xff\n"),
     ],
 )
 def test_a_damaged_per_image_file_is_named(tmp_path, text):
