@@ -4,15 +4,16 @@ import functools
 import logging
 import math
 import os
+import pkgutil
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.configurable import building_only, refuse_foreign_code
-from eldenet.system.checks import one_of
+from eldenet.system.checks import check_arguments, one_of
 from eldenet.system.resources import choose_resources, prepare_environment
 from eldenet.weights import list_weights
 
@@ -156,12 +157,16 @@ def instantiate(config: Any, **arguments: Any) -> Any:
     """Build what a config node describes; the object gets plain lists and dicts, never OmegaConf's.
 
     Raises:
-        ValueError: a class or argument in the config does not exist, the class refused its arguments, or the
-            node is of a study and names code that it may not run.
+        ValueError: a class or argument in the config does not exist, a value is of another type than the
+            class's, the class refused its arguments, or the node is of a study and names code that it may
+            not run.
     """
     from hydra.errors import InstantiationException
 
     refuse_foreign_code(plain(config))
+
+    if OmegaConf.is_config(config):
+        _check_values(plain(config), config._get_full_key(None), arguments)
     try:
         return hydra.utils.instantiate(config, _convert_="all", **arguments)
     except InstantiationException as error:
@@ -169,6 +174,24 @@ def instantiate(config: Any, **arguments: Any) -> Any:
         if isinstance(cause, USER_ERRORS):
             raise cause from None
         raise ValueError(str(error)) from error
+
+
+def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = None) -> None:
+    """Compare the values of a node, and of those below it, with what their classes are annotated with."""
+    if isinstance(node, list):
+        node = dict(enumerate(node))
+    if not isinstance(node, dict):
+        return
+    prefix = f"{name}." if name else ""
+    if "_target_" in node:
+        try:
+            target = pkgutil.resolve_name(node["_target_"])
+        except (ImportError, AttributeError, ValueError):  # Hydra's own error says more
+            return
+        check_arguments(target, {key: value for key, value in node.items() if value != "???"}, prefix)
+        check_arguments(target, arguments or {})
+    for key, value in node.items():
+        _check_values(value, f"{prefix}{key}")
 
 
 # --- what commands are built from
@@ -181,6 +204,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         check_sources(config, "weights", "teacher")
     from eldenet.training.setup import TrainingSetup
 
+    check_arguments(TrainingSetup, {name: config[name] for name in ("seed", "process_timeout")})
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
     return TrainingSetup(
         folder=folder,

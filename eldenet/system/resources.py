@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+MOST = 1024  # threads, or workers
 CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -90,6 +91,9 @@ def choose_resources(
     Warns:
         UserWarning: more threads and workers than cores on a CPU.
     """
+    for name, count, least in (("threads", threads, 1), ("workers", workers, 0)):
+        if count != "auto" and not (type(count) is int and least <= count <= MOST):
+            raise ValueError(f"runtime.{name}={count}: give a whole number from {least} to {MOST}, or auto")
     if device not in ("auto", "cpu", "cuda"):
         raise ValueError(f"device={device!r}: choose auto, cpu or cuda")
     if for_torch:

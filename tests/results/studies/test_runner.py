@@ -16,7 +16,7 @@ from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
-from eldenet.results.studies.runner import sole
+from eldenet.system.locks import sole_writer
 
 
 def add_to_plan(study: Path, text: str = "", old: str = "", new: str = "", one_seed: bool = False) -> None:
@@ -210,13 +210,12 @@ def test_a_message_names_the_setting_that_a_row_needs(tiny, tmp_path):
 
 def test_a_row_is_run_by_one_process_at_a_time(tiny, tmp_path):
     study, folder = read_study(tiny, training_composition()), tmp_path / "runs/tiny/eldenet"
-    with sole(folder) as free:
-        assert free
+    with sole_writer(folder):
         outcomes = run(study, "eldenet", tmp_path / "runs")
     assert [outcome.status for outcome in outcomes] == ["running elsewhere"]
     assert not (tiny / "stored").exists()
-    with sole(folder) as free:
-        assert free
+    with sole_writer(folder):
+        pass
 
 
 def test_a_row_that_starts_from_another_needs_its_weights(tiny, tmp_path):
