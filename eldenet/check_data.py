@@ -37,6 +37,7 @@ def check(setup: "CheckDataSetup") -> bool:
         {
             "data": setup.name,
             "faults": found.faults,
+            "fingerprint": found.fingerprint,
             "same_frames": dict(setup.same),
             "splits": [split.as_dict() for split in found.splits],
             "config": setup.config,
@@ -63,6 +64,8 @@ def _show(log: "RunLog", setup: "CheckDataSetup", found: "DataCheck") -> None:
             log.say(f"mean and std of the training images: 'normalization={{mean: [{mean}], std: [{std}]}}'")
     for line in found.faults:
         log.say(line)
+    if found.fingerprint:
+        log.say(found.fingerprint)
     verdict = "something is wrong, see above" if found.faults else "all is well"
     log.say(f"{verdict}; written to {log.folder}: {CHECK_FILE}" + (f", {SHEET}" if found.panels else ""))
 

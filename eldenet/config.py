@@ -4,11 +4,14 @@ import functools
 import logging
 import math
 import os
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.configurable import building_only, refuse_foreign_code
 from eldenet.system.checks import one_of
 from eldenet.system.resources import choose_resources, prepare_environment
 from eldenet.weights import list_weights
@@ -34,11 +37,23 @@ if TYPE_CHECKING:
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.results.comparison import ReportSetup
     from eldenet.results.studies.plan import Composition
-    from eldenet.results.studies.runner import StudySetup
+    from eldenet.results.studies.runner import StudySetup, Training
     from eldenet.training.setup import TrainingSetup
 
 SPLITS = ("train", "val", "test")
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
+# groups of a training's parts: what a study's settings may build
+PARTS = (
+    "experiment",
+    "model",
+    "data",
+    "loss",
+    "optimizer",
+    "scheduler",
+    "augmentation",
+    "trainer",
+    "protocol",
+)
 
 
 def config_folder() -> Path:
@@ -108,20 +123,6 @@ def _test_part(test_root: str | None, root: str | None) -> str:
     return "val" if len(places) == 1 else "all"
 
 
-def read_yaml(path: Path) -> Any:
-    """Return the plain values of a YAML file.
-
-    Raises:
-        ValueError: it is not YAML.
-    """
-    from yaml import YAMLError
-
-    try:
-        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (YAMLError, OSError) as error:
-        raise ValueError(f"{path} can't be read as YAML: {error}") from error
-
-
 def plain(config: Any, *, resolve: bool = True) -> Any:
     """Return plain dicts, lists and values, as ``run.json`` stores them; by default resolved."""
     return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
@@ -133,14 +134,34 @@ def listed(config: Any) -> list[Any]:
     return values if isinstance(values, list) else [values]
 
 
+@contextmanager
+def settings_of_a_study(trusted_modules: Sequence[str]) -> Iterator[None]:
+    """Within the block, :func:`instantiate` builds only what the settings of a stranger's study may build.
+
+    That is what our own YAML files of a training's parts name, and those of ``--config-dir``. A command line
+    is its user's own and may name anything.
+
+    Args:
+        trusted_modules: packages or modules that settings may name beyond that.
+    """
+    folders = [config_folder(), *(Path(source.removeprefix("file://")) for source in added_sources())]
+    files = [file for folder in folders for part in PARTS for file in (folder / part).rglob("*.yaml")]
+    texts = [file.read_text(errors="replace") for file in files]
+    known = frozenset(target for text in texts for target in re.findall(r"_target_: *([\w.]+)", text))
+    with building_only(known, trusted_modules):
+        yield
+
+
 def instantiate(config: Any, **arguments: Any) -> Any:
     """Build what a config node describes; the object gets plain lists and dicts, never OmegaConf's.
 
     Raises:
-        ValueError: a class or argument in the config does not exist, or the class refused its arguments.
+        ValueError: a class or argument in the config does not exist, the class refused its arguments, or the
+            node is of a study and names code that it may not run.
     """
     from hydra.errors import InstantiationException
 
+    refuse_foreign_code(plain(config))
     try:
         return hydra.utils.instantiate(config, _convert_="all", **arguments)
     except InstantiationException as error:
@@ -174,6 +195,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         make_loss=functools.partial(instantiate, config.loss),
         make_trainer=functools.partial(_build_trainer, config),
         resources=settings["runtime"],
+        process_timeout=config.process_timeout,
         normalization=settings["normalization"],
         weights=config.weights,
         teacher=config.teacher,
@@ -408,11 +430,42 @@ def build_split(
     return dataset
 
 
-def training_composition() -> "Composition":
-    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks."""
+def training_composition(trusted_modules: Sequence[str] = ()) -> "Composition":
+    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks.
+
+    Args:
+        trusted_modules: packages beyond eldenet whose code a study's settings may run.
+    """
     from eldenet.results.studies.plan import Composition
 
-    return Composition(lambda overrides: plain(compose("train", overrides)), build_model)
+    def build(model: Any) -> Any:
+        with settings_of_a_study(trusted_modules):
+            return build_model(model)
+
+    return Composition(lambda overrides: plain(compose("train", overrides)), build)
+
+
+def study_training(trusted_modules: Sequence[str] = ()) -> "Training":
+    """Return how a study's runs are trained: as ``eldenet.train`` trains, but with its own code alone.
+
+    Args:
+        trusted_modules: packages beyond eldenet whose code a study's settings may run.
+    """
+    from eldenet.results.studies.runner import Training
+
+    def train_run(overrides: Sequence[str], folder: Path) -> None:
+        from eldenet.training.run import train
+
+        with settings_of_a_study(trusted_modules):
+            train(build_training(compose("train", overrides), folder))
+
+    def check_finished(overrides: Sequence[str], stored: Path) -> None:
+        from eldenet.training.resume import finished_run
+
+        with settings_of_a_study(trusted_modules):
+            finished_run(build_training(compose("train", overrides), stored))
+
+    return Training(train_run, check_finished, training_composition(trusted_modules))
 
 
 def build_report(config: DictConfig) -> "ReportSetup":
@@ -536,7 +589,24 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         check_ground_truth=build_protocol(config).check_ground_truth,
         frames=config.frames,
         samples=config.samples,
+        fingerprint=_digest_list(config),
     )
+
+
+def _digest_list(config: DictConfig) -> Path | None:
+    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
+    given = config.fingerprint
+    if given is None or given is False:
+        return None
+    if given is not True:
+        return Path(given).expanduser()
+    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
+    if root is None:
+        raise ValueError(
+            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
+            "fingerprint=/my/folder/list.sha256"
+        )
+    return Path(root).expanduser()
 
 
 # --- predict, export, benchmark -----------------------------------------------------------------------------
@@ -553,6 +623,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
     from eldenet.geometry import pinhole
+    from eldenet.results.fingerprints import fingerprint
 
     check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
@@ -591,6 +662,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         (span[0], span[1]) if span else None,
         bool(config.overwrite),
     )
+    if not config.boxes and not source.is_live:
+        deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "intrinsics", "depth_range")
+        results.settings = {name: str(config[name]) for name in deciding}
+        results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
     boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
@@ -688,7 +763,7 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         models=tuple(map(str, models)),
         sizes=tuple(map(tuple, sizes)),
         output=Path(config.output).expanduser(),
-        composition=training_composition(),
+        composition=training_composition(lists["trusted_modules"]),
     )
 
 

@@ -4,12 +4,17 @@ A part's ``config`` has the form of its YAML file, such as
 ``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
 Saved models come from other people, so :func:`build` checks the name of a target's module *before* it imports
 anything, and then accepts only subclasses of :class:`Configurable`.
+
+Studies come from other people, too, and Hydra builds whatever their settings name. :func:`building_only` and
+:func:`refuse_foreign_code` keep that to known parts.
 """
 
 import functools
 import importlib
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Self
 
 TRUSTED_MODULES = (
@@ -83,8 +88,7 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
             :class:`Configurable` class, does not take its arguments, or sets a transient argument (which
             could download or read any file).
     """
-    if isinstance(trusted_modules, str):
-        raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
+    _refuse_text(trusted_modules)
     if isinstance(config, Mapping):
         arguments = {key: build(value, trusted_modules) for key, value in config.items() if key[:1] != "_"}
         if "_target_" not in config:
@@ -100,7 +104,9 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
             return functools.partial(part, **arguments)
         try:
             return part(**arguments)
-        except (TypeError, AttributeError, LookupError, RuntimeError) as error:
+        except ValueError:
+            raise
+        except Exception as error:  # a damaged config makes a part fail in any way
             raise ValueError(f"config of {config['_target_']} does not fit: {error}") from error
     if isinstance(config, list | tuple):
         return [build(item, trusted_modules) for item in config]
@@ -110,7 +116,7 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
 def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     module, _, name = target.rpartition(".")
     trusted = (*TRUSTED_MODULES, *trusted_modules)
-    if not any(module == allowed or module.startswith(f"{allowed}.") for allowed in trusted):
+    if not _within(module, trusted):
         raise ValueError(
             f"refused to build {target!r}: its module is not one of {', '.join(trusted)}. If you trust that "
             "code, name it: trusted_modules=[...]"
@@ -122,3 +128,63 @@ def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     if not (isinstance(part, type) and issubclass(part, Configurable)):
         raise ValueError(f"refused to build {target!r}: not a Configurable class of {module}")
     return part
+
+
+def _within(name: str, modules: Sequence[str]) -> bool:
+    return any(name == module or name.startswith(f"{module}.") for module in modules)
+
+
+def _refuse_text(trusted_modules: Sequence[str]) -> None:
+    if isinstance(trusted_modules, str):
+        raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
+
+
+# --- settings of studies ------------------------------------------------------------------------------------
+
+_allowed: ContextVar[tuple[Collection[str], Sequence[str]] | None] = ContextVar("_allowed", default=None)
+
+
+@contextmanager
+def building_only(targets: Collection[str], trusted_modules: Sequence[str] = ()) -> Iterator[None]:
+    """Within the block, :func:`refuse_foreign_code` lets these targets pass; outside of any, all.
+
+    Args:
+        targets: each as ``_target_`` names it.
+        trusted_modules: packages or modules of which everything passes.
+
+    Raises:
+        ValueError: ``trusted_modules`` is no list.
+    """
+    _refuse_text(trusted_modules)
+    token = _allowed.set((targets, trusted_modules))
+    try:
+        yield
+    finally:
+        _allowed.reset(token)
+
+
+def refuse_foreign_code(settings: Any) -> None:
+    """Raise ValueError for a setting, at any depth, that names code which may not be built here.
+
+    A teacher's ``trusted_modules`` is such a setting, too: its saved config may name their classes.
+
+    Args:
+        settings: resolved, plain.
+    """
+    allowed = _allowed.get()
+    if allowed is None:
+        return
+    targets, trusted_modules = allowed
+    if isinstance(settings, list):
+        for item in settings:
+            refuse_foreign_code(item)
+    for key, value in settings.items() if isinstance(settings, Mapping) else ():
+        names = {"_target_": [value], "trusted_modules": value if isinstance(value, list) else [value]}
+        for name in map(str, filter(None, names.get(key, ()))):
+            if not _within(name, trusted_modules) and not (key == "_target_" and name in targets):
+                module = name.rpartition(".")[0] or name
+                raise ValueError(
+                    f"refused {key}={name}: a study's settings may name eldenet's own parts only. If you "
+                    f"have read that code and trust it: trusted_modules=[{module}]"
+                )
+        refuse_foreign_code(value)

@@ -15,6 +15,9 @@ from eldenet.backbones.weights import load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.heads import Head
+from eldenet.system.checks import check_size
+from eldenet.system.digests import check_digests, with_digests
+from eldenet.system.files import part_file, read_json, write_text
 from eldenet.types import FeatureInfo
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -109,7 +112,7 @@ class DepthNet(Configurable, nn.Module):
         return depth if self.refine is None else self.refine(depth, image)
 
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
-        """Write ``config.json`` and ``model.safetensors`` into ``folder``.
+        """Write ``config.json`` and ``model.safetensors`` into ``folder``; the config has digests of both.
 
         Args:
             folder: created if it does not exist.
@@ -124,14 +127,12 @@ class DepthNet(Configurable, nn.Module):
         from eldenet import __version__
 
         try:
-            text = json.dumps(
-                {
-                    "eldenet_version": __version__,
-                    "model": self.config,
-                    "info": merge_info(self.info, info or {}),
-                },
-                indent=2,
-            )
+            config = {
+                "eldenet_version": __version__,
+                "model": self.config,
+                "info": merge_info(self.info, info or {}),
+            }
+            json.dumps(config)
         except TypeError as error:
             raise ValueError(
                 f"cannot save this model: {error}. Its parts must subclass Configurable, and their arguments "
@@ -139,12 +140,11 @@ class DepthNet(Configurable, nn.Module):
             ) from error
         state = {name: value.detach().cpu().contiguous() for name, value in self.state_dict().items()}
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        unfinished = folder / f".{WEIGHTS_NAME}.part"  # so that a kill leaves no half-written weights
-        save_file(state, unfinished, metadata={"format": "pt"})
-        (folder / CONFIG_NAME).write_text(text + "\n")
-        unfinished.chmod((folder / CONFIG_NAME).stat().st_mode)  # safetensors makes files private
-        unfinished.replace(folder / WEIGHTS_NAME)
+        with part_file(folder / WEIGHTS_NAME) as unfinished:
+            mode = unfinished.stat().st_mode
+            save_file(state, unfinished, metadata={"format": "pt"})
+            unfinished.chmod(mode)  # safetensors makes files private
+            write_text(folder / CONFIG_NAME, json.dumps(with_digests(config, unfinished), indent=2) + "\n")
         return folder
 
     @classmethod
@@ -164,16 +164,11 @@ class DepthNet(Configurable, nn.Module):
 
         Raises:
             FileNotFoundError: neither a folder with both files nor a reachable Hub id.
-            ValueError: the config is damaged or names something untrusted, or the weights are damaged or do
-                not fit.
+            ValueError: the config is damaged or names something untrusted, or the weights are damaged (they
+                do not match the config's digest) or do not fit.
         """
         folder = _local_folder(source, revision)
-        try:
-            config = json.loads((folder / CONFIG_NAME).read_text())
-        except ValueError as error:  # not JSON, or not text
-            raise ValueError(f"{folder / CONFIG_NAME} is not JSON: {error}") from error
-        if not isinstance(config, dict) or "model" not in config:
-            raise ValueError(f"{folder} is not an eldenet model folder: {CONFIG_NAME} has no entry 'model'")
+        config = _read_config(folder)
         model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
             raise ValueError(
@@ -181,8 +176,7 @@ class DepthNet(Configurable, nn.Module):
             )
         path = folder / WEIGHTS_NAME
         load_weights(model, read_weights(path), path)
-        info = config.get("info")
-        model.info = info if isinstance(info, dict) else {}
+        model.info = config["info"]
         return model.eval()
 
     def push_to_hub(
@@ -240,6 +234,24 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
             f"{source} is not a local folder, and the Hub failed: {type(error).__name__}: {error}"
         ) from error
     return _complete(folder, source)
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    """Return ``config.json``, once it and the weights match its digests and its facts have the right types.
+
+    Raises:
+        ValueError: one of them is damaged.
+    """
+    path = folder / CONFIG_NAME
+    config = read_json(path)
+    if not isinstance(config, dict) or "model" not in config:
+        raise ValueError(f"{folder} is not an eldenet model folder: {CONFIG_NAME} has no entry 'model'")
+    check_digests(config, path, folder / WEIGHTS_NAME)
+    if not isinstance(config.get("info"), dict):
+        config["info"] = {}
+    for name in ("input_size", "whole_frame_size"):
+        check_size(f"{path}: {name} of info", config["info"].get(name))
+    return config
 
 
 def _complete(folder: Path, source: str | Path) -> Path:

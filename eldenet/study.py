@@ -1,7 +1,6 @@
 """``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster."""
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,31 +23,14 @@ def study_rows(study: str, rows: Any) -> str:
 def main(config: "DictConfig", folder: Path) -> None:
     """Run the chosen rows one after the other and print at the end what became of each."""
     from eldenet.results.run_log import RunLog
-    from eldenet.results.studies.runner import Training, run_study
+    from eldenet.results.studies.runner import run_study
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError(
             "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
         )
-    run_study(
-        cfg.build_study(config),
-        Training(train_run, check_finished, cfg.training_composition()),
-        RunLog(folder),
-    )
-
-
-def train_run(overrides: Sequence[str], folder: Path) -> None:
-    """Train in ``folder`` as ``eldenet.train`` with these overrides does."""
-    from eldenet.training.run import train
-
-    train(cfg.build_training(cfg.compose("train", overrides), folder))
-
-
-def check_finished(overrides: Sequence[str], stored: Path) -> None:
-    """Raise ValueError unless the run that is stored is the one of these overrides."""
-    from eldenet.training.resume import finished_run
-
-    finished_run(cfg.build_training(cfg.compose("train", overrides), stored))
+    training = cfg.study_training(cfg.listed(config.trusted_modules))
+    run_study(cfg.build_study(config), training, RunLog(folder))
 
 
 if __name__ == "__main__":

@@ -111,8 +111,8 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     """
     pixels = picture[..., ::-1] if picture.ndim == 3 else picture
     with part_file(path) as unfinished:
-        if not cv2.imwrite(str(unfinished), np.ascontiguousarray(pixels)):
-            raise OSError(f"could not write {path}: no permission, or the disk is full")
+        # not cv2.imwrite, which does not say why it fails
+        unfinished.write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:

@@ -2,11 +2,15 @@
 
 import pickle
 import re
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+
+from eldenet.system.reading import reading
 
 Weights = dict[str, Tensor]
 
@@ -31,25 +35,40 @@ def read_weights(path: str | Path) -> Weights:
     if not path.is_file():
         raise ValueError(f"no weights at {path}: give the path of a .safetensors file or of a state dict")
     if path.suffix == ".safetensors":
-        from safetensors import SafetensorError
         from safetensors.torch import load_file
 
-        try:
+        with reading(path, "safetensors file"):
             return load_file(path)
-        except SafetensorError as error:
-            raise ValueError(f"{path} is not a complete safetensors file: {error}") from error
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
-        raise ValueError(
-            f"{path} holds more than a state dict of tensors, and a pickle can run code: save one with "
-            f"torch.save(model.state_dict(), path). {error}"
-        ) from error
+    content = read_torch(path)
     if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
         content = content["state_dict"]  # as training checkpoints usually store it
-    if not (isinstance(content, Mapping) and all(isinstance(value, Tensor) for value in content.values())):
+    if not (
+        isinstance(content, Mapping)
+        and all(isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items())
+    ):
         raise ValueError(f"{path} holds no state dict: give a mapping of names to tensors")
     return dict(content)
+
+
+def read_torch(path: Path) -> Any:
+    """Read what ``torch.save`` wrote, onto the CPU, without running code; check sums are checked first.
+
+    Raises:
+        ValueError: the file is damaged, or holds more than tensors and plain values.
+    """
+    with reading(path, "file of torch.save"):
+        if zipfile.is_zipfile(path):  # torch itself does not look at the check sums
+            with zipfile.ZipFile(path) as archive:
+                damaged = archive.testzip()
+            if damaged is not None:
+                raise ValueError(f"wrong check sum of {damaged}")
+        try:
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except pickle.UnpicklingError as error:
+            raise ValueError(
+                f"it holds more than a state dict of tensors, and a pickle can run code: save one with "
+                f"torch.save(model.state_dict(), path). {error}"
+            ) from error
 
 
 def load_weights(module: nn.Module, weights: Weights, source: str | Path) -> None:

@@ -4,6 +4,7 @@ import functools
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import StringIO
@@ -18,6 +19,7 @@ from omegaconf import DictConfig, MissingMandatoryValue
 
 from eldenet.cli.help import advice, help_template
 from eldenet.config import USER_ERRORS, config_folder, resolver
+from eldenet.system.disk import disk_line, is_full
 
 
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
@@ -58,6 +60,12 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 decorated(task)()
                 sys.stdout.flush()
             except SystemExit as end:
+                if isinstance(end.__context__, OSError) and not composed:  # Hydra could not make its folder
+                    held.truncate(0)
+                    held.seek(0)
+                    sys.stderr = stderr
+                    _print_error(disk_line(end.__context__) or str(end.__context__))
+                    raise
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)
                 if end.code and may_be_unknown and (line := advice(config_name, words)):
                     held.truncate(0)
@@ -79,6 +87,7 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
     sweep = hydra_config.mode == RunMode.MULTIRUN
+    threading.excepthook = _thread_failed
     try:
         if sweep and any(word.startswith("run_dir=") for word in hydra_config.overrides.task):
             raise ValueError(
@@ -93,14 +102,26 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if isinstance(error, MissingMandatoryValue):
             _print_error(f"give {error.full_key}=... on the command line")
         else:
-            _print_error(str(error))
+            _print_error(disk_line(error) or str(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
+        raise SystemExit(1) from None
+    except Exception as error:
+        line = disk_line(error)  # torch and others raise errors of their own for a full disk
+        if line is None or sweep:
+            raise
+        _print_error(line)
         raise SystemExit(1) from None
     finally:
         if not sweep and "run_dir" not in given_settings() and folder != Path.cwd():
             with suppress(OSError):
                 folder.rmdir()  # Hydra made it; a mistake leaves it empty
+
+
+def _thread_failed(failed: threading.ExceptHookArgs) -> None:
+    """Keep quiet about a full disk in a thread: TensorBoard raises the error again in the main thread."""
+    if not is_full(failed.exc_value):
+        threading.__excepthook__(failed)
 
 
 def _print_error(line: str) -> None:

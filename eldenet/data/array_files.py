@@ -2,12 +2,39 @@
 
 import io
 import math
+import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+from eldenet.system.reading import reading
+
+PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
+
+
+def check_pixels(shape: Sequence[int], source: object) -> None:
+    """Refuse a picture or array ``(H, W)``, ``(H, W, C)`` or ``(C, H, W)`` by what its header says.
+
+    A file of 1 MB may hold a picture of several GB: the limit is 100 million pixels, or
+    ``$ELDENET_MAX_PIXELS``.
+
+    Raises:
+        ValueError: there are more pixels than that, or the variable is not a number.
+    """
+    given = os.environ.get(PIXEL_VARIABLE) or str(MOST_PIXELS)
+    if not given.isdecimal():
+        raise ValueError(f"{PIXEL_VARIABLE}={given!r}: give a whole number of pixels")
+    sides = [int(side) for side in shape]
+    channels = min(sides[0], sides[-1]) if len(sides) == 3 else 1
+    pixels = math.prod(sides) // max(1, channels)
+    if pixels > int(given) or math.prod(sides) > 16 * int(given):
+        size = " x ".join(map(str, sides))
+        raise ValueError(
+            f"{source} has {size} values, more than {int(given):,} pixels: if that is right, set the "
+            f"environment variable {PIXEL_VARIABLE} to a larger number"
+        )
 
 
 def read_bytes(path: Path) -> bytes:
@@ -15,8 +42,10 @@ def read_bytes(path: Path) -> bytes:
 
     Raises:
         FileNotFoundError: there is no such file.
+        ValueError: it is larger than 32 bytes for each of the pixels that :func:`check_pixels` allows.
     """
     _check_file(path, "check data.root, or fetch the file again")
+    check_pixels((path.stat().st_size // 32,), path)
     return path.read_bytes()
 
 
@@ -43,18 +72,6 @@ def _check_file(path: Path, advice: str) -> None:
         raise FileNotFoundError(f"{path} does not exist{folder}: {advice}")
 
 
-@contextmanager
-def reading(source: object, kind: str) -> Iterator[None]:
-    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
-    try:
-        yield
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-        raise ValueError(
-            f"{source} is truncated or not a valid {kind} ({reason}): fetch or write it again"
-        ) from error
-
-
 def read_array(path: Path) -> np.ndarray:
     """Read a plain ``.npy`` file.
 
@@ -68,6 +85,9 @@ def read_array(path: Path) -> np.ndarray:
     with reading(path, "plain .npy file"):
         # no pickles: a data file must not run code
         values = np.load(io.BytesIO(content), allow_pickle=False)
+        if values.dtype.kind not in "biuf":
+            raise TypeError(f"it holds {values.dtype}, not numbers")
+    check_pixels(values.shape, path)
     return values
 
 
@@ -86,6 +106,7 @@ def read_pfm(path: Path) -> np.ndarray:
     if header is None:
         raise ValueError(f"{path} is not a PFM file, or truncated in its header: fetch or write it again")
     shape = (int(header[3]), int(header[2]), 3 if header[1] == b"F" else 1)
+    check_pixels(shape, path)
     wanted, have = 4 * math.prod(shape), len(content) - header.end()
     if have < wanted:
         raise ValueError(f"{path} is truncated ({have} of {wanted} bytes of pixels): fetch or copy it again")
@@ -107,6 +128,10 @@ def read_exr(path: Path) -> np.ndarray:
         import OpenEXR
     except ImportError as error:
         raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
+    with reading(path, "OpenEXR file"), OpenEXR.File(str(path), header_only=True) as file:
+        first, last = (np.array(corner, np.int64) for corner in file.header()["dataWindow"])
+        sides = (last - first + 1).tolist()
+    check_pixels(sides[::-1], path)
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     if not channels:

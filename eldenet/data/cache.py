@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.data.paths import default_cache
+from eldenet.system.files import write_text
 from eldenet.system.resources import available_memory
 from eldenet.types import Frame
 
@@ -47,7 +48,7 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
     folder = default_cache() / "frames" / _folder_name(dataset, slot)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "about.json").write_text(json.dumps(_identity(dataset), indent=1))
+        write_text(folder / "about.json", json.dumps(_identity(dataset), indent=1))
         cache = FrameCache(folder / "frames.bin", len(dataset), slot)
         held = (folder / "frames.bin").stat().st_blocks * 512
         free = shutil.disk_usage(folder).free

@@ -4,7 +4,6 @@ Cordts et al., "The Cityscapes Dataset for Semantic Urban Scene Understanding", 
 stereo (SGM): it has holes, and its error grows with distance.
 """
 
-import json
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image,
 from eldenet.data.paths import find_root, incomplete, missing_files
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
+from eldenet.system.files import parse_json
 from eldenet.types import Frame
 
 CITYSCAPES_SIZE = (1024, 2048)  # the pictures that disparity [px] and cameras refer to
@@ -134,7 +134,7 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
     """
     text = read_text(path, "fetch camera_trainvaltest.zip")
     with reading(path, "Cityscapes camera"):
-        content = json.loads(text)
+        content = parse_json(text, path)
         camera = content["intrinsic"]
         fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
         baseline = float(content["extrinsic"]["baseline"])

@@ -5,8 +5,10 @@ One check per format, on its bytes, returns what is wrong or "". A new format is
 
 import io
 import re
+import struct
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -42,22 +44,56 @@ def _bmp_fault(content: bytes) -> str:
     return "" if len(content) >= wanted else f"{len(content)} of {wanted} bytes"
 
 
-def _tiff_fault(content: bytes) -> str:
-    """Check that every strip or tile lies within the file."""
+def _tiff_directory(content: bytes) -> Any:
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+    file, directory = io.BytesIO(content), ImageFileDirectory_v2(content[:8])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of a cut directory
+        file.seek(directory.next)
+        directory.load(file)
+    return directory
+
+
+def _tiff_fault(content: bytes) -> str:
+    """Check that every strip or tile lies within the file."""
     try:
-        file, directory = io.BytesIO(content), ImageFileDirectory_v2(content[:8])
+        directory = _tiff_directory(content)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it warns of a cut directory
-            file.seek(directory.next)
-            directory.load(file)
             starts = directory.get(273, ()) + directory.get(324, ())
             lengths = directory.get(279, ()) + directory.get(325, ())
         ends = [start + length for start, length in zip(starts, lengths, strict=True)]
     except Exception:  # SyntaxError, struct.error, TypeError ...
         return "incomplete directory"
     return "" if ends and max(ends) <= len(content) else "incomplete pixels"
+
+
+def picture_size(content: bytes) -> tuple[int, int]:
+    """Return ``(height, width)`` [px] from a picture's header, before anything is decoded; (0, 0) if damaged.
+
+    The scans of a progressive JPEG above a hundred count as rows: each takes as long as a picture.
+    """
+    try:
+        if content.startswith(b"\xff\xd8"):
+            import simplejpeg
+
+            height, width, *_ = simplejpeg.decode_jpeg_header(content)
+            return height * max(1, content.count(b"\xff\xda") // 100), width
+        if content.startswith(b"\x89PNG"):
+            width, height = struct.unpack(">II", content[16:24])
+        elif content.startswith(b"BM"):
+            kind = "<HH" if content[14:18] == b"\x0c\0\0\0" else "<ii"
+            width, height = struct.unpack_from(kind, content, 18)
+        elif content[:2] in (b"P5", b"P6"):
+            header = _NETPBM.match(content)
+            width, height = (int(header[2]), int(header[3])) if header else (0, 0)
+        else:
+            directory = _tiff_directory(content)
+            width, height = directory[256], directory[257]
+        return abs(int(height)), abs(int(width))
+    except Exception:  # the check of the format, or the decoder, says what is wrong
+        return 0, 0
 
 
 FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (

@@ -33,6 +33,7 @@ class FolderDataset(FileDataset):
         depths: folder of depth maps below ``root``, with the same names except for the ending.
         csv: CSV below ``root`` without a header, one ``image,depth`` per line, relative to ``root``; replaces
             ``images`` and ``depths``.
+        allow_outside: let the CSV name files outside ``root`` (``../`` or absolute paths).
         encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
         intrinsics: ``[fx, fy, cx, cy]`` of the pictures on disk [px], which must then have one size; None if
@@ -60,6 +61,7 @@ class FolderDataset(FileDataset):
         images: str = "images",
         depths: str = "depths",
         csv: str | None = None,
+        allow_outside: bool = False,
         encoding: Encoding = "mm",
         intrinsics: Sequence[float] | None = None,
         split: str = "all",
@@ -80,7 +82,7 @@ class FolderDataset(FileDataset):
 
         folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
         if csv:
-            pairs = _csv_frames(folder, csv)
+            pairs = _csv_frames(folder, csv, allow_outside)
         else:
             pairs = _folder_frames(folder, images, depths, strict=options.get("on_error") != "skip")
         names = sorted(pairs)
@@ -126,8 +128,8 @@ def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, ...]] | None
     return None
 
 
-def _csv_frames(root: Path, table: str) -> dict[str, tuple[str, str]]:
-    pairs = csv_pairs(root / table)
+def _csv_frames(root: Path, table: str, allow_outside: bool) -> dict[str, tuple[str, str]]:
+    pairs = csv_pairs(root / table, allow_outside=allow_outside)
     frames = {image.rsplit(".", 1)[0]: (image, depth) for image, depth in pairs}
     if len(frames) != len(pairs):
         raise ValueError(f"{root / table} has {len(pairs)} lines but only {len(frames)} different pictures")

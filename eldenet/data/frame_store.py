@@ -1,6 +1,6 @@
 """One file of decoded frames that any number of processes read and write at once.
 
-The file is memory-mapped and consists of slots, a frame in each: a header, the image as uint8, the depth as
+The file consists of slots, a frame in each: a header, the image as uint8, the depth as
 float32. The header is written after the pixels and holds their checksum, which every read checks. So a slot
 that a killed process, a power cut or two writers left behind is whole, or counts as empty.
 
@@ -9,7 +9,6 @@ that it renders. A render process loads this module, so it must not load torch.
 """
 
 import hashlib
-import mmap
 import os
 import struct
 import tempfile
@@ -58,8 +57,7 @@ class FrameStore:
         self.handle = _open(path) if handle is None else handle
         if os.fstat(self.handle).st_size < count * slot:
             # sparse: takes no room yet. Unlike ftruncate, this cannot cut what another process just added
-            os.pwrite(self.handle, b"\0", count * slot - 1)
-        self._map = mmap.mmap(self.handle, count * slot, access=mmap.ACCESS_READ)
+            _write(self.handle, b"\0", count * slot - 1, path)
 
     def __del__(self) -> None:
         if hasattr(self, "handle"):
@@ -78,16 +76,20 @@ class FrameStore:
     def get(self, index: int, stamp: bytes, name: str) -> Frame | None:
         """Return a copy of the frame in a slot, or None if the slot holds no whole frame with this stamp."""
         start = index * self.slot
-        header = self._map[start : start + HEADER]
-        if header[:16] != stamp:
+        # no memory map: on a full tmpfs, reading an empty slot through one would kill the process
+        header = os.pread(self.handle, HEADER, start)
+        if len(header) < HEADER or header[:16] != stamp:
             return None
         _, rows, cols, depth_rows, depth_cols, has_intrinsics, *camera = _FIELDS.unpack_from(header)
         pixels, points = rows * cols * 3, depth_rows * depth_cols
         if min(pixels, points) < 0 or HEADER + pixels + 4 * points > self.slot:
             return None
-        image = np.frombuffer(self._map, np.uint8, pixels, start + HEADER).reshape(rows, cols, 3).copy()
-        depth = np.frombuffer(self._map, np.float32, points, start + HEADER + pixels).copy()
-        # check the copies: another process may write to the slot meanwhile
+        content = bytearray(os.pread(self.handle, pixels + 4 * points, start + HEADER))
+        if len(content) < pixels + 4 * points:
+            return None
+        image = np.frombuffer(content, np.uint8, pixels).reshape(rows, cols, 3)
+        depth = np.frombuffer(content, np.uint8, 4 * points, pixels).copy().view(np.float32)
+        # of the copy: another process may write to the slot meanwhile
         if _checksum(header[: _FIELDS.size], image, depth) != _SUM.unpack_from(header, _FIELDS.size)[0]:
             return None
         intrinsics = np.array(camera).reshape(3, 3) if has_intrinsics else None
@@ -115,9 +117,8 @@ class FrameStore:
         has_intrinsics = int(frame.intrinsics is not None)
         fields = _FIELDS.pack(stamp, *image.shape[:2], *depth.shape, has_intrinsics, *camera)
         header = fields + _SUM.pack(_checksum(fields, image, depth))
-        # not through the map: on a full disk that would kill the process, this raises an error
-        _write(self.handle, image.tobytes() + depth.tobytes(), index * self.slot + HEADER)
-        _write(self.handle, header, index * self.slot)
+        _write(self.handle, image.tobytes() + depth.tobytes(), index * self.slot + HEADER, self.path)
+        _write(self.handle, header, index * self.slot, self.path)
         return True
 
 
@@ -133,10 +134,13 @@ def _open(path: Path | None) -> int:
         return os.dup(file.fileno())
 
 
-def _write(handle: int, content: bytes, start: int) -> None:
+def _write(handle: int, content: bytes, start: int, path: Path | None) -> None:
     done = 0
-    while done < len(content):
-        done += os.pwrite(handle, content[done:], start + done)
+    try:
+        while done < len(content):
+            done += os.pwrite(handle, content[done:], start + done)
+    except OSError as error:  # name the file
+        raise OSError(error.errno, error.strerror, str(path or "memory")) from None
 
 
 def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.array_files import read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.file_checks import FORMATS, decode_picture
+from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
+from eldenet.data.file_checks import FORMATS, decode_picture, picture_size
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
 
@@ -223,6 +223,7 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None:
         raise ValueError(f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF or binary PPM/PGM")
+    check_pixels(picture_size(content), path)
     fault = check(content)
     if not fault:
         picture, fault = decode_picture(content, flags)

@@ -14,7 +14,7 @@ import numpy as np
 from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root
+from eldenet.data.paths import check_inside, csv_pairs, find_root
 from eldenet.data.splits import hold_out
 from eldenet.geometry import pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
@@ -243,6 +243,7 @@ def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
         pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
     if not pairs:
         raise ValueError(f"{list_file} is empty: set list_file to a list of frames")
+    check_inside(pairs, list_file, "write the list with paths below that folder")
     return pairs
 
 

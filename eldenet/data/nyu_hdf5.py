@@ -6,7 +6,7 @@ from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import reading
+from eldenet.data.array_files import check_pixels, reading
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
@@ -173,10 +173,21 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
 
 
 def _take(file: Any, key: str, source: object) -> Any:
-    """Return the array of that key in an open file, not yet read."""
+    """Return the array of that key in an open file, not yet read; it must lie in the file itself."""
+    import h5py
+
     with reading(source, "HDF5 file"):
         keys = sorted(file)
-        found = file[key] if key in keys else None
+        found, local = None, True
+        if key in keys:
+            local = isinstance(file.get(key, getlink=True), h5py.HardLink)
+            found = file[key] if local else None
+            local = local and not (getattr(found, "external", None) or getattr(found, "is_virtual", False))
+    if not local:
+        raise ValueError(
+            f"{source}: {key!r} is a link or lies in another file, which is not followed: store the array in "
+            "the file itself"
+        )
     if found is None:
         raise ValueError(f"{source} has no {key!r}, only {', '.join(keys)}: is it the right file?")
     if not hasattr(found, "shape"):
@@ -186,6 +197,7 @@ def _take(file: Any, key: str, source: object) -> Any:
 
 def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
     """Read an array or a part of it."""
+    check_pixels(dataset.shape if part == () else dataset.shape[1:], source)
     with reading(source, "HDF5 file"):
         values = np.asarray(dataset[part])
     return values

@@ -15,7 +15,7 @@ from eldenet.data.nyu_hdf5 import open_hdf5, read_hdf5_frame
 from eldenet.data.paths import default_cache, find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
-from eldenet.system.files import part_file
+from eldenet.system.files import part_file, read_json
 from eldenet.types import Frame
 
 TAR_TREE = """
@@ -120,7 +120,7 @@ def shard_members(shard: Path, cache: Path) -> tuple[Sequence[Member], str]:
     key = [path, state.st_size, state.st_mtime_ns]
     file = cache / f"{hashlib.sha256(path.encode()).hexdigest()[:16]}.json"
     try:
-        known = json.loads(file.read_text())
+        known = read_json(file)
         if known["shard"] == key:
             # under the name that was asked for: the path may be a link
             return [Member(f"data/{shard.name}", *entry[1:]) for entry in known["members"]], known["fault"]
@@ -147,9 +147,14 @@ def _walk(shard: Path) -> tuple[list[Member], str]:
                 end = entry.offset_data + -(-entry.size // 512) * 512
                 if entry.offset_data + entry.size > length:
                     return members, f"{entry.name} is incomplete"
-                if entry.isfile() and entry.name.endswith(".h5"):
+                if entry.size < 0:
+                    return members, f"{entry.name} has a size below 0"
+                if entry.name.endswith(".h5") and not entry.isdir():
+                    outside = entry.name.startswith("/") or ".." in PurePosixPath(entry.name).parts
+                    if outside or not entry.isfile() or entry.issparse():
+                        return members, f"{entry.name} is a link, or lies outside the archive: not followed"
                     members.append(Member(f"data/{shard.name}", entry.name, entry.offset_data, entry.size))
-    except (tarfile.TarError, OSError, ValueError) as error:
+    except Exception as error:  # tarfile raises many kinds
         return members, f"no tar header at byte {end}: {error}"
     with shard.open("rb") as file:
         file.seek(end)

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from eldenet.data.array_files import read_text
+from eldenet.data.array_files import read_text, reading
 
 VARIABLE = "ELDENET_DATA"
 
@@ -80,16 +80,33 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
         )
 
 
-def csv_pairs(table: Path) -> list[tuple[str, str]]:
+def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) -> None:
+    """Refuse a list of files that leaves the data set's folder (``../``, or absolute).
+
+    Raises:
+        ValueError: naming the first such file; ``advice`` says what to do.
+    """
+    for file in (file for pair in pairs for file in pair):
+        if os.path.isabs(file) or os.path.normpath(file).split(os.sep)[0] == os.pardir:
+            raise ValueError(f"{source}: {file[:200]!r} is outside the data set's folder: {advice}")
+
+
+def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[str, str]]:
     """Read lines ``image,depth`` of a CSV without a header; empty lines are skipped.
+
+    Args:
+        table: the CSV.
+        allow_outside: whether files may lie outside the data set's folder; None: no, and there is no setting.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: a line is not a pair, or the file is empty or not text.
+        ValueError: a line is not a pair or leaves the folder, or the file is empty or not text.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")
-    for number, row in enumerate(csv.reader(text.splitlines()), 1):
+    with reading(table, "CSV"):
+        rows = list(csv.reader(text.splitlines()))
+    for number, row in enumerate(rows, 1):
         if not row:
             continue
         if len(row) != 2 or not all(cell.strip() for cell in row):
@@ -97,4 +114,7 @@ def csv_pairs(table: Path) -> list[tuple[str, str]]:
         pairs.append((row[0].strip(), row[1].strip()))
     if not pairs:
         raise ValueError(f"{table} is empty: fetch or write the list of frames again")
+    if not allow_outside:
+        setting = "" if allow_outside is None else ", or set data.allow_outside=true if you trust the list"
+        check_inside(pairs, table, f"write the list with paths below that folder{setting}")
     return pairs

@@ -73,11 +73,17 @@ class RenderedScenes(DepthDataset):
         self.split, self.size = split, (int(size[0]), int(size[1]))
         cache = default_cache() if root is None else Path(root).expanduser()
         self.folder = cache / self.generator.folder_name(self.size)
-        missing = self.missing_scenes(split, frames)
-        if missing:
-            count = min(2, os.cpu_count() or 1) if workers is None else workers
-            render_missing(self.folder, self.generator, split, missing, self.size, count)
-        self.store = self._open(split, frames)
+        try:
+            missing = self.missing_scenes(split, frames)
+            if missing:
+                count = min(2, os.cpu_count() or 1) if workers is None else workers
+                render_missing(self.folder, self.generator, split, missing, self.size, count)
+            self.store = self._open(split, frames)
+        except OSError as error:
+            raise type(error)(
+                f"{self.folder} cannot store rendered frames ({error.strerror or error}): free some space "
+                "there or give another folder ($ELDENET_CACHE or data.root); complete frames are kept"
+            ) from error
 
     def _open(self, split: str, frames: int) -> SceneStore:
         return SceneStore(self.folder, self.generator.name, split, -(-frames // VIEWS), self.size)

@@ -15,12 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
+from eldenet.system.disk import DiskError, disk_errors
 from eldenet.types import Frame
 
 #: Stored depth is a multiple of this [m]: two bytes would do, and reach 13.1 m.
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
+FULL_DISK = 28  # exit code of a worker, as ENOSPC
 
 
 class Generator(NamedTuple):
@@ -64,6 +66,7 @@ class SceneStore:
     def __init__(self, folder: Path, name: str, split: str, scenes: int, size: tuple[int, int]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.name, self.split, self.scenes, self.size = name, split, scenes, size
+        self.folder = folder
         path = folder / f"{split}.frames"
         self.frames = FrameStore(path, scenes * VIEWS, slot_size(7 * size[0] * size[1]))
 
@@ -80,6 +83,10 @@ class SceneStore:
         """Render and store one scene, unless it is there."""
         if self.has(scene):
             return
+        with disk_errors(self.folder, "a rendered frame"):
+            self._render(renderer, scene)
+
+    def _render(self, renderer: str, scene: int) -> None:
         module, _, function = renderer.rpartition(".")
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS)
         meters = encode_depth(views.depth).astype(np.float32) * np.float32(DEPTH_STEP)
@@ -102,6 +109,7 @@ def render_missing(
 
     Raises:
         RuntimeError: a worker process failed.
+        DiskError: the disk is full.
     """
     from rich.console import Console
 
@@ -147,6 +155,11 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
             for line in lines:
                 advance(int(line))
         for process in processes:
+            if process.wait() == FULL_DISK:
+                raise DiskError(
+                    f"no space left on {jobs[0]['folder']}: not all frames were rendered; free some space "
+                    "there, or set $ELDENET_CACHE to another folder, and start again"
+                )
             if process.wait() != 0:
                 raise RuntimeError(
                     f"a render process ended with code {process.returncode}: see its message above"
@@ -164,7 +177,10 @@ def _work() -> None:
     scenes = job["scenes"]
     store = SceneStore(Path(job["folder"]), job["name"], job["split"], max(scenes) + 1, tuple(job["size"]))
     for scene in scenes:
-        store.render(job["renderer"], scene)
+        try:
+            store.render(job["renderer"], scene)
+        except DiskError:
+            sys.exit(FULL_DISK)
         try:
             sys.stdout.write(f"{VIEWS}\n")
             sys.stdout.flush()

@@ -12,6 +12,7 @@ import eldenet
 from eldenet.deploy import runtimes
 from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.geometry import resize_image
+from eldenet.system.files import safe_stem
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -108,7 +109,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
     size = (int(height), int(width))
     name = str(model.info.get("model_name", Path(setup.checkpoint).name))
-    default = f"exports/{name}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
+    default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
         raise ValueError(f"{output} exists already: give another output=, or overwrite=true")

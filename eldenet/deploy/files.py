@@ -2,6 +2,9 @@
 
 import json
 import logging
+import sys
+import tempfile
+import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -13,6 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet import __version__
+from eldenet.deploy.sealing import SEAL, sealed
+from eldenet.system.checks import check_size
+from eldenet.system.files import part_file
+from eldenet.system.reading import reading
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -22,6 +29,8 @@ if TYPE_CHECKING:
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 METADATA_PREFIX = "eldenet."
+EXPORT_AGAIN = "export it again (python -m eldenet.export)"
+_ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
 
 
 def describe(
@@ -102,23 +111,22 @@ def write_onnx(
     if (batch is not None and batch < 1) or min(size) < 1:
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     network: nn.Module = fold(model).cpu()
     name, example = "image", torch.rand(batch or 2, 3, *size)
     if camera_size is not None:
         network = CameraNet(network, camera_size, size)  # type: ignore[arg-type]
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
-    unfinished = path.with_name(f".{path.stem}.part.onnx")
-    try:
-        with quiet(), torch.no_grad():
-            _torch_to_onnx(network.eval(), example, unfinished, name, any_batch=batch is None, opset=opset)
-    except RuntimeError as error:  # base class of the exporter's errors
-        unfinished.unlink(missing_ok=True)
-        reason = (str(error).splitlines() or [""])[0]
-        raise ValueError(f"opset={opset} cannot express this network: {reason}") from error
-    set_metadata(unfinished, metadata or {})
-    onnx.checker.check_model(str(unfinished))
-    unfinished.replace(path)
+    with part_file(path) as unfinished:
+        try:
+            with quiet(), torch.no_grad():
+                _torch_to_onnx(
+                    network.eval(), example, unfinished, name, any_batch=batch is None, opset=opset
+                )
+        except RuntimeError as error:  # base class of the exporter's errors
+            reason = (str(error).splitlines() or [""])[0]
+            raise ValueError(f"opset={opset} cannot express this network: {reason}") from error
+        set_metadata(unfinished, metadata or {})
+        onnx.checker.check_model(str(unfinished))
     return path
 
 
@@ -141,55 +149,102 @@ def _torch_to_onnx(
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal."""
-    disabled = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logging.disable(disabled)
+    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal.
+
+    Other threads wait: those that left in another order than they entered would leave the terminal silent.
+    """
+    with _ONE_AT_A_TIME:
+        disabled = logging.root.manager.disable
+        logging.disable(logging.WARNING)
+        try:
+            with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+                warnings.simplefilter("ignore")
+                yield
+        finally:
+            logging.disable(disabled)
+
+
+def decline_telemetry() -> None:
+    """Keep OpenVINO and nncf from sending telemetry in this process; call it before they are imported.
+
+    Each import and each conversion is reported to Google Analytics, unless a file in the user's home folder
+    declines. Without ``openvino_telemetry``, an optional package, nothing is sent or stored.
+    """
+    telemetry = sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
+    if telemetry is not None:  # the program has imported OpenVINO itself
+        telemetry.main.TelemetrySender.send = lambda *message: None
 
 
 def set_metadata(path: str | Path, metadata: Mapping[str, str]) -> None:
-    """Write metadata into an ONNX file."""
+    """Write metadata into an ONNX file, and a digest of all of it (:mod:`eldenet.deploy.sealing`)."""
     import onnx
 
     graph = onnx.load(path)
     onnx.helper.set_model_props(graph, {METADATA_PREFIX + key: value for key, value in metadata.items()})
-    onnx.save(graph, path)
+    graph.doc_string = f"ends in its {SEAL}"
+    content = sealed(graph.SerializeToString())
+    with part_file(Path(path)) as unfinished:
+        unfinished.write_bytes(content)
 
 
 def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, str]) -> Path:
     """Convert an ONNX file to OpenVINO IR (``.xml`` + ``.bin``) with fp32 weights."""
+    decline_telemetry()
     import openvino
 
     return save_openvino(openvino.convert_model(str(source)), path, metadata)
 
 
 def save_openvino(network: object, path: str | Path, metadata: Mapping[str, str]) -> Path:
-    """Write an OpenVINO network as ``.xml`` + ``.bin`` with its metadata."""
+    """Write an OpenVINO network as ``.xml`` + ``.bin`` with its metadata and a digest of both."""
     import openvino
 
     for key, value in metadata.items():
         network.set_rt_info(value, ["eldenet", key])  # type: ignore[attr-defined]
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    openvino.save_model(network, str(path), compress_to_fp16=False)
-    return Path(path)
+    path = Path(path)
+    with tempfile.TemporaryDirectory() as temporary:  # OpenVINO does not say why it cannot write
+        draft = Path(temporary) / path.name
+        try:
+            openvino.save_model(network, str(draft), compress_to_fp16=False)
+        except RuntimeError as error:
+            raise OSError(f"OpenVINO could not write to {temporary}: is that disk full? ({error})") from error
+        content, weights = draft.read_bytes(), draft.with_suffix(".bin").read_bytes()
+    with part_file(path) as unfinished, part_file(path.with_suffix(".bin")) as unfinished_weights:
+        unfinished_weights.write_bytes(weights)
+        unfinished.write_bytes(sealed(content, weights))
+    return path
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
-    """Metadata that :func:`describe` made for this file; empty for other files."""
+    """Metadata that :func:`describe` made for this file; empty for other files.
+
+    Raises:
+        ValueError: the file or its metadata is damaged.
+    """
     if Path(path).suffix == ".onnx":
         import onnx
 
-        props = {prop.key: prop.value for prop in onnx.load(path, load_external_data=False).metadata_props}
-        return without_prefix(props)
+        with reading(path, "ONNX file", EXPORT_AGAIN):
+            graph = onnx.load(path, load_external_data=False)
+        return checked(path, without_prefix({prop.key: prop.value for prop in graph.metadata_props}))
     import xml.etree.ElementTree as ElementTree
 
-    node = ElementTree.parse(path).getroot().find("rt_info/eldenet")
-    return {} if node is None else {child.tag: child.attrib["value"] for child in node}
+    with reading(path, "OpenVINO file", EXPORT_AGAIN):
+        node = ElementTree.parse(path).getroot().find("rt_info/eldenet")
+        found = {} if node is None else {child.tag: child.attrib["value"] for child in node}
+    return checked(path, found)
+
+
+def checked(path: str | Path, metadata: dict[str, str]) -> dict[str, str]:
+    """Return the metadata of a file once its sizes are known to be sizes.
+
+    Raises:
+        ValueError: they are something else; the message names the file.
+    """
+    for name in ("input_size", "whole_frame_size", "camera_size"):
+        with reading(path, "exported network", EXPORT_AGAIN):
+            check_size(name, json.loads(metadata.get(name, "null")))
+    return metadata
 
 
 def without_prefix(properties: Mapping[str, str]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """What ``eldenet.predict`` writes: pictures, point clouds, videos. Files appear when they are complete."""
 
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,7 +14,8 @@ import numpy as np
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
-from eldenet.system.files import part_file
+from eldenet.system.disk import disk_errors
+from eldenet.system.files import part_file, part_path, remove_unfinished, write_text
 from eldenet.visualization import photo_beside_depth, visible_range, write_picture
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from eldenet.system.signals import GracefulStop
 
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply"}
+UNFINISHED = ".unfinished.json"  # in the folder of results that are not complete
 BITS_PER_PIXEL = 4  # of a video: depth's colors stay as they are
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _PLY_NAMES = {"<f4": "float", "|u1": "uchar"}
@@ -41,6 +44,8 @@ class Results:
         too_far: pixels beyond 65.535 m, which the depth files cannot hold.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
+        settings: that decide what the results are; noted in ``folder`` until all are written, so that the
+            same command goes on after it was stopped. None: it starts again.
         also: receives the name, photo, depth and time of each picture too.
     """
 
@@ -54,6 +59,7 @@ class Results:
     too_far: int = 0
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
+    settings: dict[str, Any] | None = None
     also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
@@ -63,6 +69,31 @@ class Results:
             return files + [self.folder / name] * bool(set(self.formats) - {"color"})
         return [self.folder / f"{name}{ENDING[kind]}" for kind in self.formats]
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether the same command was stopped here before all results were written."""
+        try:
+            noted = json.loads((self.folder / UNFINISHED).read_text())
+        except (OSError, ValueError):
+            return False
+        return not self.overwrite and self.settings is not None and noted == self.settings
+
+    def begin(self) -> None:
+        """Note the settings until :meth:`end`; not with ``overwrite``, when older results are there too."""
+        if self.settings is not None and not self.overwrite:
+            write_text(self.folder / UNFINISHED, json.dumps(self.settings))
+        else:
+            self.end()
+
+    def end(self) -> None:
+        """Forget the settings: all results are written."""
+        (self.folder / UNFINISHED).unlink(missing_ok=True)
+
+    def has(self, name: str, source: Path) -> bool:
+        """Whether the results of a picture are there and newer than the picture."""
+        files = self.files(name)
+        return all(file.is_file() and file.stat().st_mtime > source.stat().st_mtime for file in files)
+
     def refuse_to_overwrite(self, sources: Sequence[Path], files: Sequence[Path]) -> None:
         """Raise ValueError if a result would replace a source, or an older result without ``overwrite``."""
         existing = [file for file in files if file.exists()]
@@ -70,7 +101,7 @@ class Results:
         lost = [file for file in existing if file.resolve() in own]
         if lost:
             raise ValueError(f"{lost[0]} is a source and would be overwritten: give another output=")
-        if existing and not self.overwrite:
+        if existing and not self.overwrite and not self.goes_on:
             raise ValueError(
                 f"{len(existing)} results exist already, such as {existing[0]}: give another output=, or "
                 "overwrite=true"
@@ -92,6 +123,8 @@ class Results:
         Raises:
             ValueError: intrinsics were given, and this picture has another size than they or the first one.
         """
+        if not self.images:
+            self.begin()
         height, width = depth.shape
         self.size = self.size or (height, width)
         if self.intrinsics is not None:
@@ -177,7 +210,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     """
     import av
 
-    unfinished = path.with_name(f".{path.stem}.part.mp4")
+    unfinished = part_path(path)
     container: Any = None
     stream: Any = None
 
@@ -186,6 +219,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
         height, width = picture.shape[:2]
         if container is None:
             path.parent.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(path.parent)
             container = av.open(str(unfinished), "w")
             most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
             stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
@@ -206,8 +240,9 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             unfinished.replace(path)
 
     try:
-        yield add
-        finish()
+        with disk_errors(path.parent, path.name):
+            yield add
+            finish()
     except BaseException:
         with suppress(OSError):
             finish()

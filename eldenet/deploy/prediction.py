@@ -3,7 +3,7 @@
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import islice
@@ -84,12 +84,15 @@ def predict(setup: PredictionSetup) -> Results:
     predictor = Timed(open_predictor(setup, log))
     boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor.seconds)
     broken = ""
+    done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
     with GracefulStop() as stop, boxes as results.also:
         if source.is_video:
             ((path, name),) = source.names.items()
             broken = predict_video(path, name, predictor, results, log, stop, frames=setup.frames)
         else:
-            predict_pictures(setup, predictor, log, stop)
+            predict_pictures(setup, predictor, log, stop, done)
+    if not stop or source.is_live:
+        results.end()
     if broken:
         raise OSError(f"{broken}; earlier results are in {results.folder}")
     if not source.is_live:
@@ -174,11 +177,15 @@ def predict_pictures(
     predictor: Callable[[np.ndarray], np.ndarray],
     log: "RunLog",
     stop: "GracefulStop",
+    done: Collection[Path | str] = (),
 ) -> None:
-    """Predict every picture; those that cannot be read stop the command or are listed at the end."""
+    """Predict the pictures that are not ``done``; unreadable ones stop it or are listed at the end."""
     from eldenet.data.io import read_image
 
-    pictures, results = setup.source.names, setup.results
+    results = setup.results
+    pictures = {path: name for path, name in setup.source.names.items() if path not in done}
+    if done:
+        log.say(f"{len(done)} of {len(setup.source.names)} pictures were done before the command stopped")
     with log.bar("predicting", len(pictures)) as bar:
         for path, name in pictures.items():
             if stop:
@@ -196,7 +203,7 @@ def predict_pictures(
                 results.write(name, photo, predictor(photo), results.formats)
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate
-    if not results.images and not stop:
+    if pictures and not results.images and not stop:
         raise ValueError(f"none of {len(pictures)} pictures could be read; the first: {results.skipped[0]}")
     of = f" of {len(pictures)}" if stop else ""
     results.say(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)

@@ -25,7 +25,7 @@ class DepthPredictor:
     Frames are resized to the scale of the training, and depth is resized back to the frame's own size
     (bilinear), so the frame's own intrinsics hold for it. Resizing does not change depth. A network that was
     trained on crops sees whole frames at the scale of those crops. Depth is metric for cameras with about the
-    field of view of the training camera.
+    field of view of the training camera. Several threads may call one predictor.
 
     Args:
         model: put into eval mode and moved to ``device``; or a network under another runtime

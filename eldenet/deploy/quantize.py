@@ -1,6 +1,5 @@
 """int8 by post-training quantization: calibration pictures give the scales, without training."""
 
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,8 @@ import numpy as np
 
 from eldenet.data.inspection import spread
 from eldenet.data.io import IMAGE_ENDINGS, read_image
-from eldenet.deploy.files import quiet, read_metadata, save_openvino, set_metadata
+from eldenet.deploy.files import decline_telemetry, quiet, read_metadata, save_openvino, set_metadata
+from eldenet.system.files import part_file
 
 
 def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray]:
@@ -51,7 +51,6 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {**read_metadata(source), "precision": "int8"}
 
     class Reader(CalibrationDataReader):
@@ -61,20 +60,21 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
         def get_next(self) -> dict[str, np.ndarray] | None:
             return next(self.feeds, None)
 
-    with tempfile.TemporaryDirectory() as folder, quiet():
+    with part_file(path) as unfinished, tempfile.TemporaryDirectory() as folder:
         prepared = Path(folder) / "prepared.onnx"
-        quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
-        quantize_static(
-            str(prepared),
-            str(path),
-            Reader(onnx.load(prepared).graph.input[0].name),
-            quant_format=QuantFormat.QDQ,
-            op_types_to_quantize=["Conv", "MatMul"],
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-        )
-    set_metadata(path, metadata)
+        with quiet():
+            quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
+            quantize_static(
+                str(prepared),
+                str(unfinished),
+                Reader(onnx.load(prepared).graph.input[0].name),
+                quant_format=QuantFormat.QDQ,
+                op_types_to_quantize=["Conv", "MatMul"],
+                per_channel=True,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+            )
+        set_metadata(unfinished, metadata)
     return path
 
 
@@ -86,9 +86,9 @@ def quantize_openvino(
     Raises:
         ImportError: nncf is not installed.
     """
+    decline_telemetry()
     import openvino
 
-    os.environ.setdefault("NNCF_DISABLE_TELEMETRY", "1")
     try:
         with quiet():
             import nncf

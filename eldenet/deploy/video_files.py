@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from eldenet.data.array_files import check_pixels
 from eldenet.data.file_checks import FORMATS
 from eldenet.data.io import IMAGE_ENDINGS
 
@@ -76,6 +77,8 @@ class VideoFile:
             raise ValueError(
                 f"{path} holds no frame that can be read: it is truncated, damaged or not a video"
             ) from error
+        self._path = path
+        check_pixels((self._stream.height, self._stream.width), path)
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
@@ -101,6 +104,7 @@ class VideoFile:
                 skipped += max(0.0, time - previous - usual)
                 time = previous + usual
             previous = time
+            check_pixels((frame.height, frame.width), self._path)
             picture = frame.to_ndarray(format="rgb24", interpolation="BICUBIC")
             yield np.ascontiguousarray(np.rot90(picture, frame.rotation // 90)), time
 

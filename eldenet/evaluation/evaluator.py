@@ -69,7 +69,8 @@ def evaluate(
         advance: called with the number of images of each batch, for a progress bar.
 
     Raises:
-        ValueError: the data set's ground truth is not of the protocol's kind or size, or a prediction is NaN.
+        ValueError: the data set's ground truth is not of the protocol's kind or size, no pixel of it counts,
+            or a prediction is NaN.
     """
     from eldenet.evaluation.metrics import DepthMetrics  # torchmetrics takes seconds to load
 
@@ -90,7 +91,13 @@ def evaluate(
                 advance(len(image))
     if processes > 1:
         rows = _gather_rows(rows)
-    return Evaluation(metrics.compute(), rows, metrics.by_class())
+    found = metrics.compute()
+    if not found["pixels"]:
+        raise ValueError(
+            f"no pixel of {len(dataset)} frames has a known depth that protocol {protocol.name} counts "
+            f"({protocol.min_depth:g} to {protocol.max_depth:g} m): nothing can be scored"
+        )
+    return Evaluation(found, rows, metrics.by_class())
 
 
 def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

@@ -58,7 +58,12 @@ class WeightedTerm(nn.Module):
 
     Raises:
         ValueError: a weight below 0, an unknown space, or one that the loss does not support.
+
+    Attributes:
+        needs_depth: whether it counts only pixels whose depth is known.
     """
+
+    needs_depth = True
 
     def __init__(self, loss: Loss, weight: float = 1.0, space: str = "meters") -> None:
         super().__init__()
@@ -101,13 +106,18 @@ class WeightedSum(nn.Module):
         terms: name -> :class:`WeightedTerm`.
 
     Raises:
-        ValueError: no terms.
+        ValueError: no terms, or all weights are 0.
     """
 
     def __init__(self, terms: Mapping[str, WeightedTerm]) -> None:
         super().__init__()
         if not terms:
             raise ValueError("terms={}: a loss needs at least one term")
+        if not any(term.weight for term in terms.values()):
+            raise ValueError(
+                f"all weights of the loss are 0 ({', '.join(terms)}), so it would teach nothing: give one of "
+                "them a weight above 0"
+            )
         self.terms: Mapping[str, WeightedTerm] = nn.ModuleDict(dict(terms))  # type: ignore[assignment]
 
     @property
@@ -115,6 +125,11 @@ class WeightedSum(nn.Module):
         """Signatures of the terms that have one, by name."""
         signatures = {name: term.signature for name, term in self.terms.items()}
         return {name: signature for name, signature in signatures.items() if signature}
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether it teaches nothing where no depth is known."""
+        return all(term.needs_depth for term in self.terms.values() if term.weight)
 
     def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
         """Prepare every term before the first step, see :meth:`WeightedTerm.setup`."""

@@ -93,6 +93,8 @@ class DistilledTerm(WeightedTerm):
         ValueError: a weight below 0, or a ``feature_weight`` without ``feature_strides``.
     """
 
+    needs_depth = False
+
     def __init__(
         self,
         loss: Loss,

@@ -16,8 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from eldenet.backbones.weights import read_torch
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.system.files import part_file
+from eldenet.system.reading import reading
 
 CHECKPOINT = "dqn.pt"
 
@@ -222,14 +224,23 @@ class DQN:
             torch.save(state, unfinished)
 
     def restore(self, path: Path) -> None:
-        """Load a checkpoint."""
-        state = torch.load(path, weights_only=True)
-        self.policy_dqn.load_state_dict(state["policy_dqn"])
-        self.target_dqn.load_state_dict(state["target_dqn"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.replay.load_state_dict(state["replay"])
-        self.num_timesteps = state.get("num_timesteps", state.get("done"))  # "done" in older checkpoints
-        self.updates = state["updates"]
+        """Load a checkpoint.
+
+        Raises:
+            ValueError: it is damaged, or belongs to another training.
+        """
+        state = read_torch(path)
+        with reading(path, "checkpoint of this training", "remove it and train again"):
+            steps = state.get("num_timesteps", state.get("done"))  # "done" in older checkpoints
+            most = self.settings.total_timesteps + self.env.num_envs
+            for name, count in (("num_timesteps", steps), ("updates", state["updates"])):
+                if type(count) is not int or not 0 <= count <= most:
+                    raise ValueError(f"{name} is {count!r}, this training has {most}")
+            self.policy_dqn.load_state_dict(state["policy_dqn"])
+            self.target_dqn.load_state_dict(state["target_dqn"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.replay.load_state_dict(state["replay"])
+            self.num_timesteps, self.updates = steps, state["updates"]
 
 
 class ReplayBuffer:
@@ -273,6 +284,8 @@ class ReplayBuffer:
         """Load what :meth:`state_dict` returned."""
         self.added = state.pop("added")
         for name, rows in state.items():
+            if len(rows) != len(self):
+                raise ValueError(f"{name} has {len(rows)} transitions of {len(self)}")
             getattr(self, name)[: len(rows)] = rows
 
 

@@ -24,6 +24,7 @@ from eldenet.simulation.arenas import Arena, arenas_hash, generate_arena, triang
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
 from eldenet.system.files import write_json, write_rows
+from eldenet.system.locks import sole_writer
 from eldenet.system.resources import choose_resources
 from eldenet.visualization import write_picture
 
@@ -142,11 +143,11 @@ def run_mode(setup: ModeSetup) -> None:
     """Run the mode that the setup is for; results go to its folder."""
     refuse_to_replace(setup.folder, setup.mode)
     choose_resources(device="cpu", precision="fp32", threads=setup.threads)
-    setup.folder.mkdir(parents=True, exist_ok=True)
-    log = RunLog(setup.folder)
     modes: tuple[Callable[[Any, RunLog], None], ...] = (record, evaluate, analyze_failures, fit_noise, train)
-    {mode.__name__: mode for mode in modes}[setup.mode](setup, log)
-    log.close()
+    with sole_writer(setup.folder):
+        log = RunLog(setup.folder)
+        {mode.__name__: mode for mode in modes}[setup.mode](setup, log)
+        log.close()
 
 
 def refuse_to_replace(folder: Path, mode: str) -> None:

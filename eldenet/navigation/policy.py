@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -21,6 +21,10 @@ from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.digests import KEY, canonical, digest_of
+from eldenet.system.files import part_file
+from eldenet.system.reading import reading
+from eldenet.weights import check_packaged
 
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
@@ -165,11 +169,14 @@ class Navigator:
             "observer": self.observer.options,
             "info": self.info,
         }
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         stored = torch.float16 if members > 1 else torch.float32
         weights = {name: tensor.to(stored).contiguous() for name, tensor in self.network.state_dict().items()}
-        save_file(weights, str(path), metadata={"navigator": json.dumps(notes)})
+        notes = json.loads(json.dumps(notes))
+        notes[KEY] = _digest(notes, weights)
+        with part_file(Path(path)) as unfinished:
+            mode = unfinished.stat().st_mode
+            save_file(weights, unfinished, metadata={"navigator": json.dumps(notes)})
+            unfinished.chmod(mode)  # safetensors makes files private
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
@@ -222,21 +229,34 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     Raises:
         ValueError: the file is not a policy.
     """
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            notes = (file.metadata() or {}).get("navigator")
-            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(
-            f"{path} is not a .safetensors file ({error}): give a training's run folder, or its {POLICY}"
-        ) from error
+    check_packaged(path)
+    advice = f"give a training's run folder, or its {POLICY}"
+    with reading(path, ".safetensors file", advice), safe_open(str(path), framework="pt") as file:
+        notes = (file.metadata() or {}).get("navigator")
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if notes is None:
         raise ValueError(f"{path} is not a navigation policy: it has no notes about the observer")
-    content: dict[str, Any] = json.loads(notes)
-    shape = content["inputs"], content["actions"], tuple(content["hidden"])
-    networks = [QNetwork(*shape) for _ in range(content.get("members", 1))]
-    (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
+    with reading(path, "navigation policy", advice):
+        content: dict[str, Any] = json.loads(notes)
+        if content.get(KEY) not in (None, _digest(content, weights)):
+            raise ValueError("it does not match its digest")
+        shape, members = (
+            (content["inputs"], content["actions"], *content["hidden"]),
+            content.get("members", 1),
+        )
+        sides = {side for tensor in weights.values() for side in tensor.shape}
+        if not (set(shape) <= sides and 1 <= members <= len(weights)):
+            raise ValueError(f"{members} networks of shape {shape} are not what it holds")
+        networks = [QNetwork(shape[0], shape[1], shape[2:]) for _ in range(members)]
+        (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
+        Driver(**content["observer"])
     return networks, content
+
+
+def _digest(notes: dict[str, Any], weights: dict[str, Tensor]) -> str:
+    """SHA-256 of a policy's notes and weights."""
+    tensors = (name.encode() + weights[name].numpy().tobytes() for name in sorted(weights))
+    return digest_of([canonical(notes), *tensors])
 
 
 def as_ranges(depth: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
@@ -262,15 +282,15 @@ def export_onnx(navigator: Navigator, path: str | Path) -> None:
     """
     import onnx
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     network = copy.deepcopy(navigator.network).float()
     rows = torch.export.Dim("robots", min=1)
-    torch.onnx.export(
-        network.eval(), (torch.zeros(2, network.inputs),), str(path), input_names=["observation"],
-        output_names=["values"], dynamic_shapes=({0: rows},), dynamo=True, external_data=False, verbose=False,
-    )  # fmt: skip
-    model = onnx.load(str(path))
-    notes = model.metadata_props.add()
-    notes.key, notes.value = "navigator", json.dumps(navigator.observer.options)
-    onnx.save(model, str(path))
+    with part_file(Path(path)) as unfinished:
+        torch.onnx.export(
+            network.eval(), (torch.zeros(2, network.inputs),), str(unfinished), input_names=["observation"],
+            output_names=["values"], dynamic_shapes=({0: rows},), dynamo=True, external_data=False,
+            verbose=False,
+        )  # fmt: skip
+        model = onnx.load(str(unfinished))
+        notes = model.metadata_props.add()
+        notes.key, notes.value = "navigator", json.dumps(navigator.observer.options)
+        onnx.save(model, str(unfinished))

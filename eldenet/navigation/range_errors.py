@@ -23,6 +23,8 @@ from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, cell_center, clearance_map
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import read_json, write_text
+from eldenet.weights import check_packaged
 
 EDGES = (0.3, 1.0, 2.0, 3.0, 4.5, 6.5, 10.0)  # of the distance bins [m]
 NEAR = (0.3, 0.9)  # clearance of a place near an obstacle [m]; the robot fits from 0.3 m on
@@ -136,8 +138,7 @@ class RangeErrors:
 
     def write(self, path: Path) -> None:
         """Write a JSON file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(self), indent=1) + "\n")
+        write_text(path, json.dumps(asdict(self), indent=1) + "\n")
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -152,8 +153,9 @@ class RangeErrors:
                 f"no range errors at {path}: make them with python -m eldenet.navigate mode=fit_noise "
                 "sensor=camera"
             )
+        check_packaged(Path(path))
         try:
-            content = json.loads(Path(path).read_text())
+            content = read_json(Path(path))
             lists = ("edges", "bias", "spread", "miss", "far", "sectors")
             errors = cls(**(content | {name: tuple(content[name]) for name in lists}))
         except (ValueError, KeyError, TypeError) as error:

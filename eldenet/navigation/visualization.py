@@ -19,6 +19,7 @@ from eldenet.perception.drawing import draw_boxes
 from eldenet.simulation.arena_view import ArenaView, robot_intrinsics
 from eldenet.simulation.arenas import Arena, Obstacle
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import part_file
 from eldenet.visualization import color_depth, visible_range
 
 _COLORS = {
@@ -248,4 +249,6 @@ def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray
     frames: list[Image.Image] = []
     yield lambda frame: frames.append(Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE))
     duration = round(1000 / per_second)
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=False)
+    with part_file(path) as unfinished:
+        first, *others = frames
+        first.save(unfinished, save_all=True, append_images=others, duration=duration, loop=0, optimize=False)

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.boxes import Detections2D
+from eldenet.data.array_files import read_text, reading
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
 from eldenet.simulation.street_views import KINDS, NAMES, render_objects
+from eldenet.system.files import read_json, write_text
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"
@@ -44,12 +46,12 @@ def write_dataset(
         raise ValueError(f"counts={dict(counts)}: give every split at least one image")
     settings = {"size": list(size), "kinds": list(kinds), "names": list(NAMES)}
     stored = folder / SETTINGS
-    if stored.is_file() and json.loads(stored.read_text()) != settings:
+    if stored.is_file() and read_json(stored) != settings:
         raise ValueError(
             f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    stored.write_text(json.dumps(settings))
+    write_text(stored, json.dumps(settings))
     for split, count in counts.items():
         for number in range(count):
             picture = folder / PICTURES / split / f"{number:06d}.png"
@@ -63,7 +65,7 @@ def write_dataset(
     lines = [f"path: {json.dumps(str(folder.resolve()))}"]
     lines += [f"{split}: {PICTURES}/{split}" for split in counts]
     lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(NAMES))]
-    (folder / "data.yaml").write_text("\n".join(lines) + "\n")
+    write_text(folder / "data.yaml", "\n".join(lines) + "\n")
     return folder / "data.yaml"
 
 
@@ -72,8 +74,12 @@ def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, D
     pairs = []
     for number in range(count):
         image = read_image(folder / PICTURES / split / f"{number:06d}.png")
-        text = (folder / BOXES / split / f"{number:06d}.txt").read_text()
-        table = np.array(text.split(), float).reshape(-1, 5)
+        boxes = folder / BOXES / split / f"{number:06d}.txt"
+        text = read_text(boxes)
+        with reading(boxes, "list of boxes"):
+            table = np.array(text.split(), float).reshape(-1, 5)
+            if not np.isfinite(table).all() or not np.isin(table[:, 0], np.arange(len(NAMES))).all():
+                raise ValueError(f"classes are 0 to {len(NAMES) - 1}, numbers are finite")
         sides = np.array(image.shape[1::-1])
         center, half = table[:, 1:3] * sides, table[:, 3:] * sides / 2
         xyxy = from_corner(np.concatenate([center - half, center + half], axis=1))

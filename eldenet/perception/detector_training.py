@@ -15,6 +15,7 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, environment
 from eldenet.simulation.street_views import STREETS_VERSION
 from eldenet.system.files import write_json
+from eldenet.system.locks import sole_writer
 
 if TYPE_CHECKING:
     from eldenet.system.resources import Resources
@@ -53,9 +54,17 @@ class DetectorTrainingSetup:
 
 
 def train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
-    """Render, train, export and score; return the content of ``run.json``."""
+    """Render, train, export and score; return the content of ``run.json``.
+
+    Raises:
+        FolderInUse: another process trains in this folder.
+    """
+    with sole_writer(setup.folder):
+        return _train_detector(setup)
+
+
+def _train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
     folder, detector, counts = setup.folder, setup.detector, setup.counts
-    folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)
     name = f"yolov9-{setup.settings['detector']['size']}"
     start = time.perf_counter()

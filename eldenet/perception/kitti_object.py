@@ -13,10 +13,12 @@ from typing import Self
 import numpy as np
 
 from eldenet.boxes import ArrayRows, Boxes3D, Detections2D
+from eldenet.data.array_files import read_text
 from eldenet.data.io import read_image
-from eldenet.data.kitti_calibration import entry
+from eldenet.data.kitti_calibration import entry, read_scan
 from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera, nearest_points
+from eldenet.system.files import write_text
 
 TREE = """
 training/
@@ -92,10 +94,9 @@ def read_labels(path: Path) -> KittiLabels:
         FileNotFoundError: the file does not exist.
         ValueError: a line is not a label; the message names it.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: it comes with KITTI's object labels")
     types, rows = [], []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    text = read_text(path, "fetch it again, it comes with KITTI's object labels")
+    for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
         if not words:
             continue
@@ -103,8 +104,10 @@ def read_labels(path: Path) -> KittiLabels:
             values = [float(word) for word in words[1:]]
         except ValueError:
             values = []
-        if len(values) not in (14, 15):
-            raise ValueError(f"{path}, line {number}: {line[:60]!r} is not a type and 14 or 15 numbers")
+        if len(values) not in (14, 15) or not np.isfinite(values).all():
+            raise ValueError(
+                f"{path}, line {number}: {line[:60]!r} is not a type and 14 or 15 numbers, all finite"
+            )
         types.append(words[0])
         rows.append(values if len(values) == 15 else [*values, 1.0])
     table = np.array(rows, np.float64).reshape(-1, 15)
@@ -148,8 +151,7 @@ def write_labels(path: Path, labels: KittiLabels) -> None:
         numbers.append(labels.score[i])
         text = " ".join(f"{value:.4f}" for value in numbers)
         lines.append(f"{kind} {labels.truncated[i]:.2f} {labels.occluded[i]} {labels.alpha[i]:.4f} {text}\n")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(lines))
+    write_text(path, "".join(lines))
 
 
 class KittiObjects:
@@ -199,7 +201,7 @@ class KittiObjects:
         rigid, rectify = np.eye(4), np.eye(4)
         rigid[:3] = entry(calibration, "Tr_velo_to_cam", (3, 4))
         rectify[:3, :3] = entry(calibration, "R0_rect", (3, 3))
-        points = np.fromfile(scan, np.float32).reshape(-1, 4)[:, :3].astype(np.float64)
+        points = read_scan(scan)[:, :3].astype(np.float64)
         points = points[points[:, 0] > 0.5]
         seen = np.column_stack([points, np.ones(len(points))]) @ (rectify @ rigid).T
         seen = seen @ entry(calibration, "P2", (3, 4)).T

@@ -16,6 +16,7 @@ from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.perception.detectors import check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
+from eldenet.system.files import read_yaml
 
 SIZES = ("t", "s", "m", "c")
 _STRIDE = 32
@@ -149,9 +150,7 @@ class LibreYoloDetector:
         return last
 
     def _check_classes(self, data: Path) -> None:
-        import yaml
-
-        content = yaml.safe_load(data.read_text()) or {}
+        content = read_yaml(data) or {}
         if content.get("download"):
             raise ValueError(f"{data} names a download: fetch the data yourself and remove that line")
         names = content.get("names")

@@ -10,6 +10,7 @@ from typing import Any
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.fingerprints import KEYS, differences, sources_of
+from eldenet.results.record_checks import ADVICE, require
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.tables import (
@@ -22,11 +23,12 @@ from eldenet.results.tables import (
     to_latex,
     to_markdown,
 )
-from eldenet.system.files import write_rows
+from eldenet.system.files import write_rows, write_text
 
 # equal in all runs of a table: of its metrics, and of its costs
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
+NEEDED_FOR_COSTS = ("hardware.processor", *(f"cost.{name}" for name in SAME_FOR_COSTS[:-1]))
 # equal in all runs of a row, which differ in their seed: the sections that shape a training
 SAME_IN_A_ROW = (
     "model",
@@ -61,14 +63,17 @@ class ReportSetup:
 
 def report_runs(setup: ReportSetup) -> None:
     """Print the table of some runs and write it as Markdown, CSV and LaTeX."""
-    runs = find_runs(setup.runs)
+    runs = find_runs(
+        setup.runs,
+        needed=("metrics.images", "constant_predictor", *(NEEDED_FOR_COSTS if setup.costs else ())),
+    )
     titles, rows = table_of(runs, setup.columns, costs=setup.costs)
     notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if setup.costs else [])
     output = setup.output
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
     write_rows(output.with_name(f"{stem}.csv"), titles, rows)
-    output.with_name(f"{stem}.md").write_text(to_markdown(titles, rows, notes))
-    output.with_name(f"{stem}.tex").write_text(to_latex(titles, rows, notes))
+    write_text(output.with_name(f"{stem}.md"), to_markdown(titles, rows, notes))
+    write_text(output.with_name(f"{stem}.tex"), to_latex(titles, rows, notes))
     log = RunLog(output.parent)
     log.table(notes[0], titles, rows)
     log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
@@ -97,14 +102,18 @@ class Row:
         return f"{mean} ± {number(name, statistics.stdev(values))}"
 
 
-def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
+def find_runs(sources: Sequence[str], needed: Sequence[str] = ()) -> list[dict[str, Any]]:
     """All ``run.json`` of ``train`` and ``evaluate`` below the given files and folders.
 
     Records of other commands (a detector's training, navigation) are skipped in folders.
 
+    Args:
+        sources: the files and folders.
+        needed: entries that every record must have, beside those of its metrics.
+
     Raises:
         FileNotFoundError: a source does not exist, or there is no run in any.
-        ValueError: a given file is the record of another command.
+        ValueError: a given file is the record of another command, or a record is damaged.
     """
     files: dict[Path, None] = {}
     for source in map(Path, sources):
@@ -118,7 +127,8 @@ def find_runs(sources: Sequence[str]) -> list[dict[str, Any]]:
     for file, run in runs.items():
         if "protocol" not in run:
             raise ValueError(f"{file} has no protocol: it was not written by eldenet's train or evaluate")
-    return [with_every_rule(run) for run in runs.values()]
+        require(file, run, "model", *SAME_FOR_METRICS, "metrics", *needed)
+    return [with_every_rule(run, file) for file, run in runs.items()]
 
 
 def _of_another_command(file: Path) -> bool:
@@ -127,9 +137,18 @@ def _of_another_command(file: Path) -> bool:
     return "protocol" not in record and ("metrics" in record or "mode" in record)
 
 
-def with_every_rule(run: Mapping[str, Any]) -> dict[str, Any]:
-    """The run with every rule in its protocol: a rule that did not exist yet was not applied."""
-    return {**run, "protocol": EvalProtocol("").as_dict() | run["protocol"]}
+def with_every_rule(run: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """The run with every rule in its protocol: a rule that did not exist yet was not applied.
+
+    Raises:
+        ValueError: the protocol of the record in ``file`` cannot be.
+    """
+    rules = EvalProtocol("").as_dict() | run["protocol"]
+    try:
+        EvalProtocol(**{name: rules[name] for name in EvalProtocol("").as_dict()})
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{file}: its protocol cannot be ({error}): {ADVICE}") from error
+    return {**run, "protocol": rules}
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -8,19 +8,22 @@ Stores of frames are identified in another way: the frame cache by the state of 
 (:mod:`eldenet.data.cache`), rendered frames and episodes by the version of their generator.
 """
 
-import hashlib
 import inspect
 import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from eldenet.system.digests import file_digest
 from eldenet.weights import WEIGHT_FILES, located
 
 KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a file, folder or Hub id
 # where a run lies, its name and the resources that it used: none of them changes a result
 NOT_COMPARED = frozenset(
-    ("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache", "threads", "workers", "device")
+    (
+        *("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache"),
+        *("threads", "workers", "device", "process_timeout"),
+    )
 )
 
 
@@ -63,7 +66,7 @@ def _default(target: str, option: str, otherwise: Any) -> Any:
 
     A record may come from anywhere: only names of this package and of torch are imported.
     """
-    if not target.startswith(("eldenet.", "torch.")):
+    if not str(target).startswith(("eldenet.", "torch.")):
         return otherwise
     try:
         parameter = inspect.signature(pkgutil.resolve_name(target)).parameters.get(option)
@@ -136,8 +139,7 @@ def sha256(source: str | Path) -> str | None:
     weights = folder.with_suffix(".bin") if folder.suffix == ".xml" else folder
     for file in (weights, *(folder / name for name in WEIGHT_FILES)):
         if file.is_file():
-            with file.open("rb") as content:
-                return hashlib.file_digest(content, "sha256").hexdigest()
+            return file_digest(file)
     return None
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.results.statistics import Difference
+from eldenet.system.files import part_file
 
 
 def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
@@ -20,11 +21,12 @@ def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool
     return front
 
 
-def _pyplot() -> Any:
-    """Matplotlib without a display."""
+def pyplot_for_files() -> Any:
+    """Matplotlib without a display; a name with dollar signs is a name, not a formula."""
     import matplotlib
 
     matplotlib.use("Agg")
+    matplotlib.rcParams["text.parse_math"] = False
     from matplotlib import pyplot
 
     return pyplot
@@ -32,8 +34,9 @@ def _pyplot() -> Any:
 
 def _save(figure: Any, path: Path) -> None:
     """Write the same bytes for the same runs."""
-    figure.savefig(path, dpi=120, metadata={"Software": None})
-    _pyplot().close(figure)
+    with part_file(path) as unfinished:
+        figure.savefig(unfinished, dpi=120, metadata={"Software": None})
+    pyplot_for_files().close(figure)
 
 
 def pareto_plot(
@@ -47,7 +50,7 @@ def pareto_plot(
     """Plot rows ``(name, cost, metric)``: one color per block, its Pareto front as a line."""
     from matplotlib.ticker import LogLocator
 
-    pyplot = _pyplot()
+    pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(figsize=(8, 5))
     colors: dict[str, Any] = {}
     for block, rows in blocks.items():
@@ -123,7 +126,7 @@ def differences_plot(
         metric: name of the metric.
         references: block -> its reference row.
     """
-    pyplot = _pyplot()
+    pyplot = pyplot_for_files()
     heights = [len(rows) for rows in blocks.values()]
     figure, panels = pyplot.subplots(
         len(blocks),
@@ -165,7 +168,7 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     Each row has a color: a thin line for every run, a thick one for their mean. The axes are scaled to all
     epochs but the first.
     """
-    pyplot = _pyplot()
+    pyplot = pyplot_for_files()
     panels = {"train_loss": "training loss", "val_loss": "validation loss"}
     panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
     figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)

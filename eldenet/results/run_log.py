@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eldenet.system.disk import disk_errors
+from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
 from eldenet.system.progress import Bar, progress_bar
 
@@ -53,15 +55,17 @@ class RunLog:
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write scalars under their names."""
         if not self.quiet:
-            for name, value in values.items():
-                self.writer.add_scalar(name, value, step)
+            with disk_errors(self.folder, "the log of TensorBoard"):
+                for name, value in values.items():
+                    self.writer.add_scalar(name, value, step)
 
     def picture(self, name: str, step: int, picture: np.ndarray) -> None:
         """Write ``(H, W, 3)`` uint8 to TensorBoard and to ``<folder>/<name>.png``."""
         if not self.quiet:
             from eldenet.visualization import write_picture
 
-            self.writer.add_image(name, picture, step, dataformats="HWC")
+            with disk_errors(self.folder, "the log of TensorBoard"):
+                self.writer.add_image(name, picture, step, dataformats="HWC")
             write_picture(self.folder / f"{name}.png", picture)
 
     def history(self, rows: Sequence[Mapping[str, float]]) -> None:
@@ -78,7 +82,7 @@ class RunLog:
         for number, column in enumerate(columns):
             table.add_column(escape(column), justify="left" if number == 0 else "right")
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*(escape(one_line(cell)) for cell in row))  # no terminal codes
         self.console.print(table)
 
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> AbstractContextManager[Bar]:
@@ -88,4 +92,5 @@ class RunLog:
     def close(self) -> None:
         """Close TensorBoard."""
         if self._writer is not None:
-            self._writer.close()
+            with disk_errors(self.folder, "the log of TensorBoard"):
+                self._writer.close()

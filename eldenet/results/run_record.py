@@ -1,6 +1,5 @@
 """``run.json``, the record of a run: how it is read, and the environment that it states."""
 
-import json
 import os
 import platform
 import shlex
@@ -13,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.renames import renamed
+from eldenet.results.record_checks import HISTORY, RUN, check_shape
+from eldenet.system.files import read_json
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
@@ -24,12 +25,9 @@ def read_record(path: Path) -> dict[str, Any]:
     """Read the ``run.json`` of any command, with today's names.
 
     Raises:
-        ValueError: it is not a JSON object.
+        ValueError: it is not a JSON object, or holds NaN or endless nesting.
     """
-    try:
-        content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
     return dict(renamed(content))
@@ -40,7 +38,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it is not JSON, or has no metrics.
+        ValueError: it is not JSON, has no metrics, or an entry that cannot be: a text for a number, delta1=7.
     """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
@@ -51,7 +49,10 @@ def read_run(path: str | Path) -> dict[str, Any]:
     content = read_record(path)
     if "metrics" not in content:
         raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
-    return content
+    if "protocol" in content:  # of train and evaluate; other commands count other things
+        check_shape(path, content, RUN)
+        check_shape(path, content.get("training") or {}, HISTORY, "training")
+    return dict(renamed(content))
 
 
 def environment() -> dict[str, Any]:

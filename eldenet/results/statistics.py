@@ -1,6 +1,6 @@
 """Paired differences between two rows of a study, with bootstrap intervals."""
 
-import csv
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval
+from eldenet.evaluation.metric_names import in_range
+from eldenet.system.files import read_table
 
 DRAWS = 10_000
 AT_ONCE = 1000  # draws at a time, which bounds the memory
@@ -63,12 +65,22 @@ def per_image(files: Sequence[Path], metric: str) -> Scores:
     """``metric`` of every image in each run, from their ``per_image.csv``.
 
     Raises:
-        ValueError: the runs scored different images.
+        ValueError: a file is damaged, or the runs scored different images.
     """
     found: list[dict[str, float]] = []
     for file in files:
-        with file.open(newline="") as lines:
-            found.append({row["name"]: float(row[metric]) for row in csv.DictReader(lines)})
+        found.append({})
+        for number, row in enumerate(read_table(file, ("name", metric)), 2):
+            try:
+                value = float(row[metric])
+            except ValueError:
+                value = math.inf
+            if row["name"] in found[-1] or not (math.isnan(value) or in_range(metric, value)):
+                raise ValueError(
+                    f"{file}, line {number}: {row['name']!r} with {metric}={row[metric]!r} cannot be, or "
+                    "stands there twice: restore the file, or train or evaluate again"
+                )
+            found[-1][row["name"]] = value
         if found[-1].keys() != found[0].keys():
             raise ValueError(f"{file} and {files[0]} scored different images and can't be paired")
     images = tuple(sorted(found[0]))

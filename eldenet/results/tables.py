@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.evaluation.metric_names import CLASS_METRICS, LOWER_IS_BETTER, UNITS
 from eldenet.results.run_record import RUN_FILE
+from eldenet.system import escaping
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
@@ -144,29 +145,19 @@ def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Seq
     """A Markdown table with notes below."""
 
     def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        return f"| {' | '.join(map(escaping.markdown, cells))} |"
 
     lines = [line(titles), f"|---|{'---:|' * (len(titles) - 1)}", *map(line, rows)]
-    return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
+    return "\n".join([*lines, "", *(f"- {escaping.markdown_note(note)}" for note in notes), ""])
 
 
 def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """A LaTeX table (booktabs) with the notes as comments."""
-    swaps: dict[str, str | int | None] = {
-        **{sign: f"\\{sign}" for sign in "_&%#${}"},
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "δ": r"$\delta$",
-        "±": r"$\pm$",
-        "↓": r"$\downarrow$",
-        "↑": r"$\uparrow$",
-        "²": "$^2$",
-    }
 
     def line(cells: Sequence[str]) -> str:
-        return " & ".join(cell.translate(str.maketrans(swaps)) for cell in cells) + r" \\"
+        return " & ".join(map(escaping.latex, cells)) + r" \\"
 
     body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
-    head = [f"% {note}" for note in notes] + [r"\begin{tabular}{l" + "r" * (len(titles) - 1) + "}"]
+    head = [f"% {escaping.one_line(note)}" for note in notes]
+    head += [r"\begin{tabular}{l" + "r" * (len(titles) - 1) + "}"]
     return "\n".join([*head, *body, r"\end{tabular}", ""])

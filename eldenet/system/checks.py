@@ -1,9 +1,28 @@
 """Checks of settings that need no heavy imports."""
 
 from collections.abc import Sequence
+from typing import Any
+
+LARGEST_SIDE = 16_384  # [px] of an image that a network sees
 
 
 def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
     """Raise ``ValueError`` if a setting has none of the allowed values."""
     if value not in allowed:
         raise ValueError(f"{name}={value!r}: give one of {', '.join(allowed)}")
+
+
+def check_size(name: str, value: Any) -> tuple[int, int] | None:
+    """Return the ``(height, width)`` [px] that a file states under ``name``; None: it states none.
+
+    Raises:
+        ValueError: it is something else, or absurdly large.
+    """
+    if value is None:
+        return None
+    sides = list(value) if isinstance(value, list | tuple) else []
+    if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST_SIDE for side in sides):
+        raise ValueError(
+            f"{name} is {value!r}, but must be null or [height, width] in pixels, 1 to {LARGEST_SIDE} each"
+        )
+    return sides[0], sides[1]

@@ -3,28 +3,102 @@
 import csv
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import os
+import platform
+import re
+import shutil
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
+
+from eldenet.system.disk import disk_errors
+from eldenet.system.escaping import csv_cell
+
+MOST_VALUES, DEEPEST = 1_000_000, 50
+"""Values in a YAML or JSON file, with every alias in full, and how deep they may be nested."""
+MOST_YAML, MOST_JSON = 1_000_000, 100_000_000  # bytes
+_TOO_DEEP = f"it is nested deeper than {DEEPEST} levels"
 
 
 @contextmanager
 def part_file(path: Path) -> Iterator[Path]:
-    """Yield a hidden path beside ``path`` that replaces it at the end; after an error it is removed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.stem}.part{path.suffix}")
+    """Yield a hidden path beside ``path`` that replaces it at the end; after an error it is removed.
+
+    What a killed process left in that folder is removed by the next one that writes there.
+
+    Raises:
+        DiskError: the disk is full, or the folder must not be written.
+    """
+    folder = path.parent
     try:
-        yield unfinished
-        unfinished.replace(path)
+        with disk_errors(folder, path.name):
+            folder.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(folder)
+            unfinished = part_path(path)
+            unfinished.touch()  # a folder that must not be written says so here, before a library meets it
+            yield unfinished
+            unfinished.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):
+            part_path(path).unlink(missing_ok=True)
+
+
+_MACHINE = f"{zlib.crc32(platform.node().encode()):08x}"  # folders may be shared between machines
+_PART = re.compile(rf"\..*\.{_MACHINE}-(\d+)\.part(\.[^.]*)?")
+_seen: set[tuple[int, Path]] = set()  # folders in which this process has looked
+
+
+def part_path(path: Path) -> Path:
+    """Return where this process writes ``path`` until it is complete."""
+    return path.with_name(f".{path.stem[:200]}.{_MACHINE}-{os.getpid()}.part{path.suffix}")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what dead processes of this machine left in ``folder``; each process looks once."""
+    key = os.getpid(), folder.absolute()
+    if key in _seen:
+        return
+    _seen.add(key)
+    for name in os.listdir(folder):
+        found = _PART.fullmatch(name)
+        if found and not _lives(int(found[1])):
+            with suppress(OSError):
+                (folder / name).unlink()
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
+
+
+def copy_file(source: Path, path: Path) -> None:
+    """Copy a file; it appears whole."""
+    with part_file(path) as unfinished:
+        shutil.copy2(source, unfinished)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8); it appears whole."""
+    with part_file(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def safe_stem(name: str) -> str:
+    """Return a name from foreign data as part of a file's name: no folders, no odd characters, not hidden."""
+    return re.sub(r"[^\w.+-]+", "_", name).lstrip(".")[:100] or "unnamed"
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file; NaN and infinity become null, so that any reader can parse it."""
-    with part_file(path) as unfinished:
-        unfinished.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
 
 
 def _without_nan(value: Any) -> Any:
@@ -36,30 +110,140 @@ def _without_nan(value: Any) -> Any:
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file."""
+    """Write a CSV file; a text that a spreadsheet would run as a formula starts with an apostrophe there."""
     with part_file(path) as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+        for row in (header, *rows):
+            writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
+
+
+def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file by column.
+
+    Raises:
+        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as lines:
+            reader = csv.DictReader(lines, strict=True)
+            rows, header = list(reader), list(reader.fieldnames or ())
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is not a CSV file ({error}): restore it, or make it again") from error
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise ValueError(
+            f"{path} has the columns {header}, but needs {missing}: restore it, or make it again"
+        )
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise ValueError(f"{path}, line {number} is cut or damaged: restore the file, or make it again")
+    return rows
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain values as a YAML file."""
     import yaml
 
-    with part_file(path) as unfinished:
-        unfinished.write_text(yaml.safe_dump(dict(content), sort_keys=False))
+    write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
 
 
 def read_yaml(path: Path) -> Any:
     """Return the plain values of a YAML file.
 
     Raises:
-        ValueError: the file is missing or not YAML.
+        ValueError: the file is missing, not YAML, or larger than any settings are (:data:`MOST_VALUES`).
     """
     import yaml
 
+    with _readable(path, "YAML", (yaml.YAMLError,)):
+        loader = yaml.SafeLoader(_text(path, MOST_YAML))
+        node = loader.get_single_node()
+        _check_extent(node, _parts_of_node)  # of the nodes: building the values would expand all aliases
+        content = None if node is None else loader.construct_document(node)
+    return content
+
+
+def read_json(path: Path) -> Any:
+    """Return the plain values of a JSON file.
+
+    Raises:
+        ValueError: the file is missing, not JSON, or larger than any record is (:data:`MOST_VALUES`).
+    """
+    with _readable(path, "JSON"):
+        return _json(_text(path, MOST_JSON))
+
+
+def parse_json(text: str, source: object) -> Any:
+    """Return the plain values of a JSON text; ``source`` is for messages.
+
+    Raises:
+        ValueError: the text is not JSON, or larger than any record is (:data:`MOST_VALUES`).
+    """
+    with _readable(source, "JSON"):
+        return _json(text)
+
+
+def _json(text: str) -> Any:
+    content = json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)
+    _check_extent(content, lambda value: value.values() if isinstance(value, dict) else value)
+    return content
+
+
+@contextmanager
+def _readable(source: object, kind: str, errors: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     try:
-        return yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, OSError) as error:
-        raise ValueError(f"{path} can't be read as YAML: {error}") from error
+        yield
+    except RecursionError as error:
+        raise ValueError(f"{source} can't be read as {kind}: {_TOO_DEEP}") from error
+    except (ValueError, TypeError, OSError, *errors) as error:  # type: ignore[misc]
+        reason = " ".join(str(error).split())[:300]
+        raise ValueError(f"{source} can't be read as {kind}: {reason}") from error
+
+
+def _text(path: Path, most: int) -> str:
+    size = path.stat().st_size
+    if size > most:
+        raise ValueError(f"{size / 1e6:.1f} MB, more than {most // 1_000_000} MB, is no file of eldenet's")
+    return path.read_text(encoding="utf-8")
+
+
+def _whole_number(digits: str) -> int:
+    _check_digits(digits)
+    return int(digits)
+
+
+def _check_digits(digits: str) -> None:
+    """Refuse numbers that no float holds: they raise OverflowError wherever they are used."""
+    if len(digits) > 300:
+        raise ValueError(f"it has a number of {len(digits)} digits")
+
+
+def _parts_of_node(node: Any) -> Iterable[Any]:
+    """Return the parts of a node of a YAML file."""
+    if isinstance(node.value, str):
+        if node.tag.endswith((":int", ":float")):
+            _check_digits(node.value)
+        return ()
+    return (part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,)))
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number in JSON")
+
+
+def _check_extent(content: Any, parts: Callable[[Any], Iterable[Any]]) -> None:
+    """Refuse more values, with every alias in full, or deeper nesting than settings and records have."""
+    level, count = [content], 1
+    for _ in range(DEEPEST):
+        inner = (part for value in level if not _is_plain(value) for part in parts(value))
+        level = list(islice(inner, MOST_VALUES))
+        count += len(level)
+        if count > MOST_VALUES:
+            raise ValueError(f"it holds more than {MOST_VALUES:,} values")
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | int | float)

@@ -53,13 +53,17 @@ def _cgroup(name: str) -> str:
 
 @dataclass(frozen=True)
 class Resources:
-    """What a run computes with. ``threads + workers <= cores`` on a CPU."""
+    """What a run computes with. ``threads + workers <= cores`` on a CPU.
+
+    All but ``processes``, the number that ``torchrun`` or ``accelerate launch`` started, is per process.
+    """
 
     device: str
     precision: str
     threads: int
     workers: int
     cores: int
+    processes: int = 1
 
 
 def choose_resources(
@@ -112,10 +116,11 @@ def choose_resources(
             stacklevel=2,
         )
     if not for_torch:
-        return Resources(device, "fp32", threads, workers, cores)
+        return Resources(device, "fp32", threads, workers, cores, number_of_processes())
     torch.set_num_threads(threads)
     full_fp32()
-    return Resources(device, resolve_precision(precision, device), threads, workers, cores)
+    precision = resolve_precision(precision, device)
+    return Resources(device, precision, threads, workers, cores, number_of_processes())
 
 
 def full_fp32() -> None:
@@ -154,6 +159,11 @@ def make_accelerator(resources: Resources) -> Any:
     return Accelerator(mixed_precision=precision, cpu=resources.device == "cpu")
 
 
+def number_of_processes() -> int:
+    """Return how many processes ``torchrun`` or ``accelerate launch`` started for this job."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
 def is_main_process() -> bool:
     """Whether this process speaks and writes, of those that ``torchrun`` or ``accelerate launch`` started."""
     return os.environ.get("RANK", "0") == "0"
@@ -166,7 +176,7 @@ def main_process_first(resources: Resources) -> Iterator[None]:
     So files that the block prepares (rendered frames, an index, a download) are prepared once.
     """
     with ExitStack() as stack:
-        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if number_of_processes() > 1:
             from accelerate import PartialState
 
             state = PartialState(cpu=resources.device == "cpu")

@@ -4,7 +4,6 @@ import functools
 import json
 import math
 import os
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,11 +12,15 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from eldenet.backbones.weights import read_torch
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
+from eldenet.system.files import copy_file, part_file
+from eldenet.system.reading import reading
 from eldenet.training.resume import checkpoint_file
 
 LAST, BEST = "last.pt", "best.pt"
+RESUME_ADVICE = "resume from another checkpoint, such as best.pt beside it, or train again"
 
 
 @dataclass
@@ -89,15 +92,24 @@ class TrainingState:
                 "checkpoint was kept. Try a lower optimizer.lr or trainer.max_grad_norm=1"
             )
 
-    def restore(self, path: Path) -> None:
+    def restore(self, path: Path, *, epochs: int, batches: int) -> str:
         """Load everything from a checkpoint file or run folder.
+
+        Args:
+            path: of it.
+            epochs: of the training.
+            batches: of an epoch.
+
+        Returns:
+            A note for the user where the result may differ in the last digits; else "".
 
         Raises:
             FileNotFoundError: there is none.
             ValueError: it is damaged, or belongs to another training.
         """
         state = load_checkpoint(path)
-        theirs = _renamed_identity(json.loads(state["identity"]))
+        with reading(path, "training checkpoint of eldenet", RESUME_ADVICE):
+            theirs = _renamed_identity(json.loads(state["identity"]))
         ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
         different = differences(ours, theirs)
         if different:
@@ -105,6 +117,20 @@ class TrainingState:
                 f"{path} belongs to another training: {'; '.join(different)}. Resume with the settings of "
                 "its run: config.yaml in its run folder"
             )
+        with reading(path, "training checkpoint of eldenet", RESUME_ADVICE):
+            progress = _checked_progress(state["progress"], epochs, batches)
+            self._load(state)
+        for name, value in progress.items():
+            setattr(self.progress, name, value)
+        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
+        if None in threads or threads[0] == threads[1]:
+            return ""
+        return (
+            f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
+            f"another order, so the last digits change (runtime.threads={threads[0]} keeps them)"
+        )
+
+    def _load(self, state: Mapping[str, Any]) -> None:
         self.model.load_state_dict(state["model"])
         if self.ema is not None:
             self.ema.load_state_dict(state["ema"])
@@ -116,8 +142,21 @@ class TrainingState:
         torch.set_rng_state(state["torch_rng"])
         if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # absent in early ones
             torch.cuda.set_rng_state(state["cuda_rng"])
-        for name, value in state["progress"].items():
-            setattr(self.progress, name, value)
+
+
+def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> dict[str, Any]:
+    """Return the values of a stored :class:`Progress` whose types are right and which lie in the training."""
+    fresh = asdict(Progress())
+    found = {name: stored[name] for name in fresh if name in stored}  # some are absent in early checkpoints
+    for name, value in found.items():
+        wanted = (int, float) if isinstance(fresh[name], float) else type(fresh[name])
+        if isinstance(value, bool) or not isinstance(value, wanted):
+            raise ValueError(f"progress.{name} is {value!r}")
+    limits = {"epoch": epochs, "batch": batches, "step": epochs * batches, "best_epoch": epochs}
+    for name, most in limits.items():
+        if not -1 <= found.get(name, 0) <= most:
+            raise ValueError(f"progress.{name} is {found[name]}, this training has {most}")
+    return found
 
 
 def _renamed_identity(identity: Mapping[str, Any]) -> dict[str, Any]:
@@ -153,22 +192,17 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
         )
     if old == folder.resolve():
         return
-    if (old / "checkpoints" / BEST).is_file():
-        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-        shutil.copy2(old / "checkpoints" / BEST, folder / "checkpoints" / BEST)
-    if (old / "model").is_dir():
-        shutil.copytree(old / "model", folder / "model", dirs_exist_ok=True)
+    brought = [old / "checkpoints" / BEST, *sorted((old / "model").glob("[!.]*"))]
+    for file in filter(Path.is_file, brought):
+        copy_file(file, folder / file.relative_to(old))
 
 
 def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
     """Write ``state`` to ``path`` atomically: a reader finds the old file or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with unfinished.open("wb") as file:
+    with part_file(path) as unfinished, unfinished.open("wb") as file:
         torch.save(dict(state), file)
         file.flush()
         os.fsync(file.fileno())
-    unfinished.replace(path)
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
@@ -182,12 +216,10 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
         ValueError: the file is damaged or no checkpoint of eldenet.
     """
     path = checkpoint_file(path)
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for a damaged or foreign file
-        raise ValueError(f"{path} can't be read as a checkpoint ({type(error).__name__}: {error})") from error
-    if not isinstance(state, dict) or "progress" not in state:
-        raise ValueError(f"{path} is not a training checkpoint of eldenet: it has no entry 'progress'")
+    state = read_torch(path)
+    for entry in ("progress", "identity"):
+        if not isinstance(state, dict) or entry not in state:
+            raise ValueError(f"{path} is not a training checkpoint of eldenet: it has no entry {entry!r}")
     return state
 
 

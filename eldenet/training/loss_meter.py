@@ -9,6 +9,7 @@ from torch import Tensor
 
 from eldenet.training.checkpoint import Progress
 
+BLANK = "batches without a known pixel"  # counted among the sums
 READ_EVERY = 10  # steps: each read makes the host wait for an accelerator
 
 

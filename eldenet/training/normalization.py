@@ -1,12 +1,11 @@
 """Mean and standard deviation that normalize the images: ``normalization`` in ``train.yaml``."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.system.files import write_json
+from eldenet.system.files import read_json, write_json
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
@@ -42,7 +41,7 @@ def normalization(
     if resumed is not None:
         for file in (resumed / FILE, resumed / _EARLIER_FILE):
             if file.is_file():
-                known = json.loads(file.read_text())
+                known = read_json(file)
                 return {name: _three(name, known[name]) for name in ("mean", "std")}
     from eldenet.data.inspection import channel_statistics
 

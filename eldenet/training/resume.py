@@ -10,6 +10,7 @@ from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run
 from eldenet.system.files import read_yaml
+from eldenet.system.resources import number_of_processes
 
 if TYPE_CHECKING:
     from eldenet.training.setup import TrainingSetup
@@ -34,6 +35,9 @@ def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str
     if record.get("training", {}) is None:
         raise ValueError(f"{folder} holds an evaluation, not a training to resume: give another folder")
     different = run_differences(setup.settings, record)
+    processes = record.get("resources", {}).get("processes")  # absent in early records
+    if processes not in (None, number_of_processes()):
+        different.append(f"processes={number_of_processes()} (there {processes})")
     if not different:
         for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
             found = setup.make_split(split, setup.protocol).split_hash

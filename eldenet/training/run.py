@@ -1,22 +1,29 @@
 """One training from its setup to ``run.json``: build, train, score the best epoch, record."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.system.files import write_yaml
+from eldenet.system.locks import sole_writer
 from eldenet.system.resources import choose_resources, is_main_process, main_process_first
 from eldenet.training.resume import checkpoint_to_resume, finished_run, run_folder
 from eldenet.training.setup import TrainingSetup
+from eldenet.training.watch import watched_processes
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from eldenet.data.base import DepthDataset
     from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.losses.base import WeightedSum
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
     from eldenet.training.checkpoint import Progress
+    from eldenet.training.trainer import Trainer
 
 
 def train(setup: TrainingSetup) -> float:
@@ -26,9 +33,15 @@ def train(setup: TrainingSetup) -> float:
         The best value of ``trainer.monitor``; NaN where no validation had one.
 
     Raises:
-        ValueError: the settings do not fit each other, or the folder holds another run.
+        ValueError: the settings do not fit each other, or the folder holds another run, or another process
+            trains in it.
         FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
     """
+    with sole_writer(setup.folder) if is_main_process() else nullcontext():
+        return _train(setup)
+
+
+def _train(setup: TrainingSetup) -> float:
     from eldenet.results.run_log import RunLog
 
     log = RunLog(setup.folder, quiet=not is_main_process())
@@ -39,16 +52,45 @@ def train(setup: TrainingSetup) -> float:
         return math.nan if best_value is None else float(best_value)
     checkpoint = checkpoint_to_resume(setup)
     resources = choose_resources(**setup.resources)
-    from eldenet.results.fingerprints import fingerprints
     from eldenet.results.tables import closing_table
+
+    # before the data, which may take minutes to render: a wrong setting shows at once
+    from eldenet.training.initialization import initial_model
+
+    trainer, loss = setup.make_trainer(), make_loss(setup)
+    initial_model(setup, RunLog(setup.folder, quiet=True))
+    with watched_processes(resources, setup.process_timeout):
+        progress, skipped = _fit(setup, trainer, loss, resources, log, checkpoint)
+        trainer.accelerator.wait_for_everyone()
+    trainer.accelerator.end_training()  # a process that leaves with its group open may abort
+    if trainer.accelerator.is_main_process:
+        facts = {
+            "training": asdict(progress) | {"effective_batch": trainer.effective_batch},
+            "skipped": skipped,
+            "teacher": dict(loss.signature),
+        }
+        record = score_best(setup, resources, log, facts)
+        closing_table(log, record)
+        if line := collapse(record):
+            log.say(line)
+    return progress.best_value
+
+
+def _fit(
+    setup: TrainingSetup,
+    trainer: "Trainer",
+    loss: "WeightedSum",
+    resources: "Resources",
+    log: "RunLog",
+    checkpoint: Path | None,
+) -> tuple["Progress", dict[str, Mapping[str, str]]]:
+    """Prepare the frames and train; return the progress and the frames that were left out, by split."""
+    from eldenet.results.fingerprints import fingerprints
     from eldenet.training.initialization import initial_model
     from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.trainer import TrainingData
 
-    # before the data, which may take minutes to render: a wrong setting shows at once
-    trainer, loss = setup.make_trainer(), make_loss(setup)
-    initial_model(setup, RunLog(setup.folder, quiet=True))
-    train_set, val_set, test_set = make_splits(setup, resources)
+    train_set, val_set, test_set = make_splits(setup, resources, labeled=loss.needs_depth)
     resumed = None if checkpoint is None else run_folder(checkpoint)
     chosen = normalization(setup.normalization, train_set, resumed=resumed)
     model = initial_model(setup, log, **chosen)
@@ -72,12 +114,22 @@ def train(setup: TrainingSetup) -> float:
         info=model_info(setup, train_set),
         sources=fingerprints(setup.settings),
     )
-    trainer.accelerator.wait_for_everyone()
-    trainer.accelerator.end_training()  # a process that leaves with its group open may abort
-    if trainer.accelerator.is_main_process:
-        skipped = {"train": train_set.skipped, "val": val_set.skipped}
-        closing_table(log, score_best(setup, resources, log, progress, skipped, loss.signature))
-    return progress.best_value
+    return progress, {"train": train_set.skipped, "val": val_set.skipped}
+
+
+def collapse(record: Mapping[str, Any]) -> str:
+    """Return a warning if delta1 and AbsRel are worse than the constant predictor's; else ""."""
+    found, constant = record["metrics"], record["constant_predictor"]
+    if constant is None or not (
+        found["delta1"] < constant["delta1"] and found["abs_rel"] > constant["abs_rel"]
+    ):
+        return ""
+    return (
+        f"warning: the network is worse than a constant depth map (delta1 {found['delta1']:.3f} and AbsRel "
+        f"{found['abs_rel']:.3f}; the map: {constant['delta1']:.3f} and {constant['abs_rel']:.3f}): it has "
+        "learned nothing that holds on these frames. Try a lower optimizer.lr, more trainer.epochs, or "
+        "trainer.max_grad_norm=1"
+    )
 
 
 def make_loss(setup: TrainingSetup) -> "WeightedSum":
@@ -96,21 +148,43 @@ def make_loss(setup: TrainingSetup) -> "WeightedSum":
 
 
 def make_splits(
-    setup: TrainingSetup, resources: "Resources"
+    setup: TrainingSetup, resources: "Resources", *, labeled: bool = True
 ) -> tuple["DepthDataset", "DepthDataset", "DepthDataset"]:
     """Return training, validation and test frames.
 
+    Args:
+        setup: of the training.
+        resources: device of the processes.
+        labeled: whether the loss needs the training frames' depth.
+
     Raises:
-        ValueError: they cannot be scored; better now than after the training.
+        ValueError: they cannot be scored, or no pixel of a split is known: better now than after the
+            training.
     """
     with main_process_first(resources):  # it renders or prepares what the others then find
         train_set = setup.make_split("train", setup.protocol, augment=True, seed=setup.seed)
         val_set = setup.make_split("val", setup.protocol)
         test_set = setup.make_split("test", setup.protocol, score=True)
     for scored in (val_set, test_set):
-        sample = scored[0]  # raises where the protocol's crop does not fit the frame or its ground truth
-        setup.protocol.valid_mask(sample["depth"][None], sample["mask"][None])
+        # raises where the protocol's crop does not fit the frame or its ground truth
+        _refuse_unknown(setup, scored, setup.protocol.valid_mask)
+    if labeled:
+        _refuse_unknown(setup, train_set, lambda depth, mask: mask)
     return train_set, val_set, test_set
+
+
+def _refuse_unknown(
+    setup: TrainingSetup, frames: "DepthDataset", valid_mask: Callable[["Tensor", "Tensor"], "Tensor"]
+) -> None:
+    """Raise ValueError if no frame has a pixel that counts; one frame is read where the first one has."""
+    for sample in map(frames.__getitem__, range(len(frames))):
+        if valid_mask(sample["depth"][None], sample["mask"][None]).any():
+            return
+    raise ValueError(
+        f"no pixel of {len(frames)} frames such as {frames.names[0]} has a known depth that counts "
+        f"({frames.min_depth:g} to {frames.max_depth:g} m, protocol {setup.protocol.name}): check "
+        "data.min_depth, data.max_depth and the unit of the depth files with python -m eldenet.check_data"
+    )
 
 
 def announce_frames(
@@ -169,12 +243,7 @@ def trained_sizes(
 
 
 def score_best(
-    setup: TrainingSetup,
-    resources: "Resources",
-    log: "RunLog",
-    progress: "Progress",
-    skipped: Mapping[str, Mapping[str, str]],
-    teacher: Mapping[str, Any],
+    setup: TrainingSetup, resources: "Resources", log: "RunLog", facts: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Score the best epoch's weights, as anybody would load them, on the test frames; write ``run.json``."""
     from eldenet.model import DepthNet
@@ -191,5 +260,4 @@ def score_best(
         resources=resources,
         settings=setup.settings,
     )
-    facts = {"training": asdict(progress), "skipped": skipped, "teacher": dict(teacher)}
-    return score_and_record(scoring, best, log, facts, step=progress.step)
+    return score_and_record(scoring, best, log, facts, step=facts["training"]["step"])

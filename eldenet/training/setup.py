@@ -30,6 +30,7 @@ class TrainingSetup:
         make_loss: builds what is minimized, a teacher included.
         make_trainer: builds the trainer.
         resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
+        process_timeout: seconds to wait for another process's answer.
         normalization: as :func:`~eldenet.training.normalization.normalization` takes it.
         weights: what the network starts from: run folder, saved model, Hub id or packaged weights.
         teacher: what the loss distills from.
@@ -50,6 +51,7 @@ class TrainingSetup:
     make_loss: Callable[[], "WeightedSum"]
     make_trainer: Callable[[], "Trainer"]
     resources: Mapping[str, Any]
+    process_timeout: float
     normalization: str | Mapping[str, Any]
     weights: str | None
     teacher: str | None

@@ -20,7 +20,7 @@ from eldenet.results.run_log import RunLog
 from eldenet.system.resources import Resources, make_accelerator, seed_everything
 from eldenet.training.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.training.ema import WeightAverage, average_gradients
-from eldenet.training.loss_meter import LossMeter, timed
+from eldenet.training.loss_meter import BLANK, LossMeter, timed
 from eldenet.training.optim import build_optimizer
 
 SIGNATURE = (
@@ -30,6 +30,7 @@ SIGNATURE = (
     "epochs",
     "backbone_lr_factor",
     "ema_decay",
+    "sync_batchnorm",
 )  # a checkpoint's
 
 
@@ -61,6 +62,8 @@ class Trainer:
         ema_decay: decay of an exponential moving average of the weights, which is then evaluated and saved;
             None: no average.
         channels_last: memory layout of images and weights.
+        sync_batchnorm: BatchNorm takes its statistics from the batches of all processes, which must be on
+            GPUs; otherwise each process has its own.
         monitor: metric that decides which epoch is the best.
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
@@ -79,6 +82,7 @@ class Trainer:
         backbone_lr_factor: float = 1.0,
         ema_decay: float | None = None,
         channels_last: bool = True,
+        sync_batchnorm: bool = False,
         monitor: str = "delta1",
         checkpoint_every: int = 200,
         evaluate_every: int = 1,
@@ -107,7 +111,7 @@ class Trainer:
         )
         self.max_grad_norm, self.ema_decay, self.channels_last = max_grad_norm, ema_decay, channels_last
         self.monitor, self.checkpoint_every, self.evaluate_every = monitor, checkpoint_every, evaluate_every
-        self.seed, self.backbone_lr_factor = seed, backbone_lr_factor
+        self.seed, self.backbone_lr_factor, self.sync_batchnorm = seed, backbone_lr_factor, sync_batchnorm
 
     def fit(
         self,
@@ -135,6 +139,7 @@ class Trainer:
 
         Raises:
             FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
+            ValueError: no pixel of an epoch or of the validation is known, or no epoch is the best one.
         """
         self.info, self.sources = info or {}, dict(sources or {})
         self._set_up(model, loss, data, folder, resources, ckpt_path)
@@ -152,7 +157,8 @@ class Trainer:
                     progress.batch += 1
                     update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
                     batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
-                    self.meter.add(progress.step, self.train_step(batch, update=update))
+                    terms = self.train_step(batch, update=update)
+                    self.meter.add(progress.step, terms | {BLANK: ~batch["mask"].any()})
                     progress.step += update
                     progress.seconds += time.monotonic() - started
                     if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
@@ -163,7 +169,17 @@ class Trainer:
             self._end_epoch(epoch)
         self.log.close()
         del self.loader  # its workers end with it
+        if progress.best_epoch < 1:
+            raise ValueError(
+                f"trainer.monitor={self.monitor} was NaN in every validation, so no epoch is the best one: "
+                "choose another metric, such as delta1"
+            )
         return progress
+
+    @property
+    def effective_batch(self) -> int:
+        """Images per update, of all processes."""
+        return self.batch_size * self.processes * self.accumulate_grad_batches
 
     def train_step(self, batch: dict[str, Any], *, update: bool) -> dict[str, Tensor]:
         """Forward, loss, backward and, if ``update``, one step of the optimizer.
@@ -209,6 +225,10 @@ class Trainer:
         self.folder, self.workers = folder, resources.workers
         loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
+        if self.sync_batchnorm and self.processes > 1:
+            if self.accelerator.device.type != "cuda":
+                raise ValueError("trainer.sync_batchnorm=true needs GPUs: on CPUs set it to false")
+            torch.nn.SyncBatchNorm.convert_sync_batchnorm(model)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
         self.sampler = EpochSampler(
@@ -242,6 +262,8 @@ class Trainer:
                 "validation split": self.val_set.split_hash,
                 "protocol": self.protocol.as_dict(),
                 "batch_size": self.batch_size * self.processes,
+                "processes": self.processes,
+                "threads": resources.threads,
                 "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
                 "scheduler": described(self.make_scheduler),
                 "teacher": loss.signature,
@@ -249,8 +271,9 @@ class Trainer:
                 "sources": self.sources,
             },
         )
+        note = ""
         if ckpt_path is not None:
-            self.state.restore(Path(ckpt_path))
+            note = self.state.restore(Path(ckpt_path), epochs=self.epochs, batches=self.sampler.batches)
             if self.accelerator.is_main_process:
                 bring_best(Path(ckpt_path), folder, self.progress)
         self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
@@ -258,12 +281,15 @@ class Trainer:
         self.log = RunLog(
             folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
         )
+        if note:
+            self.log.say(note)
 
     # ------------------------------------------------------------------ after an epoch
 
     def _end_epoch(self, epoch: int) -> None:
-        self.meter.read()
+        self._average_sums()
         progress = self.progress
+        self._say_blank(progress.sums.pop(BLANK, 0.0))
         losses = {f"train_{name}": value / progress.batch for name, value in progress.sums.items()}
         row: dict[str, float] = {
             "epoch": epoch + 1,
@@ -295,6 +321,27 @@ class Trainer:
             if self.accelerator.is_main_process:
                 self._best_candidate().save_pretrained(self.folder / "model", info=self._info())
         self._save(LAST)
+
+    def _average_sums(self) -> None:
+        """Read the losses; all processes go on with the mean of their sums."""
+        self.meter.read()
+        sums = self.progress.sums
+        if sums and self.processes > 1:
+            own = torch.tensor(list(sums.values()), dtype=torch.float64, device=self.accelerator.device)
+            sums.update(zip(sums, self.accelerator.reduce(own, "mean").tolist(), strict=True))
+
+    def _say_blank(self, blank: float) -> None:
+        """Say how many batches of the epoch had no known pixel; raise ValueError if it was all of them."""
+        if not blank or not self.loss.needs_depth:
+            return
+        batches = self.progress.batch
+        if blank == batches:
+            raise ValueError(
+                "no pixel of the epoch's training frames has a known depth: check data.min_depth, "
+                "data.max_depth and the unit of the depth files with python -m eldenet.check_data"
+            )
+        count = f"{blank * self.processes:.0f} of {batches * self.processes}"
+        self.log.say(f"note: {count} batches of this epoch have no known pixel, so they teach nothing")
 
     def _best_candidate(self) -> DepthNet:
         return self.bare_model if self.average is None else self.average.model
@@ -333,11 +380,11 @@ class Trainer:
 
     def _is_better(self, value: float) -> bool:
         best = self.progress.best_value
-        if math.isnan(best):
-            return True
+        if math.isnan(value) or math.isnan(best):
+            return not math.isnan(value)
         return value < best if self.monitor in LOWER_IS_BETTER else value > best
 
     def _save(self, name: str) -> None:
-        self.meter.read()
+        self._average_sums()
         if self.accelerator.is_main_process:
             self.state.save(self.folder / "checkpoints" / name)

@@ -1,11 +1,25 @@
 """Trained weights that come with the package; all were trained on rendered frames only."""
 
+import hashlib
 import warnings
 from pathlib import Path
 
 PACKAGED = Path(__file__).resolve().parent
 #: Where weights lie in the folder of a saved model and of a run.
 WEIGHT_FILES = ("model.safetensors", "model/model.safetensors")
+
+
+def check_packaged(path: Path) -> None:
+    """Check a single file of this package (policy, range errors) against ``SHA256SUMS``; others pass.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
+    if path.resolve().parent == PACKAGED:
+        lines = (PACKAGED / "SHA256SUMS").read_text().splitlines()
+        sums = {name: digest for digest, name in (line.split() for line in lines)}
+        if sums.get(path.name) not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+            raise ValueError(f"{path} is damaged (see SHA256SUMS beside it): install eldenet again")
 
 
 def list_weights() -> list[str]:

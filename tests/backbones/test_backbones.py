@@ -208,7 +208,7 @@ def test_unknown_depths_and_sizes_are_refused_with_the_known_ones() -> None:
     [
         ("pickled.pth", nn.Linear(1, 1), "a pickle can run code"),
         ("list.pth", [torch.zeros(1)], "no state dict"),
-        ("cut.safetensors", b"\x00" * 20, "not a complete safetensors file"),
+        ("cut.safetensors", b"\x00" * 20, "not a valid safetensors file"),
         ("other.pth", {"conv1.weight": torch.zeros(1)}, r"other\.pth do not fit"),
     ],
 )

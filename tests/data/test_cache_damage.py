@@ -31,13 +31,13 @@ def write_forever(path: Path, value: int, die_at: int | None = None) -> None:
     store = FrameStore(path, 4, HEADER + 7 * SIDE**2)
     write, calls = frame_store._write, 0
 
-    def dying(handle: int, content: bytes, start: int) -> None:
+    def dying(handle: int, content: bytes, start: int, path: Path | None) -> None:
         nonlocal calls
         calls += 1  # every second one is a header
         if calls == die_at:
-            write(handle, content[: len(content) // 2], start)
+            write(handle, content[: len(content) // 2], start, path)
             os.kill(os.getpid(), signal.SIGKILL)
-        write(handle, content, start)
+        write(handle, content, start, path)
 
     frame_store._write = dying
     while True:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from support.predicting import exported, listed, photo, read_ply, run, save, set
 
 import eldenet
 from eldenet.data.io import read_depth
+from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
 from eldenet.deploy.prediction import open_predictor
 from eldenet.deploy.predictor import DepthPredictor
@@ -95,7 +97,6 @@ def test_results_are_replaced_only_with_overwrite_and_only_by_name(
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     save(source / "a.png", photo()[::-1])
     (source / "b.png").unlink()
-    (out / ".a_depth.part.png").write_bytes(b"left by a kill")
     run(model_folder, source, out, "formats=[depth]", "overwrite=true")
     after = {path.name: path.read_bytes() for path in out.iterdir()}
     assert after.keys() == before.keys()
@@ -248,3 +249,39 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
         )
         assert done.returncode == 0, done.stderr
     assert listed(tmp_path / "out") == ["a_color.png", "a_depth.png"]
+
+
+def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
+    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    source, out = tmp_path / "in", tmp_path / "out"
+    for name in ("a.png", "b.png", "c.png"):
+        save(source / name, photo())
+    with monkeypatch.context() as full:
+        full.setattr(outputs, "write_picture", full_after(3, outputs.write_picture))
+        with pytest.raises(OSError, match="no space left"):
+            run(model_folder, source, out)
+    assert listed(out) == ["a_color.png", "a_depth.png", "b_depth.png"]
+    first = (out / "a_depth.png").stat().st_mtime_ns
+    with pytest.raises(ValueError, match="results exist already"):  # another command
+        run(model_folder, source, out, "max_side=128")
+    assert run(model_folder, source, out).images == 2
+    assert "1 of 3 pictures were done before the command stopped" in capsys.readouterr().out
+    assert (out / "a_depth.png").stat().st_mtime_ns == first
+    assert sorted(path.name for path in out.iterdir()) == [
+        f"{name}_{kind}.png" for name in "abc" for kind in ("color", "depth")
+    ]
+    with pytest.raises(ValueError, match="6 results exist already"):  # it is complete now
+        run(model_folder, source, out)
+
+
+def full_after(count: int, write: Callable[..., None]) -> Callable[..., None]:
+    left = [count]
+
+    def limited(*arguments: object) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError("no space left on this disk")
+        write(*arguments)
+
+    return limited

@@ -6,6 +6,7 @@ own folder, environment and exit code and shares nothing with the tests.
 
 import atexit
 import gc
+import glob
 import json
 import os
 import runpy
@@ -52,7 +53,7 @@ class CommandServer:
     ) -> subprocess.CompletedProcess[str]:
         """Like :func:`subprocess.run` with captured output; a command that takes too long is killed.
 
-        Ctrl-C is sent once the file ``interrupt_at`` exists.
+        Ctrl-C is sent once a file of the pattern ``interrupt_at`` exists.
         """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
@@ -93,7 +94,7 @@ def serve() -> None:
         deadline = time.monotonic() + job["timeout"]
         interrupt_at = job["interrupt_at"]
         while not (ended := os.waitpid(child, os.WNOHANG))[0] and time.monotonic() < deadline:
-            if interrupt_at and os.path.exists(interrupt_at):
+            if interrupt_at and glob.glob(interrupt_at):
                 os.kill(child, signal.SIGINT)
                 interrupt_at = None
             time.sleep(0.01)

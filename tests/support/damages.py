@@ -13,6 +13,15 @@ RNG = np.random.default_rng
 Damage = Callable[[Path, np.random.Generator], None]
 
 
+def refusal(read: Callable[[], object]) -> str | None:
+    """Message of the ``ValueError`` that a reader raises; None: it took the file."""
+    try:
+        read()
+    except ValueError as error:
+        return str(error)
+    return None
+
+
 # --- what may happen to any file ---------------------------------------------------------------------------
 
 

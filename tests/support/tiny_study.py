@@ -5,10 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from eldenet.config import training_composition
+from eldenet.config import study_training, training_composition
 from eldenet.results.studies.plan import Study, read_study
-from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
-from eldenet.study import check_finished, train_run
+from eldenet.results.studies.runner import Outcome, StudySetup, run_row
 
 TINY = """
 overrides:
@@ -41,7 +40,7 @@ EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
 eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
 unknown,scratch,no code identified,,,,,
 """
-TRAINING = Training(train_run, check_finished, training_composition())
+TRAINING = study_training()
 
 
 def write_tiny_study(folder: Path, cache: str) -> Path:

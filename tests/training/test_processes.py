@@ -2,6 +2,8 @@
 
 import json
 import os
+import signal
+import socket
 import subprocess
 import sys
 from functools import partial
@@ -45,7 +47,7 @@ def with_statistics(name: str, seed: int) -> torch.nn.Module:
     return model
 
 
-def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
+def train(folder: Path, processes: int, *, frozen: bool, ckpt_path: Path | None = None) -> Trainer:
     """Two epochs with ``TOGETHER`` images per update, dealt out to the processes; features are distilled."""
     torch.set_num_threads(1)
     teacher, model = Teacher(with_statistics("eldenet", seed=0)), with_statistics("eldenet_s", seed=1)
@@ -66,6 +68,7 @@ def train(folder: Path, processes: int, *, frozen: bool) -> Trainer:
         ),
         folder,
         Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2),
+        ckpt_path=ckpt_path,
     )
     trainer.accelerator.wait_for_everyone()
     return trainer
@@ -120,6 +123,64 @@ def test_two_processes_train_to_the_weights_of_one(tmp_path):
     progress = [load_checkpoint(tmp_path / f"{name}-True")["progress"] for name in ("one", "two")]
     for one, two in zip(*(entry["history"] for entry in progress), strict=True):
         assert one["val_rmse"] == pytest.approx(two["val_rmse"], rel=1e-5)
+        assert one["train_total"] == pytest.approx(two["train_total"], rel=1e-5)  # the mean of both shares
+    # a run of two processes is another one than that of one
+    with pytest.raises(ValueError, match=r"belongs to another training: processes=1 \(there 2\)"):
+        train(tmp_path / "more", 1, frozen=True, ckpt_path=tmp_path / "two-True")
+
+
+WATCHED = (
+    "import os, sys\n"
+    "from torch import distributed\n"
+    "from eldenet.system.resources import Resources\n"
+    "from eldenet.training.watch import watched_processes\n"
+    "with watched_processes(Resources('cpu', 'fp32', 1, 0, 1, processes=2), seconds=float(sys.argv[1])):\n"
+    "    distributed.barrier()\n"
+    "    print(os.getpid(), flush=True)\n"
+    "    if sys.argv[2] == 'wait':\n"
+    "        sys.stdin.readline()\n"
+    "    distributed.barrier()\n"
+    "distributed.destroy_process_group()\n"
+)
+
+
+@pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])
+def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signals | None) -> None:
+    """Without a launcher, which would end it too: as on two machines."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        port = free.getsockname()[1]
+    shared = {**os.environ, "PYTHONPATH": SEARCH_PATH, "WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2"}
+    shared |= {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
+    ranks = [
+        subprocess.Popen(
+            [sys.executable, "-c", WATCHED, "2" if number else "60", "wait" if rank else "-"],
+            env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for rank in range(2)
+    ]  # fmt: skip
+    try:
+        for rank in ranks:
+            assert rank.stdout is not None
+            assert int(rank.stdout.readline()) == rank.pid
+        if number:
+            ranks[1].send_signal(number)
+        else:
+            ranks[1].communicate("\n", timeout=60)
+        _, errors = ranks[0].communicate(timeout=60)
+    finally:
+        for rank in ranks:
+            rank.kill()
+            rank.communicate()
+    lines = [line for line in errors.splitlines() if line.startswith(("error", "Traceback"))]
+    if number is None:
+        assert [rank.returncode for rank in ranks] == [0, 0], errors
+        return
+    assert ranks[0].returncode == 1
+    assert len(lines) == 1, errors
+    assert "another of the 2 processes has ended, or has not answered for process_timeout=2 s" in lines[0]
+    assert "ckpt_path=auto" in lines[0]
 
 
 def test_missing_rooms_are_rendered_by_one_process(tmp_path):

@@ -91,7 +91,7 @@ def test_a_second_ctrl_c_interrupts_at_once() -> None:
 
 def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: Path, run_command) -> None:
     write_video(tmp_path / "walk.mp4", 1500)
-    begun = "out/.walk_depth.part.mp4"
+    begun = "out/.walk_depth.*.part.mp4"
     done = run_command(
         "predict", f"checkpoint={model_folder}", "source=walk.mp4", "output=out", interrupt_at=begun
     )

@@ -6,10 +6,32 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.results.record_checks import (
+    MAPPING,
+    MAYBE_TEXT,
+    TEXT,
+    WHOLE,
+    Kind,
+    ListOf,
+    check_shape,
+    figure,
+    require,
+)
+
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 ROWS_FILE = "rows.jsonl"
+ROW: dict[str, Any] = {
+    **dict.fromkeys(("model", "runtime", "precision", "device", "command", "date", "processor"), TEXT),
+    **dict.fromkeys(("height", "width", "batch", "threads"), WHOLE),
+    "key": ListOf(Kind("a text or a number", lambda value: isinstance(value, str | int))),
+    "versions": MAPPING,
+    "failed": MAYBE_TEXT,
+    **{name: figure(name) for name in ("params", "gmacs", "latency_ms_p50", "latency_ms_p95")},
+}
+FIGURES = ("gflops", "fps", "throughput_img_s", "peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak")
+ROW |= {name: figure(name) for name in (*FIGURES, "ratio_latency")}
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
@@ -25,14 +47,22 @@ def fingerprint(model: "DepthNet") -> str:
 def read_rows(
     folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
 ) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped."""
+    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped.
+
+    Raises:
+        ValueError: a line is JSON, but no row of a benchmark.
+    """
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
-    if (folder / ROWS_FILE).is_file():
-        for line in (folder / ROWS_FILE).read_text().splitlines():
+    path = folder / ROWS_FILE
+    if path.is_file():
+        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
             try:
                 row = json.loads(line)
-            except json.JSONDecodeError:
+            except (ValueError, RecursionError):
                 continue
+            where = f"{path}, line {number} (remove that line, and it is measured again)"
+            check_shape(where, row, ROW)
+            require(where, row, *ROW)
             if wanted(row):
                 rows[tuple(row["key"])] = row
     return rows

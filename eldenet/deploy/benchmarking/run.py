@@ -25,9 +25,11 @@ from eldenet.deploy.fold import fold
 from eldenet.deploy.predictor import as_image
 from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
 from eldenet.deploy.runtimes import TORCH, installed
+from eldenet.deploy.sealing import is_whole
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
+from eldenet.system.files import safe_stem
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -242,7 +244,7 @@ def prepare(case: Case, model: "DepthNet", fingerprint: str, setup: BenchmarkSet
     size = (case.height, case.width)
     params, macs, run_macs = count_params(model), count_macs(model, size), count_macs(fold(model), size)
     try:
-        source = _make(case, model, f"{case.model}-{fingerprint}", setup)
+        source = _make(case, model, f"{safe_stem(case.model)}-{fingerprint}", setup)
     except Exception as error:  # a failed export is the row's result
         return Network(None, params, macs, run_macs, reason_of(error))
     return Network(source, params, macs, run_macs)
@@ -256,13 +258,13 @@ def _make(case: Case, model: "DepthNet", name: str, setup: BenchmarkSetup) -> Pa
         return model.save_pretrained(folder / name)
     stem = f"{name}-{case.height}x{case.width}-batch{case.batch}"
     graph, metadata = folder / f"{stem}.onnx", describe(model, case.model, size)
-    if setup.overwrite or not graph.is_file():
+    if setup.overwrite or not is_whole(graph):
         write_onnx(model, graph, size, batch=case.batch, metadata=metadata)
     # other calibration pictures make another int8 file
     pictures = hashlib.sha256(setup.calibrated.encode()).hexdigest()[:8]
     quantized = f"-int8-{pictures}" if case.precision == "int8" else ""
     path = folder / f"{stem}{quantized}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
-    if path.is_file() and not (setup.overwrite and path != graph):
+    if is_whole(path) and not (setup.overwrite and path != graph):
         return path
     if not quantized:
         return write_openvino(graph, path, metadata)

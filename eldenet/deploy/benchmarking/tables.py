@@ -18,13 +18,13 @@ def write_results(
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded) and ``.png``; print the table."""
     from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
     from eldenet.results.tables import to_latex, to_markdown
-    from eldenet.system.files import write_rows
+    from eldenet.system.files import write_rows, write_text
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
     notes = notes_of(rows)
-    (output / "results.md").write_text(to_markdown(COLUMNS, cells, notes))
-    (output / "results.tex").write_text(to_latex(COLUMNS, cells, notes))
+    write_text(output / "results.md", to_markdown(COLUMNS, cells, notes))
+    write_text(output / "results.tex", to_latex(COLUMNS, cells, notes))
     # a terminal is narrow: the title shows what all rows share
     same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
     shown = [position for position, name in enumerate(COLUMNS) if name not in same]
@@ -106,18 +106,16 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
 
 def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path: Path) -> bool:
     """Draw accuracy (None: parameters) over latency; return whether there was a point to draw."""
-    import matplotlib
+    from matplotlib.ticker import LogLocator
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from eldenet.results.plots import name_points
+    from eldenet.results.plots import name_points, pyplot_for_files
 
     given = accuracies is not None
     accuracy, title = accuracies or ({}, "")
     shown = [row for row in rows if row["latency_ms_p50"] and (not given or row["model"] in accuracy)]
     if not shown:
         return False
+    pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
     series: dict[str, list[Mapping[str, Any]]] = {}
     for row in shown:
@@ -139,9 +137,14 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
         ylabel=title if given else "parameters [M]",
         yscale="linear" if given else "log",
     )
+    for axis in (axes.xaxis, axes.yaxis) if not given else (axes.xaxis,):  # logarithmic
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(LogLocator(subs=(2, 5)))
+        axis.set_minor_formatter("{x:g}")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=7, loc="upper left")
     name_points(axes, points)
-    figure.savefig(path, dpi=150)
+    with part_file(path) as unfinished:
+        figure.savefig(unfinished, dpi=150)
     pyplot.close(figure)
     return True

@@ -13,6 +13,7 @@ import numpy as np
 
 import eldenet
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
+from eldenet.deploy.sealing import check_seal
 from eldenet.deploy.stream import DepthStream
 from eldenet.system.resources import available_cores
 from eldenet.system.timing import median_ms, time_interleaved
@@ -143,6 +144,7 @@ def installed(runtime: str) -> bool:
 def _open(path: Path, runtime: str, precision: str | None, threads: int, device: str) -> Runtime:
     if not installed(runtime):
         raise ImportError(f"{runtime} is not installed: pip install 'eldenet[deploy]'")
+    check_seal(path)
     if runtime == "onnxruntime":
         from eldenet.deploy.runtimes.onnx import OnnxRuntime
 

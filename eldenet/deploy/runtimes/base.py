@@ -16,6 +16,7 @@ class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
+    Several threads may call one runtime: each gets the depth of its own images.
 
     Attributes:
         runtime: "torch", "torch_channels_last", "torch_compile", "onnxruntime" or "openvino".

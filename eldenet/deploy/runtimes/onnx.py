@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.deploy.files import without_prefix
+from eldenet.deploy.files import checked, without_prefix
 from eldenet.deploy.runtimes.base import Runtime, refuse
 
 PROVIDERS = {
@@ -52,7 +52,7 @@ class OnnxRuntime(Runtime):
             raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
         if self.session.get_providers()[0] != provider:  # it falls back silently
             raise ValueError(f"ONNX Runtime has {provider} but cannot start it: is its driver installed?")
-        metadata = without_prefix(self.session.get_modelmeta().custom_metadata_map)
+        metadata = checked(path, without_prefix(self.session.get_modelmeta().custom_metadata_map))
         own = metadata.get("precision", "fp32")
         refuse(
             precision or own,
@@ -63,6 +63,7 @@ class OnnxRuntime(Runtime):
             else "bf16 runs under OpenVINO (runtime=openvino) and torch",
         )
         super().__init__(own, threads, "cpu" if provider == PROVIDERS["cpu"] else device, metadata)
+        self.path = path
         self.input = self.session.get_inputs()[0].name
 
     @property
@@ -77,7 +78,7 @@ class OnnxRuntime(Runtime):
             return self.session.run(None, {self.input: images})[0]
         except Exception as error:
             if "Got invalid dimensions" not in str(error):
-                raise
+                raise ValueError(f"ONNX Runtime cannot run {self.path}: {error}") from error
             shape = self.session.get_inputs()[0].shape
             raise ValueError(f"images are {images.shape}, this file takes {shape}: export another") from error
 

@@ -1,10 +1,11 @@
 """OpenVINO IR and ONNX files under OpenVINO."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
 
-from eldenet.deploy.files import read_metadata
+from eldenet.deploy.files import decline_telemetry, read_metadata
 from eldenet.deploy.runtimes.base import Runtime, refuse
 
 HINTS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16", "int8": "f32"}  # int8: of the layers between
@@ -12,6 +13,9 @@ HINTS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16", "int8": "f32"}  # int8: o
 
 class OpenvinoRuntime(Runtime):
     """An ``.xml`` or ``.onnx`` file under OpenVINO (on CPUs: oneDNN, once called MKL-DNN).
+
+    Callers in several threads wait for each other: a request per thread would need more memory and be no
+    faster, as one image takes all the threads of the runtime.
 
     Args:
         path: of the file.
@@ -28,6 +32,7 @@ class OpenvinoRuntime(Runtime):
     def __init__(
         self, path: str | Path, *, precision: str | None = None, threads: int = 1, device: str = "cpu"
     ) -> None:
+        decline_telemetry()
         import openvino
 
         core = openvino.Core()
@@ -57,10 +62,11 @@ class OpenvinoRuntime(Runtime):
             settings["INFERENCE_NUM_THREADS"] = threads
         try:
             self.compiled = core.compile_model(str(path), name, settings)
-        except RuntimeError as error:
+        except Exception as error:  # of a damaged file, of any type
             raise ValueError(f"OpenVINO cannot load {path}: {error}") from error
         super().__init__(precision, threads, device.lower(), metadata)
         self.request = self.compiled.create_infer_request()
+        self._one_at_a_time = threading.Lock()
 
     @property
     def fixed_batch(self) -> int | None:
@@ -75,5 +81,5 @@ class OpenvinoRuntime(Runtime):
         expected = self.compiled.input(0).partial_shape
         if not expected.compatible(PartialShape(list(images.shape))):
             raise ValueError(f"images are {images.shape}, this file takes {expected}: export another")
-        depth = self.request.infer([images], share_inputs=True, share_outputs=True)[0]
-        return depth.copy()  # the request reuses the memory
+        with self._one_at_a_time:  # until the copy is made: the request reuses the memory
+            return self.request.infer([images], share_inputs=True, share_outputs=True)[0].copy()

@@ -56,11 +56,11 @@ def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
 
     A curve with gaps is left out: sparse ground truth has no SSIM.
     """
-    history = [row for row in run["training"]["history"] if "val_mse" in row]
+    history = [row for row in (run.get("training") or {}).get("history", ()) if "val_mse" in row]
     found: dict[str, list[float]] = {
         "epoch": [row["epoch"] for row in history],
-        "train_loss": [row["train_total"] for row in history],
-        "val_ssim": [row["val_ssim"] for row in history],
+        "train_loss": [row.get("train_total") for row in history],
+        "val_ssim": [row.get("val_ssim") for row in history],
         "val_mse": [row["val_mse"] for row in history],
     }
     losses = [validation_loss(run, row) for row in history]

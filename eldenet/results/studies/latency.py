@@ -1,6 +1,5 @@
 """Latencies of a study's rows: the networks that a benchmark measures, and the file that it writes."""
 
-import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.results.fingerprints import differences
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.system.files import write_rows
+from eldenet.system.files import read_table, write_rows
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -100,6 +99,21 @@ def _text(fact: Any) -> Any:
     return ", ".join(f"{name} {value}" for name, value in fact.items()) if isinstance(fact, Mapping) else fact
 
 
+def _check_line(path: Path, line: Mapping[str, str]) -> None:
+    """Raise ValueError unless the figures of a line are numbers, and its network a mapping."""
+    try:
+        figures = [float(line[name]) for name in ("latency_ms_p50", *COUNTED)] + [int(line["height"])]
+        fits = all(map(math.isfinite, figures)) and min(figures) > 0
+        fits = fits and isinstance(json.loads(line["network"]), dict) and int(line["width"]) > 0
+    except (ValueError, RecursionError):
+        fits = False
+    if not fits:
+        raise ValueError(
+            f"{path}: the line of {line['row']!r} is damaged: restore the file, or measure again "
+            "(python -m eldenet.benchmark study=...)"
+        )
+
+
 @dataclass(frozen=True)
 class Latencies:
     """The lines of a study's benchmark file by row."""
@@ -119,8 +133,10 @@ class Latencies:
         path = study.folder / study.latency
         if not path.is_file():
             raise FileNotFoundError(f"{path} does not exist, but sweep.yaml names it as latency")
-        with path.open(newline="") as content:
-            lines = {line["row"]: line for line in csv.DictReader(content)}
+        needed = ("row", "latency_ms_p50", *COLUMNS, "processor", "date", "command", "network")
+        lines = {line["row"]: line for line in read_table(path, needed)} if path.stat().st_size else {}
+        for line in lines.values():
+            _check_line(path, line)
         if not lines:
             raise ValueError(
                 f"{path} has no line: python -m eldenet.benchmark study={study.folder} writes it"

@@ -9,9 +9,13 @@ from typing import Any
 
 from eldenet.results.comparison import with_every_rule
 from eldenet.results.fingerprints import run_differences
+from eldenet.results.record_checks import ADVICE, CHOICE, check_shape, require
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
 
+NEEDED = ("model", "seed", "data", "split", "split_hash", "metrics.images", "constant_predictor", "config")
+NEEDED += ("cost.height", "cost.width", "cost.params", "cost.gmacs", "date", "versions.torch")
+NEEDED += ("hardware.processor", "resources.precision", "protocol")  # entries of a stored run
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 
 
@@ -71,6 +75,8 @@ def stored_choice(study: Study, row: StudyRow) -> Choice | None:
     if not study.searches_rate(row) or not file.is_file():
         return None
     record = read_record(file)
+    require(file, record, "learning_rate", "delta1", "rule.candidates", "rule.config", "sources")
+    check_shape(file, record, CHOICE)
     tried = tuple(sorted(float(rate) for rate in record["delta1"]))
     return Choice(float(record["learning_rate"]), tried, record)
 
@@ -142,12 +148,17 @@ def stored_runs(study: Study, row: StudyRow) -> Stored:
     folders = [study.stored(row, seed) for seed in row.seeds]
     folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
     runs = [read_run(folder) for folder in folders]
+    for folder, run in zip(folders, runs, strict=True):
+        require(folder / RUN_FILE, run, *NEEDED)
+        if run["seed"] is None:
+            raise ValueError(f"{folder / RUN_FILE} has no seed: {ADVICE}")
     for run in runs:
         if different := outdated(study, row, run):
             return Stored(outdated=different[0])
     if study.epoch == "last":
         runs = [run | {"metrics": last_metrics(run)} for run in runs]
-    return Stored([with_every_rule(run) for run in runs], [folder / "per_image.csv" for folder in folders])
+    runs = [with_every_rule(run, folder / RUN_FILE) for folder, run in zip(folders, runs, strict=True)]
+    return Stored(runs, [folder / "per_image.csv" for folder in folders])
 
 
 def last_metrics(run: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The plan of a study: a folder with ``sweep.yaml``, whose rows become the rows of its tables."""
 
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -165,6 +166,10 @@ def read_study(folder: str | Path, composition: Composition, _readers: tuple[str
     entries = _checked(path, "", content, of_study, also=("rows", *SHARED))
     rows = []
     for name, entry in described.items():
+        if not _NAME.fullmatch(str(name)):  # it names folders, and stands in overrides
+            raise ValueError(f"{path}: row {str(name)!r}: give a name of letters, digits and ._+-")
+        if not isinstance(entry, dict | None):
+            raise ValueError(f"{path}: row {name}: give a mapping, such as {{overrides: [model=eldenet]}}")
         if entry and "from" in entry:
             rows.append(_taken_row(path, str(name), entry, composition, _readers))
         else:
@@ -233,6 +238,15 @@ def _checked(
     return values
 
 
+def _overrides(value: Any) -> bool:
+    """Whether a value is overrides of a training, which leave Hydra itself as it is."""
+    return _all(value, str) and not any(text.lstrip("+~").startswith("hydra") for text in value)
+
+
+def _line(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable() and bool(value)
+
+
 def _all(value: Any, kind: type) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
 
@@ -241,20 +255,28 @@ def _rates(value: Any) -> bool:
     return _all(value, float) and all(rate > 0 for rate in value)
 
 
+_NAME = re.compile(r"\w[\w.+-]*")
 _PLOTS = {"pareto", "differences", "convergence"}
 _KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "overrides": (lambda value: _all(value, str), "a list of overrides, such as [model=eldenet]"),
-    "rate_overrides": (lambda value: _all(value, str), "a list of overrides, such as [trainer.epochs=6]"),
+    "overrides": (_overrides, "a list of overrides of a training, such as [model=eldenet]"),
+    "rate_overrides": (_overrides, "a list of overrides of a training, such as [trainer.epochs=6]"),
+    "block": (_line, "a line of text"),
+    "seen": (_line, "a line of text"),
+    "from": (_line, "the name of another study's folder"),
+    "latency": (lambda value: value is None or _line(value), "the name of a CSV file"),
     "reference": (lambda value: _all(value, str), "a list of rows"),
     "columns": (lambda value: _all(value, str) and set(value) <= set(METRICS), f"some of {list(METRICS)}"),
-    "compare": (lambda value: value in METRICS, f"one of {', '.join(METRICS)}"),
+    "compare": (lambda value: _line(value) and value in METRICS, f"one of {', '.join(METRICS)}"),
     "seeds": (
         lambda value: _all(value, int) and 0 < len(value) == len(set(value)),
         "different seeds: [0, 1]",
     ),
-    "given": (lambda value: isinstance(value, Mapping), "a mapping, such as {kitti: data.root}"),
+    "given": (
+        lambda value: isinstance(value, Mapping) and all(map(_line, value.values())),
+        "a mapping, such as {kitti: data.root}",
+    ),
     "learning_rate": (lambda value: value is None or _rates((value,)), "a number above 0, such as 1.0e-3"),
     "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
-    "epoch": (lambda value: value in ("chosen", "last"), "chosen or last"),
+    "epoch": (lambda value: _line(value) and value in ("chosen", "last"), "chosen or last"),
     "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto, differences or convergence"),
 }

@@ -11,7 +11,8 @@ from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.studies.tables import Block, build_blocks
 from eldenet.results.tables import WORDS, to_latex, to_markdown
-from eldenet.system.files import write_rows
+from eldenet.system import escaping
+from eldenet.system.files import write_rows, write_text
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
 
@@ -29,8 +30,11 @@ def write_study_report(folder: str | Path, composition: Composition) -> list[Blo
     study = read_study(folder, composition)
     blocks = build_blocks(study)
     tables = [table for block in blocks for table in _tables_of(block)]
-    markdown = [f"# {study.name}", ""]
-    markdown += [f"{level} {name}\n\n{to_markdown(*cells, notes)}" for level, name, cells, notes in tables]
+    markdown = [f"# {escaping.markdown(study.name)}", ""]
+    markdown += [
+        f"{level} {escaping.markdown(name)}\n\n{to_markdown(*cells, notes)}"
+        for level, name, cells, notes in tables
+    ]
     latex = [to_latex(*cells, [name, *notes]) for _, name, cells, notes in tables]
     if "convergence" in study.plots:
         _add_convergence(study, markdown, latex)
@@ -55,9 +59,9 @@ def write_study_report(folder: str | Path, composition: Composition) -> list[Blo
         )
         markdown += ["![differences to the reference row, with 95 % intervals](differences.png)", ""]
     place = study.folder.as_posix() if study.folder.name not in ("", "..") else study.name
-    markdown += [f"Made by `python -m eldenet.report study={place}`.", ""]
-    (study.folder / "results.md").write_text("\n".join(markdown))
-    (study.folder / "results.tex").write_text("\n".join(latex))
+    markdown += [escaping.markdown_note(f"Made by `python -m eldenet.report study={place}`."), ""]
+    write_text(study.folder / "results.md", "\n".join(markdown))
+    write_text(study.folder / "results.tex", "\n".join(latex))
     _write_csv(study, blocks)
     return blocks
 

@@ -1,11 +1,9 @@
 """Runs of a study: finished ones are skipped, killed ones resume, a failed one does not stop the rest."""
 
-import fcntl
 import os
 import shutil
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,8 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
 from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
-from eldenet.system.files import write_json
+from eldenet.system.files import write_json, write_text
+from eldenet.system.locks import FolderInUse, sole_writer
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
@@ -124,31 +123,12 @@ def run_row(
     if not seeds:
         return []
     run = _RowRun(study, row, setup, training, say, setup.runs / study.name)
-    with sole(run.folder) as free:
-        if not free:
-            say(f"{where}: another process is running it")
-            return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in seeds]
-        try:
-            rate = run.learning_rate(shared)
-        except Exception as error:
-            return [run.failed(run.folder, f"{row.name}/learning rate", error)]
-        (run.folder / "failed.txt").unlink(missing_ok=True)
-        if rate is not None:
-            shared.append(f"{RATE}={rate}")
-        return [run.run_seed(seed, shared) for seed in seeds]
-
-
-@contextmanager
-def sole(folder: Path) -> Iterator[bool]:
-    """Lock ``folder`` and yield whether that succeeded; the lock ends with the block or its process."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-            return
-        yield True
+    try:
+        with sole_writer(run.folder):
+            return run.run_seeds(seeds, shared)
+    except FolderInUse as error:
+        say(f"{where}: {error}")
+        return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in seeds]
 
 
 @dataclass(frozen=True)
@@ -172,11 +152,22 @@ class _RowRun:
     def failed(self, folder: Path, name: str, error: Exception) -> Outcome:
         """Record an error; the other runs continue."""
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "failed.txt").write_text(traceback.format_exc())
+        write_text(folder / "failed.txt", traceback.format_exc())
         self.say(f"{name} failed: {error} (see {folder / 'failed.txt'})")
         return Outcome(name, "failed", f"{type(error).__name__}: {error}")
 
     # ------------------------------------------------------------------ one run per seed
+
+    def run_seeds(self, seeds: Sequence[int], shared: list[str]) -> list[Outcome]:
+        """Choose the learning rate, then train one run per seed."""
+        try:
+            rate = self.learning_rate(shared)
+        except Exception as error:
+            return [self.failed(self.folder, f"{self.row.name}/learning rate", error)]
+        (self.folder / "failed.txt").unlink(missing_ok=True)
+        if rate is not None:
+            shared.append(f"{RATE}={rate}")
+        return [self.run_seed(seed, shared) for seed in seeds]
 
     def run_seed(self, seed: int, shared: Sequence[str]) -> Outcome:
         """Train one run and store its results, unless they are stored already."""

@@ -1,13 +1,12 @@
 """The tables of a study from its stored runs: one block per start class, compared with no other."""
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eldenet.evaluation.metric_names import LOWER_IS_BETTER
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER, in_range
 from eldenet.results import statistics
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.statistics import Difference
@@ -15,6 +14,7 @@ from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow
 from eldenet.results.tables import heading, number, protocol_line, training_line
+from eldenet.system.files import read_table
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
 COUNTED = ("params", "gmacs")  # costs that a busy machine does not change; a benchmark measures latencies
@@ -72,15 +72,21 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
     path = folder / "expected.csv"
     if not path.is_file():
         return []
-    with path.open(newline="") as lines:
-        reader = csv.DictReader(lines)
-        header, entries = tuple(reader.fieldnames or ()), list(reader)
-    if header != EXPECTED_HEADER:
-        raise ValueError(f"{path} has the columns {list(header)}, but needs {list(EXPECTED_HEADER)}")
+    entries = read_table(path, EXPECTED_HEADER)
     for entry in entries:
+        for name in PUBLISHED:
+            if entry[name] and not _is_figure(name, entry[name]):
+                raise ValueError(f"{path}: {entry['row']}: {name}={entry[name]!r} is no value of this metric")
         if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
             raise ValueError(f"{path}: {entry['row']} has a figure but no protocol or source: give both")
     return entries
+
+
+def _is_figure(name: str, text: str) -> bool:
+    try:
+        return in_range(name, float(text))
+    except ValueError:
+        return False
 
 
 @dataclass(frozen=True)

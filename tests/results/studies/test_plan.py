@@ -10,11 +10,11 @@ import pytest
 from support.stored_study import settings_of
 from support.tiny_study import EXPECTED, cells, run, short
 
-from eldenet import config as cfg
 from eldenet.config import training_composition
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.studies.tables import read_expected
+from eldenet.system.files import read_yaml
 from eldenet.zoo import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
@@ -149,7 +149,7 @@ def test_a_row_with_given_folders_is_trained_and_reported(tmp_path):
         pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
     folder = tmp_path / "table2"
     folder.mkdir()
-    plan = cfg.read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
+    plan = read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
     row = plan["rows"]["kitti_eldenet"]
     row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth"]
     plan["overrides"] += ["trainer.epochs=2", "trainer.evaluate_every=2"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.tiny_study import cells, run, run_all, short
+from support.tiny_study import TRAINING, cells, run, run_all, short
 
 from eldenet import config as cfg
 from eldenet.config import training_composition
@@ -17,7 +17,6 @@ from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.studies.runner import sole
-from eldenet.study import train_run
 
 
 def add_to_plan(study: Path, text: str = "", old: str = "", new: str = "", one_seed: bool = False) -> None:
@@ -185,16 +184,16 @@ def test_a_killed_run_resumes(tiny, tmp_path):
     # a finished run is left as it is; with other settings it is refused
     shared = [*study.overrides_of(study.chosen("eldenet")[0]), "optimizer.lr=1.0e-3"]
     before = (folder / "run.json").read_bytes()
-    train_run(run_overrides(shared, folder, tmp_path, name="eldenet", seed=0), folder)
+    TRAINING.train(run_overrides(shared, folder, tmp_path, name="eldenet", seed=0), folder)
     assert (folder / "run.json").read_bytes() == before
     for other, word in (("optimizer.lr=0.5", "optimizer.lr"), ("data.frames.train=12", "data.frames.train")):
         changed = run_overrides([*shared, other], folder, tmp_path, name="eldenet", seed=0)
         with pytest.raises(ValueError, match=rf"holds a finished run with other settings: {word}"):
-            train_run(changed, folder)
+            TRAINING.train(changed, folder)
     (folder / "run.json").unlink()  # as if it had been killed before its end
     changed = run_overrides([*shared, "loss=l1_sparse"], folder, tmp_path, name="eldenet", seed=0)
     with pytest.raises(ValueError, match=r"run begun with other settings: loss"):
-        train_run(changed, folder)
+        TRAINING.train(changed, folder)
 
 
 def test_a_message_names_the_setting_that_a_row_needs(tiny, tmp_path):

@@ -1,0 +1,56 @@
+"""SHA-256 digests of what is saved, so that a changed bit is noticed when it is loaded."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+KEY = "sha256"
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file, as ``sha256sum`` prints it."""
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def digest_of(parts: Iterable[bytes]) -> str:
+    """Return the SHA-256 of several pieces, one after the other."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def canonical(content: Mapping[str, Any]) -> bytes:
+    """Return JSON values without their digests, independent of the order and layout of a file."""
+    return json.dumps({key: value for key, value in content.items() if key != KEY}, sort_keys=True).encode()
+
+
+def with_digests(config: Mapping[str, Any], weights: Path) -> dict[str, Any]:
+    """Return a config with the digests of its own entries and of the weights beside it."""
+    plain = json.loads(json.dumps(config))
+    digests = {"config": digest_of([canonical(plain)]), "weights": file_digest(weights)}
+    return {**plain, KEY: digests}
+
+
+def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
+    """Check the config that was read from ``path`` and the weights beside it; old configs have no digests.
+
+    Raises:
+        ValueError: a digest does not match.
+    """
+    stored = config.get(KEY, {})
+    if not isinstance(stored, Mapping):
+        raise ValueError(f"{path} is damaged (its entry {KEY!r} is no mapping): fetch or save it again")
+    if stored.get("weights", None) not in (None, file_digest(weights)):
+        raise ValueError(
+            f"{weights} does not match its digest in {path.name}: it is damaged, fetch or save the model "
+            f"again; if you replaced it on purpose, remove the entry {KEY!r} of {path.name}"
+        )
+    if stored.get("config", None) not in (None, digest_of([canonical(config)])):
+        raise ValueError(
+            f"{path} does not match its own digest: it is damaged, fetch or save the model again; if you "
+            f"changed it on purpose, remove its entry {KEY!r}"
+        )

@@ -1,0 +1,97 @@
+"""A training on nothing, or of nothing, is an error or is said; NaN is never the best value."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.synthetic import SyntheticDepth
+from support.training import PROTOCOL, fit
+
+from eldenet.evaluation.evaluator import evaluate
+from eldenet.losses.base import WeightedSum, WeightedTerm
+from eldenet.losses.distillation import DistilledTerm
+from eldenet.losses.pointwise import L1Loss
+from eldenet.training.run import collapse, make_splits
+from eldenet.training.trainer import Trainer
+
+
+class PartlyUnknown(SyntheticDepth):
+    """The depth of the first ``unknown`` frames is not known."""
+
+    def __init__(self, frames: int, unknown: int, **options) -> None:
+        super().__init__(frames, **options)
+        self.unknown = unknown
+
+    def load_frame(self, index: int):
+        frame = super().load_frame(index)
+        return frame if index >= self.unknown else frame._replace(depth=np.zeros_like(frame.depth))
+
+
+def test_batches_without_a_known_pixel_are_counted(tmp_path: Path, capsys) -> None:
+    _, _, progress = fit(tmp_path, data=PartlyUnknown(4, 2), batch_size=1, epochs=1)
+    assert "note: 2 of 4 batches of this epoch have no known pixel" in capsys.readouterr().out
+    assert [name for name in progress.history[0] if name.startswith("train")] == ["train_total", "train_l1"]
+
+
+def test_an_epoch_without_a_known_pixel_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"no pixel of the epoch's training frames.*check_data"):
+        fit(tmp_path, data=PartlyUnknown(4, 4), epochs=1)
+    assert not (tmp_path / "model").exists()
+
+
+def test_unlabeled_frames_teach_where_a_teacher_sees_them(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(WeightedTerm, "needs_depth", DistilledTerm.needs_depth)
+    fit(tmp_path, data=PartlyUnknown(4, 4), epochs=1)
+
+
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_a_split_without_a_known_pixel_is_refused_before_the_training(tmp_path: Path, split: str) -> None:
+    def make_split(name: str, protocol, **_):
+        return PartlyUnknown(3, 3 if name == split else 2)
+
+    class Setup:
+        protocol, seed = PROTOCOL, 0
+
+    Setup.make_split = staticmethod(make_split)
+    resources = None
+    with pytest.raises(ValueError, match=r"no pixel of 3 frames such as synthetic/0 has a known depth"):
+        make_splits(Setup(), resources)  # type: ignore[arg-type]
+    if split == "train":
+        make_splits(Setup(), resources, labeled=False)  # type: ignore[arg-type]
+
+
+def test_nothing_can_be_scored_where_nothing_is_known(model) -> None:
+    with pytest.raises(ValueError, match=r"no pixel of 2 frames.*protocol synthetic counts \(0\.1 to"):
+        evaluate(model, PartlyUnknown(2, 2), PROTOCOL)
+
+
+def test_nan_is_never_the_best(tmp_path: Path, monkeypatch) -> None:
+    values = iter([math.nan, 0.2, math.nan, 0.1])
+    validate = Trainer._validate
+
+    def with_nan(trainer):
+        return validate(trainer) | {"delta1": next(values)}
+
+    monkeypatch.setattr(Trainer, "_validate", with_nan)
+    _, _, progress = fit(tmp_path, frames=4, epochs=4)
+    assert (progress.best_epoch, progress.best_value) == (2, 0.2)
+    values = iter([math.nan])
+    with pytest.raises(ValueError, match=r"monitor=delta1 was NaN in every validation.*choose another"):
+        fit(tmp_path / "none", frames=4, epochs=1)
+
+
+def test_weights_that_are_all_0_are_refused() -> None:
+    terms = {name: WeightedTerm(L1Loss(), weight=0.0) for name in ("ssim", "l1")}
+    with pytest.raises(ValueError, match=r"all weights of the loss are 0 \(ssim, l1\)"):
+        WeightedSum(terms)
+    WeightedSum(terms | {"l1": WeightedTerm(L1Loss(), weight=0.5)})
+
+
+def test_a_network_worse_than_a_constant_map_is_said() -> None:
+    constant = {"delta1": 0.4, "abs_rel": 0.5}
+    worse = {"metrics": {"delta1": 0.0, "abs_rel": 1.0}, "constant_predictor": constant}
+    assert "worse than a constant depth map (delta1 0.000" in collapse(worse)
+    assert "lower optimizer.lr" in collapse(worse)
+    assert collapse({"metrics": {"delta1": 0.3, "abs_rel": 0.4}, "constant_predictor": constant}) == ""
+    assert collapse({"metrics": worse["metrics"], "constant_predictor": None}) == ""
