@@ -69,7 +69,7 @@ def attack_all(folder: Path, *, quick: bool) -> dict[str, Outcome]:
         place = folder / name.replace(" ", "_") / "inside"
         place.mkdir(parents=True)
         file, use = HOSTILE[name](place)
-        found = judge(use, (file.name, file.stem, "refused"), None)
+        found = judge(use, (file.name, file.stem, place.name, "refused"), None)
         escaped = [path for path in place.parent.rglob("*ESCAPED*") if path.is_file()]
         return Outcome(RAW, f"reached its goal; {found.said}") if escaped else found
 
@@ -151,7 +151,7 @@ def a_study_that_names_write_text(folder: Path) -> Attack:
     from eldenet.config import training_composition
     from eldenet.results.studies.latency import row_networks
 
-    call = f"'model.head={{_target_: pathlib.Path.touch, self: {folder}/ESCAPED}}'"
+    call = f"++model.head._target_=pathlib.Path.touch, '++model.head.self={folder}/ESCAPED'"
     study = write_plan(folder, "[model=eldenet_s]", f"[model=eldenet_s, {call}]")
     assert training_composition()
     return folder / "sweep.yaml", lambda: list(row_networks(study).networks)
