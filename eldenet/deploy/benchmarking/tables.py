@@ -109,6 +109,7 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
     from matplotlib.ticker import LogLocator
 
     from eldenet.results.plots import name_points, pyplot_for_files
+    from eldenet.system.files import part_file
 
     given = accuracies is not None
     accuracy, title = accuracies or ({}, "")
