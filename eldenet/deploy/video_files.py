@@ -73,12 +73,13 @@ class VideoFile:
         try:
             self._container = av.open(str(path), metadata_errors="replace")
             self._stream = self._container.streams.video[0]
-        except (av.error.FFmpegError, IndexError) as error:
+            size = self._stream.height, self._stream.width
+        except (av.error.FFmpegError, IndexError, AttributeError) as error:  # no size: an unknown codec
             raise ValueError(
                 f"{path} holds no frame that can be read: it is truncated, damaged or not a video"
             ) from error
         self._path = path
-        check_pixels((self._stream.height, self._stream.width), path)
+        check_pixels(size, path)
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.system.files import read_json, write_json
+from eldenet.system.reading import reading
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
@@ -42,7 +43,8 @@ def normalization(
         for file in (resumed / FILE, resumed / _EARLIER_FILE):
             if file.is_file():
                 known = read_json(file)
-                return {name: _three(name, known[name]) for name in ("mean", "std")}
+                with reading(file, "normalization", "train again in another folder"):
+                    return {name: _three(name, known[name]) for name in ("mean", "std")}
     from eldenet.data.inspection import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)

@@ -114,7 +114,7 @@ def attack(kind: FileKind, folder: Path, how: Sequence[Damage]) -> list[Outcome]
 
     (start,) = in_processes([read_whole])
     if start.what != UNHARMED:
-        raise RuntimeError(f"{kind.name} cannot be read whole: {start}")
+        raise RuntimeError(f"{kind.name} cannot be read whole: {start.said}")
     return in_processes([lambda n=n, d=d: one(n, d) for n, d in enumerate(how)])
 
 

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import pickle
+import re
 import struct
 import tarfile
 import zlib
@@ -68,7 +69,7 @@ def attack_all(folder: Path, *, quick: bool) -> dict[str, Outcome]:
         place = folder / name.replace(" ", "_") / "inside"
         place.mkdir(parents=True)
         file, use = HOSTILE[name](place)
-        found = judge(use, (file.name, file.stem, "refused"), None)
+        found = judge(use, (file.name, file.stem, place.name, "refused"), None)
         escaped = [path for path in place.parent.rglob("*ESCAPED*") if path.is_file()]
         return Outcome(RAW, f"reached its goal; {found.said}") if escaped else found
 
@@ -150,7 +151,7 @@ def a_study_that_names_write_text(folder: Path) -> Attack:
     from eldenet.config import training_composition
     from eldenet.results.studies.latency import row_networks
 
-    call = f"'model.head={{_target_: pathlib.Path.touch, self: {folder}/ESCAPED}}'"
+    call = f"++model.head._target_=pathlib.Path.touch, '++model.head.self={folder}/ESCAPED'"
     study = write_plan(folder, "[model=eldenet_s]", f"[model=eldenet_s, {call}]")
     assert training_composition()
     return folder / "sweep.yaml", lambda: list(row_networks(study).networks)
@@ -423,8 +424,9 @@ def latex_html_and_formulas_in_a_name(folder: Path) -> Attack:
         from eldenet.results.tables import to_latex, to_markdown
 
         titles, rows = _report(folder)
-        texts = to_latex(titles, rows, [name]) + to_markdown(titles, rows, [name])
-        if "\\immediate" in texts or "<script" in texts or "\n| a | b |" in texts:
+        latex = re.sub("(?m)^%.*", "", to_latex(titles, rows, [name]))  # without comments
+        markdown = to_markdown(titles, rows, [name])
+        if "\\immediate" in latex or re.search(r"(?<!\\)<script|^\| a \| b", markdown, re.M):
             (folder / "ESCAPED").touch()
 
     return file, report

@@ -359,7 +359,7 @@ def _read_errors(path: Path) -> Any:
 
 NETWORKS = (
     FileKind("model.safetensors", "model/model.safetensors", _saved_model, _read_model, digest=True),
-    FileKind("config.json of a model", "model/config.json", _saved_model, _read_model, named=("model.saf",)),
+    FileKind("config.json of a model", "model/config.json", _saved_model, _read_model, digest=True),
     FileKind("last.pt", "checkpoints/last.pt", lambda root: _train(root, 2), _resume, digest=True),
     one_file(
         "best.pt",
@@ -375,7 +375,7 @@ NETWORKS = (
     _of_export("OpenVINO .xml", "net.xml", "openvino"),
     _of_export("OpenVINO .bin", "net.bin", "openvino", "net.xml"),
     one_file("detector, ONNX", "detector.onnx", _write_detector, _detect),
-    one_file("policy.safetensors", "policy.safetensors", _write_policy, _policy),
+    one_file("policy.safetensors", "policy.safetensors", _write_policy, _policy, digest=True),
     one_file("dqn.pt", "dqn.pt", lambda path: _learner().save(path), _restored, digest=True),
     one_file("range errors of a camera", "errors.json", _write_errors, _read_errors),
 )
@@ -423,13 +423,19 @@ def _one_run(root: Path) -> None:
     store(write_plan(root), "small", 0, figures(0.0, 0))
 
 
-ROW = {"key": ["net", "torch", "fp32", 1], "model": "net", "device": "cpu", "latency_ms_p50": 1.25}
+ROW = {
+    **{"model": "net", "runtime": "torch", "precision": "fp32", "device": "cpu", "processor": "some"},
+    **{"height": 32, "width": 64, "batch": 1, "params": 100, "gmacs": 1.0, "versions": {"torch": "2"}},
+    **{"latency_ms_p50": 1.25, "latency_ms_p95": 1.5, "failed": None, "command": "bench", "date": "today"},
+    **dict.fromkeys(("gflops", "fps", "throughput_img_s", "peak_memory_mb", "file_mb"), 2.0),
+    **dict.fromkeys(("gflops_per_s", "share_of_peak", "ratio_latency"), 0.5),
+}
 
 
 def _write_rows(path: Path) -> None:
     from eldenet.deploy.benchmarking.rows import append_rows
 
-    append_rows(path.parent, [ROW | {"key": ["net", "torch", "fp32", threads]} for threads in (1, 2, 4)])
+    append_rows(path.parent, [ROW | {"key": ["net", threads], "threads": threads} for threads in (1, 2, 4)])
 
 
 def _read_rows(path: Path) -> Any:
