@@ -2,8 +2,8 @@
 
 It subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
 odometry, and to a goal in the odometry's frame. It publishes velocity commands five times per second. It
-stops the robot at the goal, without a goal, and when depth or odometry are older than half a second, and logs
-what is missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame", so set that to the
+stops the robot at the goal, without a goal, when depth or odometry are older than half a second, and when they
+are not numbers, and logs what is missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame", so set that to the
 odometry's. After an error, Ctrl-C or SIGTERM a last command stops the robot. Keep a hardware emergency stop
 within reach, and let the base limit speed and acceleration.
 
@@ -36,7 +36,6 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image
 
 from eldenet.navigation.policy import Navigator
-from eldenet.navigation.ranges import depth_to_ranges
 
 CAMERA_HEIGHT = 0.40  # of the optical center, as in the simulation: set it to your robot's [m]
 PERIOD = 0.2  # as in training [s]
@@ -100,7 +99,9 @@ class NavigationNode(Node):
     def on_goal(self, message: PoseStamped) -> None:
         """Start towards a new goal in the odometry's frame; stop for any other."""
         self.goal = None
-        if self.frame is None:
+        if not (math.isfinite(message.pose.position.x) and math.isfinite(message.pose.position.y)):
+            self.get_logger().error("goal rejected: its position is not finite")
+        elif self.frame is None:
             self.get_logger().error("goal rejected: no odometry yet; send it again later")
         elif message.header.frame_id != self.frame:
             self.get_logger().error(
@@ -142,10 +143,15 @@ class NavigationNode(Node):
                 self.get_logger().info("goal reached")
                 self.goal = None
             else:
-                ranges = depth_to_ranges(self.depth, self.intrinsics, camera_height=CAMERA_HEIGHT)
                 command.linear.x, command.angular.z = self.navigator.step(
-                    ranges, (distance, bearing), self.pose
+                    self.depth,
+                    (distance, bearing),
+                    self.pose,
+                    intrinsics=self.intrinsics,
+                    camera_height=CAMERA_HEIGHT,
                 )
+                if self.navigator.stop_reason:
+                    self.get_logger().warn(f"stopped: {self.navigator.stop_reason}", throttle_duration_sec=5)
         if not (command.linear.x or command.angular.z):
             self.navigator.observer.last[:] = 0.0  # it is stopped, whatever was chosen last
         self.velocity.publish(command)

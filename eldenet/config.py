@@ -6,6 +6,7 @@ import math
 import os
 import pkgutil
 import re
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -655,6 +656,9 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     one_of("on_error", str(config.on_error), ("stop", "skip"))
     if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
         raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    wait = config.camera_timeout
+    if wait is not None and not (isinstance(wait, int | float) and 0 < wait <= threading.TIMEOUT_MAX):
+        raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait for ever")
     camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
     if camera and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")

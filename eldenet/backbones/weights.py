@@ -29,8 +29,24 @@ def read_weights(path: str | Path) -> Weights:
     """Read a state dict from a safetensors file or one of ``torch.save``, without running code from it.
 
     Raises:
-        ValueError: no such file, or one that holds no state dict of tensors.
+        ValueError: no such file, one that holds no state dict of tensors, or weights that are not finite.
     """
+    weights = _read_weights(path)
+    refuse_not_finite(weights, path)
+    return weights
+
+
+def refuse_not_finite(weights: Weights, source: str | Path) -> None:
+    """Raise ValueError if a weight is NaN or infinite: everything that the network says would be wrong."""
+    wrong = [name for name, tensor in weights.items() if not torch.isfinite(tensor).all()]
+    if wrong:
+        raise ValueError(
+            f"the weights of {source} are not finite ({wrong[0]}; {len(wrong)} of {len(weights)} tensors): the "
+            "training diverged, or the file is damaged"
+        )
+
+
+def _read_weights(path: str | Path) -> Weights:
     path = Path(path).expanduser()
     if not path.is_file():
         raise ValueError(f"no weights at {path}: give the path of a .safetensors file or of a state dict")

@@ -64,6 +64,7 @@ class PredictionSetup:
     input_size: tuple[int, int] | None
     max_side: int
     frames: int | None
+    camera_timeout: float | None
     trusted_modules: Sequence[str]
 
 
@@ -88,7 +89,9 @@ def predict(setup: PredictionSetup) -> Results:
     with GracefulStop() as stop, boxes as results.also:
         if source.is_video:
             ((path, name),) = source.names.items()
-            broken = predict_video(path, name, predictor, results, log, stop, frames=setup.frames)
+            broken = predict_video(
+                path, name, predictor, results, log, stop, frames=setup.frames, timeout=setup.camera_timeout
+            )
         else:
             predict_pictures(setup, predictor, log, stop, done)
     if not stop or source.is_live:

@@ -52,6 +52,8 @@ class DepthStream:
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.deploy.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, a new frame replaces the oldest.
         drop: whether to drop frames that wait too long; None: only those of cameras and addresses.
+        timeout: time without a new frame after which a camera or an address counts as lost [s]; None: never.
+            Files, and iterables whose frames are not dropped, may take any time.
 
     Attributes:
         dropped: number of frames that were not predicted.
@@ -62,7 +64,7 @@ class DepthStream:
             and where it is complete.
 
     Raises:
-        ValueError: the source cannot be opened, or ``queue_size`` is below 1.
+        ValueError: the source cannot be opened, ``queue_size`` is below 1, or ``timeout`` is not above 0.
     """
 
     def __init__(
@@ -72,9 +74,12 @@ class DepthStream:
         *,
         queue_size: int = 2,
         drop: bool | None = None,
+        timeout: float | None = 10.0,
     ) -> None:
         if queue_size < 1:
             raise ValueError(f"queue_size={queue_size}: give 1 or more")
+        if timeout is not None and not 0 < timeout <= threading.TIMEOUT_MAX:
+            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait for ever")
         self.predictor, self.queue_size = predictor, queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
@@ -89,6 +94,7 @@ class DepthStream:
         else:
             self._by_clock = self.drop
             frames = _timed(source, self.frames_per_second)
+        self.timeout = timeout if self._by_clock else None
         self._waiting: deque[tuple[int, np.ndarray, float]] = deque()
         self._changed = threading.Condition()
         self._ended = self._stop = False
@@ -105,9 +111,16 @@ class DepthStream:
         return (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-9)
 
     def __iter__(self) -> Iterator[StreamFrame]:
+        number = -1
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._ended or self._stop)
+                if not self._changed.wait_for(
+                    lambda: self._waiting or self._ended or self._stop, self.timeout
+                ):
+                    self.ended_too_soon = (
+                        f"stopped after {number + 1} frames: no new one came for {self.timeout:g} s"
+                    )
+                    self._stop = True  # the reader ends too, should it wake up
                 if not self._waiting or self._stop:
                     break
                 number, frame, taken = self._waiting.popleft()

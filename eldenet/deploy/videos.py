@@ -26,11 +26,12 @@ def predict_video(
     stop: "GracefulStop",
     *,
     frames: int | None = None,
+    timeout: float | None = 10.0,
 ) -> str:
     """Predict the frames of a video, or as many of a camera's as there is time for.
 
     Color becomes one .mp4 that shows each frame as long as it lasted; other formats are one file per frame. A
-    camera runs until ``frames`` or Ctrl-C.
+    camera runs until ``frames``, Ctrl-C, or ``timeout`` [s] without a new frame.
 
     Returns:
         Why the source ended early; empty where it is complete.
@@ -41,7 +42,7 @@ def predict_video(
     shown = without_password(str(source))
     per_frame = [kind for kind in results.formats if kind != "color"]
     span = results.depth_range
-    with DepthStream(source, predictor) as stream:
+    with DepthStream(source, predictor, timeout=timeout) as stream:
         stop.wake = stream.stop
         rate = results.frames_per_second = stream.frames_per_second
         with (

@@ -156,10 +156,15 @@ class Episodes:
 
         Returns:
             Progress towards the way-point ``(N,)`` [m] and :class:`Event` ``(N,)``.
+
+        Raises:
+            ValueError: a command is not finite; its robot does not move.
         """
         progress, events = np.zeros(self.count), np.zeros(self.count, np.intp)
         for slot in range(self.count) if slots is None else slots:
             speed, turn = commands[slot].tolist()
+            if not (math.isfinite(speed) and math.isfinite(turn)):
+                raise ValueError(f"the driver commands {speed} m/s and {turn} rad/s: give finite numbers")
             progress[slot], events[slot] = self._drive(slot, speed, turn)
         return progress, events
 

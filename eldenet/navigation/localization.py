@@ -45,7 +45,12 @@ class Localizer:
         return x, y, yaw
 
     def move(self, odometry: Pose) -> None:
-        """Update with raw odometry: x, y [m], heading [rad]."""
+        """Update with raw odometry: x, y [m], heading [rad].
+
+        Raises:
+            ValueError: it is not finite; the estimate stays as it was.
+        """
+        _refuse_not_finite("odometry", odometry)
         dx, dy = odometry[0] - self._raw[0], odometry[1] - self._raw[1]
         c, s = math.cos(self._raw[2]), math.sin(self._raw[2])
         turned = odometry[2] - self._raw[2]
@@ -71,7 +76,12 @@ class Localizer:
         self.odometry = (x + c * ahead - s * left, y + s * ahead + c * left, yaw + turned)
 
     def fix(self, x: float, y: float) -> None:
-        """Update with an external position [m]."""
+        """Update with an external position [m].
+
+        Raises:
+            ValueError: it is not finite; the estimate stays as it was.
+        """
+        _refuse_not_finite("position", (x, y))
         gain = self._covariance[:, :2] @ np.linalg.inv(self._covariance[:2, :2] + self._noise)
         self._state += gain @ (np.array([x, y]) - self._state[:2])
         self._covariance -= gain @ self._covariance[:2]
@@ -81,3 +91,8 @@ class Localizer:
         """Return distance [m] and bearing [rad, counter-clockwise from ahead] of a point."""
         dx, dy = x - self._state[0], y - self._state[1]
         return float(math.hypot(dx, dy)), float(math.remainder(math.atan2(dy, dx) - self._state[2], math.tau))
+
+
+def _refuse_not_finite(name: str, values: tuple[float, ...]) -> None:
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"{name} {values} is not finite, and would never leave the estimate: skip it")

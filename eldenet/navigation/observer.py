@@ -45,6 +45,12 @@ class Senses(NamedTuple):
     odometry: np.ndarray
     goal: np.ndarray
 
+    @property
+    def fault(self) -> str | None:
+        """Which of them are not finite, None if all are: nobody may steer by such senses."""
+        wrong = [name for name, values in self._asdict().items() if not np.isfinite(values).all()]
+        return f"{' and '.join(wrong)} not finite" if wrong else None
+
 
 class Observer:
     """Turns senses into observations and action numbers into commands.
@@ -129,10 +135,15 @@ class Observer:
         Args:
             senses: of all robots.
             robots: numbers of the robots to observe; None: all.
+
+        Raises:
+            ValueError: a sense of these robots is not finite; nothing was remembered.
         """
         who = np.arange(self.robots) if robots is None else robots
-        ranges, odometry = senses.ranges[who], senses.odometry[who]
-        distance, bearing = senses.goal[who].T
+        ranges, odometry, goal = seen = Senses(*(values[who] for values in senses))
+        if seen.fault:
+            raise ValueError(f"{seen.fault}: stop the robot until they are")
+        distance, bearing = goal.T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
         self.speeds[who] = self._speeds(distance, nearest.min(axis=1))
         self.memory.add(who, ranges, odometry)

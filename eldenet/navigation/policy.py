@@ -16,6 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from eldenet.backbones.weights import refuse_not_finite
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
@@ -86,6 +87,7 @@ class Navigator:
 
     Attributes:
         files: that it was loaded from.
+        stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
 
     Raises:
         ValueError: network and observer do not fit together.
@@ -111,6 +113,7 @@ class Navigator:
         self.network = network.double().eval()
         self.info = info or {}
         self.files: list[Path] = []
+        self.stop_reason: str | None = None
 
     @classmethod
     def load(
@@ -135,7 +138,8 @@ class Navigator:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: a file is not a policy, or has another observer or another shape than it should.
+            ValueError: a file is not a policy, its weights are not finite, or it has another observer or
+                another shape than it should.
         """
         networks, notes = [], []
         files = policy_files(path)
@@ -198,8 +202,12 @@ class Navigator:
         odometry: tuple[float, float, float],
         *,
         intrinsics: np.ndarray | None = None,
+        camera_height: float = ROBOT.camera_height,
     ) -> tuple[float, float]:
         """Decide for one robot; call this every 0.2 s.
+
+        Without finite input it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it
+        drives on as soon as the input is finite again.
 
         Args:
             depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
@@ -207,18 +215,29 @@ class Navigator:
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
             odometry: x, y [m] and heading [rad] in any fixed frame.
             intrinsics: ``(3, 3)`` of the depth map [px].
+            camera_height: of its optical center above the floor [m].
 
         Returns:
-            Speed [m/s] and turn rate [rad/s, counter-clockwise].
+            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if odometry, goal or intrinsics
+            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near, and
+            inf as free.
 
         Raises:
             ValueError: ``depth`` has another shape, a depth map has no intrinsics, or its camera sees less
                 than the 69.4 degrees of the training.
         """
-        ranges = as_ranges(np.asarray(depth, dtype=np.float64), intrinsics)
-        senses = Senses(
-            ranges[None], np.array([odometry], dtype=np.float64), np.array([goal], dtype=np.float64)
-        )
+        depth = np.asarray(depth, dtype=np.float64)
+        odometry_row, goal_row = np.array([odometry], np.float64), np.array([goal], np.float64)
+        if intrinsics is not None and not np.isfinite(intrinsics).all():
+            self.stop_reason = "intrinsics not finite"
+        elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
+            self.stop_reason = "no value of depth is known"
+        else:
+            senses = Senses(as_ranges(depth, intrinsics, camera_height)[None], odometry_row, goal_row)
+            self.stop_reason = senses.fault
+        if self.stop_reason:
+            self.observer.last[:] = 0.0  # it stands
+            return 0.0, 0.0
         speed, turn = self.commands(senses)[0].tolist()
         return speed, turn
 
@@ -227,7 +246,7 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
     """Return the networks and the notes in a policy file.
 
     Raises:
-        ValueError: the file is not a policy.
+        ValueError: the file is not a policy, or its weights are not finite.
     """
     check_packaged(path)
     advice = f"give a training's run folder, or its {POLICY}"
@@ -236,6 +255,7 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
         weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if notes is None:
         raise ValueError(f"{path} is not a navigation policy: it has no notes about the observer")
+    refuse_not_finite(weights, path)
     with reading(path, "navigation policy", advice):
         content: dict[str, Any] = json.loads(notes)
         if content.get(KEY) not in (None, _digest(content, weights)):
@@ -259,12 +279,14 @@ def _digest(notes: dict[str, Any], weights: dict[str, Tensor]) -> str:
     return digest_of([canonical(notes), *tensors])
 
 
-def as_ranges(depth: np.ndarray, intrinsics: np.ndarray | None) -> np.ndarray:
+def as_ranges(
+    depth: np.ndarray, intrinsics: np.ndarray | None, camera_height: float = ROBOT.camera_height
+) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=..., the (3, 3) matrix of its camera [px]")
-        return depth_to_ranges(depth, intrinsics)
+        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
     if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"

@@ -30,9 +30,12 @@ def depth_to_ranges(
         camera_height: of the optical center above the floor [m].
 
     Raises:
-        ValueError: the camera's field of view is too small, or its pixels are too few for the columns.
+        ValueError: the camera's field of view is too small, its pixels are too few for the columns, or its
+            intrinsics or height are no measures of a camera.
     """
     height, width = depth.shape
+    if not math.isfinite(camera_height):
+        raise ValueError(f"camera_height={camera_height}: give meters above the floor")
     column = check_view(width, intrinsics)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
@@ -73,8 +76,13 @@ def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
     """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
     Raises:
-        ValueError: a column has no pixels, so it would always read as near, and the robot would not move.
+        ValueError: a column has no pixels, so it would always read as near, and the robot would not move; or
+            the intrinsics are not those of a camera, so the robot would see nothing.
     """
+    if not (np.isfinite(intrinsics).all() and intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0):
+        raise ValueError(
+            f"intrinsics={np.asarray(intrinsics).tolist()}: give the (3, 3) matrix of a calibrated camera [px]"
+        )
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
     step = ROBOT.field_of_view / ROBOT.columns
@@ -97,7 +105,12 @@ def footprints_to_ranges(footprints: np.ndarray) -> np.ndarray:
     Args:
         footprints: ``(K, 5)`` center ahead of and left of the camera [m], yaw [rad], half length, half width
             [m].
+
+    Raises:
+        ValueError: a box is not finite.
     """
+    if not np.isfinite(footprints).all():
+        raise ValueError("a box is not finite: remove such boxes, or stop the robot")
     angles = np.array(ROBOT.column_angles)
     out = np.full(ROBOT.columns, ROBOT.far)
     for ahead, left, yaw, half_length, half_width in np.asarray(footprints, dtype=float).reshape(-1, 5):

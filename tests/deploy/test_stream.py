@@ -147,3 +147,37 @@ def test_a_live_source_that_breaks_off_is_reported(
         list(stream)
         assert stream.ended_too_soon.startswith(said)
         assert bool(stream.ended_too_soon) == bool(said)
+
+
+def test_a_camera_that_stalls_ends_the_stream_and_is_said() -> None:
+    awake = threading.Event()
+
+    def camera() -> Iterator[np.ndarray]:
+        yield from numbered(3)
+        awake.wait(60)
+        yield from numbered(1)
+
+    with runtimes.DepthStream(camera(), depth_of, queue_size=3, drop=True, timeout=0.2) as stream:
+        seen = [number for number, *_ in stream]
+        assert stream.ended_too_soon == "stopped after 3 frames: no new one came for 0.2 s"
+        awake.set()
+    assert seen == [0, 1, 2]
+
+
+def test_a_slow_network_is_no_stall_and_a_slow_file_neither() -> None:
+    def slow(frame: np.ndarray) -> np.ndarray:
+        time.sleep(0.1)
+        return depth_of(frame)
+
+    def file() -> Iterator[np.ndarray]:
+        for frame in numbered(3):
+            time.sleep(0.1)
+            yield frame
+
+    for source, network, drop in ((numbered(3), slow, True), (file(), depth_of, False)):
+        with runtimes.DepthStream(source, network, queue_size=3, drop=drop, timeout=0.05) as stream:
+            assert len(list(stream)) == 3
+        assert stream.ended_too_soon == ""
+    for wrong in (0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match=r"timeout=.*: give seconds above 0, or None"):
+            runtimes.DepthStream(numbered(1), depth_of, timeout=wrong)

@@ -2,6 +2,7 @@
 
 import resource
 import signal
+import threading
 from itertools import pairwise
 from pathlib import Path
 
@@ -77,7 +78,7 @@ def test_an_address_is_read_live(model_folder: Path, tmp_path: Path, capsys) -> 
 class SlowCamera(DepthStream):
     """A camera of 10 frames a second that had time for three frames: at 0, 0.5 and 0.7 s."""
 
-    def __init__(self, source, predictor) -> None:
+    def __init__(self, source, predictor, **options: object) -> None:
         self.predictor, self.drop = predictor, True
         self.dropped, self.announced, self.frames_per_second = 5, 0, 10.0
         self.ended_too_soon = "stopped after 8 frames"
@@ -181,3 +182,38 @@ def test_an_address_is_shown_without_its_password() -> None:
     with pytest.raises(ValueError, match=r"source=file:///nowhere cannot be opened") as error:
         DepthStream("file://me:secret@/nowhere", lambda frame: frame)
     assert "secret" not in str(error.value)
+
+
+def test_predict_ends_at_a_camera_that_stalls_and_keeps_what_it_has(
+    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    awake = threading.Event()
+
+    class Camera:
+        left = 2
+
+        def isOpened(self) -> bool:
+            return True
+
+        def get(self, what: int) -> float:
+            return 0.0
+
+        def read(self) -> tuple[bool, np.ndarray]:
+            self.left -= 1
+            if self.left < 0:
+                threading.Timer(1.0, awake.set).start()  # so that closing need not wait for long
+                awake.wait(60)
+            return self.left >= 0, np.zeros((48, 64, 3), np.uint8)
+
+        def release(self) -> None:
+            pass
+
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Camera())
+    with pytest.raises(
+        OSError, match=r"camera:0 stopped after 2 frames: no new one came for 0\.5 s; earlier"
+    ):
+        run(model_folder, "camera:0", tmp_path / "out", "camera_timeout=0.5", "formats=[depth]")
+    assert any((tmp_path / "out").rglob("*.png"))
+    for wrong in ("0", "nan", "soon"):
+        with pytest.raises(ValueError, match=r"camera_timeout=.*: give seconds above 0, or null"):
+            run(model_folder, "camera:0", tmp_path / "out", f"camera_timeout={wrong}")
