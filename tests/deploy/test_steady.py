@@ -10,10 +10,14 @@ from eldenet.deploy.steady import SteadyFilter
 SIZE = (96, 128)
 
 
+def blotches(seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+    return cv2.resize(noise, SIZE[::-1], interpolation=cv2.INTER_CUBIC)
+
+
 @pytest.fixture
 def scene() -> np.ndarray:
-    noise = np.random.default_rng(0).integers(0, 256, (12, 16, 3), dtype=np.uint8)
-    return cv2.resize(noise, SIZE[::-1], interpolation=cv2.INTER_CUBIC)
+    return blotches(0)
 
 
 def flickering(frames: int) -> np.ndarray:
@@ -55,8 +59,7 @@ def test_depth_moves_with_the_pixels(scene):
 def test_another_scene_comes_back_unchanged(scene):
     steady, depth = SteadyFilter(), flickering(2)
     steady(scene, depth[0])
-    other = np.random.default_rng(2).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
-    assert steady(other, depth[1]) is depth[1]
+    assert steady(blotches(2), depth[1]) is depth[1]
 
 
 def test_a_jump_in_scale_starts_anew(scene):
