@@ -136,7 +136,7 @@ def compare_with_torch(
 
     setup, output = target.setup, target.output
     seen = [resize_image(picture, setup.camera or target.size) for picture in pictures]
-    predictor = DepthPredictor(model, target.size)
+    predictor = DepthPredictor(model, target.size, steady=False)
     reference = np.stack([predictor(frame) for frame in seen])
     rows, inputs = [], batches(seen, target)
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):

@@ -65,6 +65,7 @@ class PredictionSetup:
     max_side: int
     frames: int | None
     camera_timeout: float | None
+    steady: bool
     trusted_modules: Sequence[str]
 
 
@@ -152,19 +153,20 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
 
     checkpoint, size, max_side = setup.checkpoint, setup.input_size, setup.max_side
     resources = setup.resources
+    steady = setup.steady and setup.source.is_video
     if runtimes.is_exported(checkpoint):
         network = runtimes.load(checkpoint, setup.engine, threads=resources.threads, device=resources.device)
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
-        predictor = DepthPredictor(network, size, max_side=max_side)
+        predictor = DepthPredictor(network, size, max_side=max_side, steady=steady)
     else:
         model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
         if setup.engine in ("auto", "torch"):
-            predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device)
+            predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device, steady=steady)
         else:
             network = runtimes.load(
                 model, setup.engine, threads=resources.threads, device=resources.device, size=size
             )
-            predictor = DepthPredictor(network, size, max_side=max_side)
+            predictor = DepthPredictor(network, size, max_side=max_side, steady=steady)
     if checkpoint in eldenet.list_models():
         log.say(untrained_note(checkpoint))
     elif predictor.input_size is None:

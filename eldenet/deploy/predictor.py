@@ -1,10 +1,12 @@
 """A trained network behind one call: camera frame in, meters out. An exported file needs no torch."""
 
+import threading
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldenet.deploy.runtimes.base import Runtime
+from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import resize_image
 from eldenet.system.resources import full_fp32
 
@@ -27,6 +29,10 @@ class DepthPredictor:
     trained on crops sees whole frames at the scale of those crops. Depth is metric for cameras with about the
     field of view of the training camera. Several threads may call one predictor.
 
+    In a loop over a video, depth is steady: each frame is mixed with the frames before it, see
+    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene is predicted alone. Each thread
+    has a video of its own. ``steady=False`` predicts every frame alone.
+
     Args:
         model: put into eval mode and moved to ``device``; or a network under another runtime
             (:func:`eldenet.deploy.runtimes.load`).
@@ -34,6 +40,7 @@ class DepthPredictor:
             (:func:`eldenet.model.size_of_frames`), else the frame's own, limited by ``max_side``.
         max_side: longest side of frames without ``input_size`` [px].
         device: of a model; None: the CPU. A runtime has its own.
+        steady: whether the frames are those of a video, whose depth must not flicker.
 
     Raises:
         ValueError: a size is invalid or not the one that a file was exported for, or a runtime gets a device.
@@ -46,6 +53,7 @@ class DepthPredictor:
         *,
         max_side: int = MAX_SIDE,
         device: "str | torch.device | None" = None,
+        steady: bool = True,
     ) -> None:
         if input_size is None and isinstance(model, Runtime):
             input_size = model.info.get("input_size")
@@ -59,6 +67,8 @@ class DepthPredictor:
             raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
+        self.steady = steady
+        self._filters = threading.local()
         if isinstance(model, Runtime):
             if device is not None:
                 raise ValueError(
@@ -95,22 +105,32 @@ class DepthPredictor:
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
         size = (frame.shape[0], frame.shape[1])
-        depth = self._depth(frame)
+        camera_size = self.model.camera_size if isinstance(self.model, Runtime) else None
+        picture = resize_image(frame, camera_size or self.size_for(*size))
+        depth = self._depth(picture)
         if not np.isfinite(depth).all():
             raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
+        if self.steady:
+            depth = self._filter(picture, depth)
         return depth if depth.shape == size else enlarged(depth, size)
 
-    def _depth(self, frame: np.ndarray) -> np.ndarray:
+    def _depth(self, picture: np.ndarray) -> np.ndarray:
         """Depth at the network's own size."""
         if isinstance(self.model, Runtime):
-            if self.model.camera_size is not None:
-                return self.model(resize_image(frame, self.model.camera_size)[None])[0, 0]
-            return self.model(as_image(resize_image(frame, self.size_for(*frame.shape[:2]))))[0, 0]
+            return self.model(picture[None] if self.model.camera_size else as_image(picture))[0, 0]
         import torch
 
-        image = torch.from_numpy(as_image(resize_image(frame, self.size_for(*frame.shape[:2]))))
+        image = torch.from_numpy(as_image(picture))
         with torch.inference_mode():
             return self.model(image.to(self.device))[0, 0].float().cpu().numpy()
+
+    @property
+    def _filter(self) -> SteadyFilter:
+        """The filter of this thread's video."""
+        if not hasattr(self._filters, "steady"):
+            self._filters.steady = SteadyFilter()
+        steady: SteadyFilter = self._filters.steady
+        return steady
 
 
 def as_image(frame: np.ndarray) -> np.ndarray:

@@ -152,7 +152,7 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], np.ndarray] | No
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
 
-    return DepthPredictor(runtimes.load(source, threads=torch.get_num_threads()))
+    return DepthPredictor(runtimes.load(source, threads=torch.get_num_threads()), steady=False)
 
 
 def camera(

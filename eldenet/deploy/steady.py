@@ -1,0 +1,100 @@
+"""Depth of a video without flicker: a causal filter along the motion of the pixels."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+WIDTH = 64  # of the pictures whose motion is measured [px]
+FINEST_SCALE = 1  # motion is measured on half of that: twice as fast, no worse
+NEW = 0.3  # share of the new depth where a pixel is recognized
+TOLERANCE = 20.0  # difference of gray values at which a pixel is hardly recognized
+TREND = 0.1  # share of a surprise in scale that becomes trend
+FASTEST = 0.1  # change of scale per frame that still is motion
+RECOGNIZED = 0.5  # share of the pixels below which a new scene starts
+JUMP = 0.4  # change of scale at which a new scene starts
+
+
+class _Memory(NamedTuple):
+    gray: np.ndarray  # (h, w) uint8
+    log_depth: np.ndarray  # (H, W) float32
+    trend: float  # of the mean of log_depth per frame
+
+
+class SteadyFilter:
+    """Steady the depth of one video, frame by frame.
+
+    Every pixel is followed from the last frame by optical flow (DIS, Kroeger et al. 2016). Where it looks the
+    same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. The
+    trend of the scale is part of the prediction, so depth does not lag while the camera moves. The filter
+    sees no later frame. A cut, or any picture of another scene, starts it anew: then depth comes back
+    unchanged.
+
+    A filter belongs to one video: give each video, and each thread, its own.
+    """
+
+    def __init__(self) -> None:
+        import cv2
+
+        self._flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._flow.setFinestScale(FINEST_SCALE)
+        self._memory: _Memory | None = None
+
+    def __call__(self, image: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Return the steady depth ``(H, W)`` float32 [m] of the next frame.
+
+        Args:
+            image: ``(h, w, 3)`` uint8 RGB of any size; the smaller, the faster.
+            depth: ``(H, W)`` float32 [m], above 0, of the whole image.
+        """
+        import cv2
+
+        width, height = WIDTH, max(WIDTH // 2, round(WIDTH * image.shape[0] / image.shape[1]))
+        gray = cv2.resize(
+            cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (width, height), interpolation=cv2.INTER_AREA
+        )
+        log_depth = cv2.log(depth)
+        last, self._memory = self._memory, _Memory(gray, log_depth, 0.0)
+        if last is None or last.gray.shape != gray.shape or last.log_depth.shape != depth.shape:
+            return depth
+        where = _grid(height, width) + self._flow.calc(gray, last.gray, None)
+        same = _same_surface(gray, last.gray, where)
+        if same.mean() < RECOGNIZED:
+            return depth
+        size = depth.shape[::-1]
+        scale = np.array([size[0] / width, size[1] / height], np.float32)
+        followed = cv2.remap(
+            last.log_depth,
+            (cv2.resize(where, size) + np.float32(0.5)) * scale - np.float32(0.5),
+            None,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        weight = cv2.resize(same, size)
+        surprise = log_depth - (followed + np.float32(last.trend))
+        known = surprise[::4, ::4][weight[::4, ::4] > RECOGNIZED]
+        shift = float(np.median(known)) if known.size else 0.0
+        if abs(shift) > JUMP:
+            return depth
+        trend = float(np.clip(last.trend + TREND * shift, -FASTEST, FASTEST))
+        steady = log_depth - np.float32(1 - NEW) * weight * surprise
+        self._memory = _Memory(gray, steady, trend)
+        return cv2.exp(steady)
+
+
+def _same_surface(gray: np.ndarray, last: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """How sure it is, in 0 to 1, that each pixel shows what the last frame shows at ``where (h, w, 2)``."""
+    import cv2
+
+    height, width = gray.shape
+    followed = cv2.remap(last, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    difference = cv2.absdiff(gray, followed).astype(np.float32) * np.float32(1 / TOLERANCE)
+    same = cv2.exp(-(difference * difference))
+    x, y = where[..., 0], where[..., 1]
+    same[(x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)] = 0
+    return same
+
+
+@cache
+def _grid(height: int, width: int) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
