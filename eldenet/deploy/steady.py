@@ -36,7 +36,7 @@ class SteadyFilter:
     def __init__(self) -> None:
         import cv2
 
-        self._flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(FINEST_SCALE)
         self._memory: _Memory | None = None
 
@@ -63,13 +63,8 @@ class SteadyFilter:
             return depth
         size = depth.shape[::-1]
         scale = np.array([size[0] / width, size[1] / height], np.float32)
-        followed = cv2.remap(
-            last.log_depth,
-            (cv2.resize(where, size) + np.float32(0.5)) * scale - np.float32(0.5),
-            None,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        places = (cv2.resize(where, size) + np.float32(0.5)) * scale - np.float32(0.5)
+        followed = _follow(last.log_depth, places)
         weight = cv2.resize(same, size)
         surprise = log_depth - (followed + np.float32(last.trend))
         known = surprise[::4, ::4][weight[::4, ::4] > RECOGNIZED]
@@ -87,12 +82,25 @@ def _same_surface(gray: np.ndarray, last: np.ndarray, where: np.ndarray) -> np.n
     import cv2
 
     height, width = gray.shape
-    followed = cv2.remap(last, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    difference = cv2.absdiff(gray, followed).astype(np.float32) * np.float32(1 / TOLERANCE)
+    difference = cv2.absdiff(gray, _follow(last, where)).astype(np.float32) * np.float32(1 / TOLERANCE)
     same = cv2.exp(-(difference * difference))
     x, y = where[..., 0], where[..., 1]
     same[(x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)] = 0
     return same
+
+
+def _follow(last: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return what lay at ``where (H, W, 2)`` [px] in the last map ``(h, w)``."""
+    import cv2
+
+    found: np.ndarray = cv2.remap(  # the stubs want both maps, OpenCV takes one of pairs
+        last,
+        where,
+        None,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,  # type: ignore[call-overload]
+    )
+    return found
 
 
 @cache

@@ -219,8 +219,8 @@ class Navigator:
 
         Returns:
             Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if odometry, goal or intrinsics
-            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near, and
-            inf as free.
+            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
+            and inf as free.
 
         Raises:
             ValueError: ``depth`` has another shape, a depth map has no intrinsics, or its camera sees less

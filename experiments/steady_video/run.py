@@ -116,9 +116,9 @@ def main() -> None:
         f"| each frame alone | {before:.4f} | {abs_rel[:, 0].mean():.4f} | 0 | {network_ms:.2f} |",
         f"| steady | {after:.4f} | {abs_rel[:, 1].mean():.4f} | {lag:.2f} | + {filter_ms:.2f} |",
         "",
-        f"The filter changes flicker by {100 * (after / before - 1):.0f} % (in a single walk by "
-        f"{100 * ratios.min():.0f} to {100 * ratios.max():.0f} %). AbsRel falls in {int((gains < 0).sum())} of "
-        f"{WALKS} walks; in the worst it rises by {gains.max():.4f}.",
+        f"The filter changes flicker by {100 * (after / before - 1):.0f} % (in single walks by "
+        f"{100 * ratios.min():.0f} to {100 * ratios.max():.0f} %). AbsRel falls in "
+        f"{int((gains < 0).sum())} of {WALKS} walks; in the worst it rises by {gains.max():.4f}.",
         "",
         "Made by `python experiments/steady_video/run.py`.",
     ]

@@ -13,7 +13,16 @@ from eldenet.results.record_checks import ADVICE, CHOICE, check_shape, require
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
 
-NEEDED = ("model", "seed", "data", "split", "split_hash", "metrics.images", "constant_predictor", "config")
+NEEDED: tuple[str, ...] = (
+    "model",
+    "seed",
+    "data",
+    "split",
+    "split_hash",
+    "metrics.images",
+    "constant_predictor",
+    "config",
+)
 NEEDED += ("cost.height", "cost.width", "cost.params", "cost.gmacs", "date", "versions.torch")
 NEEDED += ("hardware.processor", "resources.precision", "protocol")  # entries of a stored run
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
