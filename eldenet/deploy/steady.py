@@ -57,7 +57,8 @@ class SteadyFilter:
         last, self._memory = self._memory, _Memory(gray, log_depth, 0.0)
         if last is None or last.gray.shape != gray.shape or last.log_depth.shape != depth.shape:
             return depth
-        where = _grid(height, width) + self._flow.calc(gray, last.gray, None)
+        motion = self._flow.calc(gray, last.gray, None)  # type: ignore[call-overload]
+        where = _grid(height, width) + motion
         same = _same_surface(gray, last.gray, where)
         if same.mean() < RECOGNIZED:
             return depth
