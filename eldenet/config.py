@@ -588,7 +588,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy import runtimes
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
-    from eldenet.geometry import pinhole
+    from eldenet.geometry import focal_of_fov, pinhole
 
     check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
@@ -599,6 +599,13 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
     if camera and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
+    if len(given) > 1:
+        raise ValueError(f"{' and '.join(given)} are given: give one of them")
+    if config.focal is not None and not (isinstance(config.focal, int | float) and config.focal > 0):
+        raise ValueError(f"focal={config.focal}: give fx of the source's pictures in pixels, above 0")
+    if config.fov is not None:
+        focal_of_fov(config.fov, 1)
     span = _numbers(config, "depth_range", "[near, far] in meters")
     if span and not 0 <= span[0] < span[1]:
         raise ValueError(f"depth_range={list(span)}: give [near, far] in meters, 0 <= near < far")
@@ -618,8 +625,6 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
     if "ply" in formats and not camera:
         raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
-    if camera and "ply" not in formats and not config.boxes:
-        raise ValueError(f"formats={formats} do not use intrinsics: add ply, or remove intrinsics")
     results = Results(
         output,
         tuple(formats),
@@ -638,6 +643,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         results=results,
         resources=choose_resources(**plain(config.runtime), for_torch=by_torch),
         input_size=size,
+        intrinsics=camera,
         boxes=boxes,
         skip_unreadable=config.on_error == "skip",
     )

@@ -50,9 +50,9 @@ class EncoderDecoder(Configurable, nn.Module):
 class DepthNet(Configurable, nn.Module):
     """A depth network: camera images in, meters out.
 
-    With ``canonical_focal`` the network predicts depth as if a camera of that focal length had taken the image
-    (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal. So its
-    meters hold for any lens. Without, they hold for the training's lens alone.
+    With ``canonical_focal`` the network predicts depth as if a camera of that focal length had taken the
+    image (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal. So
+    its meters hold for any lens. Without, they hold for the training's lens alone.
 
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
@@ -66,7 +66,9 @@ class DepthNet(Configurable, nn.Module):
 
     Attributes:
         info: facts about the weights (training data, protocol, ...), saved with them. :func:`size_of_frames`
-            reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px].
+            reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px]. Where the training's
+            protocol squeezed frames, ``stretch`` is how many times wider it showed things than they are.
+        canonical_px: focal length of the canonical camera [px]; None without ``canonical_focal``.
 
     Raises:
         ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or one comes without the other.

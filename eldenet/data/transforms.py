@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from eldenet.data.resize_crop import check_same_size
+from eldenet.geometry import BORDER_COLOR
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
-
-BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once the network has normalized it
 
 
 class Augmentation:
@@ -24,9 +23,10 @@ class Augmentation:
     A zoom by s is a longer lens (``zoom="focal"``: the focal lengths grow by s, depth stays), or it shows the
     scene from s times nearer (``zoom="depth"``: depth is divided by s, the focal lengths stay, and X and Y of
     every point in the camera frame stay; as in sparse-to-dense and FastDepth). To a network that predicts
-    canonical depth both are the same. The depth of frames without intrinsics is always divided. Flip, rotation
-    and shift keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 %
-    apart for NYU) shears the scene by that difference times the sine of the angle, which is not corrected.
+    canonical depth both are the same. Frames without intrinsics have their depth divided in any case. Flip,
+    rotation and shift keep depth. The principal point moves with the image. Rotating with unequal focal
+    lengths (0.1 % apart for NYU) shears the scene by that difference times the sine of the angle, which is
+    not corrected.
 
     Args:
         flip: probability of mirroring left and right.
