@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from eldenet.training.setup import TrainingSetup
 
 SPLITS = ("train", "val", "test")
+#: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
+FOCAL_RANGE = (0.4, 2.0)
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 # groups of a training's parts: what a study's settings may build
 PARTS = (
@@ -108,10 +110,10 @@ def added_sources() -> list[str]:
     ]
 
 
-def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
+def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a function that YAML files call as ``${name:argument,...}``."""
 
-    def register(function: Callable[..., str]) -> Callable[..., str]:
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
         OmegaConf.register_new_resolver(name, function, replace=True)
         return function
 
@@ -123,6 +125,24 @@ def _test_part(test_root: str | None, root: str | None) -> str:
     """``${test_part:test_root,root}``: "val" of the training's own folder, "all" of another one."""
     places = {folder and Path(folder).expanduser().resolve() for folder in (test_root, root)}
     return "val" if len(places) == 1 else "all"
+
+
+@resolver("canonical_near")
+def _canonical_near(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_near:depth,canonical_focal}``: canonical ``depth`` [m] of the longest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[1]
+
+
+@resolver("canonical_far")
+def _canonical_far(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_far:depth,canonical_focal}``: canonical ``depth`` [m] of the widest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[0]
+
+
+@resolver("zoom")
+def _zoom(canonical_focal: float | None) -> str:
+    """``${zoom:canonical_focal}``: what an augmentation's zoom changes."""
+    return "depth" if canonical_focal is None else "focal"
 
 
 def plain(config: Any, *, resolve: bool = True) -> Any:
@@ -215,7 +235,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         input_size=settings["data"]["input_size"],
         protocol=build_protocol(config),
         make_split=functools.partial(build_split, config),
-        make_model=functools.partial(instantiate, config.model),
+        make_model=functools.partial(instantiate, config.model, **canonical_camera(config)),
         own_normalization=bool({"mean", "std"} & config.model.keys()),
         make_loss=functools.partial(instantiate, config.loss),
         make_trainer=functools.partial(_build_trainer, config),
@@ -255,6 +275,22 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
         trusted_modules=settings["trusted_modules"],
         settings=settings,
     )
+
+
+def canonical_camera(config: DictConfig) -> dict[str, Any]:
+    """Return ``canonical_focal`` and ``canonical_width`` of the network to train; nothing without them.
+
+    Raises:
+        ValueError: the input's width is unknown.
+    """
+    if config.canonical_focal is None:
+        return {}
+    if config.data.input_size is None:
+        raise ValueError(
+            "canonical_focal is in widths of the input, which data.input_size=null leaves open: give "
+            "data.input_size=[height,width], or canonical_focal=null"
+        )
+    return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
 
 
 def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
@@ -647,7 +683,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy import runtimes
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
-    from eldenet.geometry import pinhole
+    from eldenet.geometry import focal_of_fov, pinhole
     from eldenet.results.fingerprints import fingerprint
 
     check_sources(config, "checkpoint")
@@ -662,6 +698,13 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
     if camera and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
+    if len(given) > 1:
+        raise ValueError(f"{' and '.join(given)} are given: give one of them")
+    if config.focal is not None and not (isinstance(config.focal, int | float) and config.focal > 0):
+        raise ValueError(f"focal={config.focal}: give fx of the source's pictures in pixels, above 0")
+    if config.fov is not None:
+        focal_of_fov(config.fov, 1)
     span = _numbers(config, "depth_range", "[near, far] in meters")
     if span and not 0 <= span[0] < span[1]:
         raise ValueError(f"depth_range={list(span)}: give [near, far] in meters, 0 <= near < far")
@@ -681,8 +724,6 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
     if "ply" in formats and not camera:
         raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
-    if camera and "ply" not in formats and not config.boxes:
-        raise ValueError(f"formats={formats} do not use intrinsics: add ply, or remove intrinsics")
     results = Results(
         output,
         tuple(formats),
@@ -705,6 +746,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         results=results,
         resources=choose_resources(**plain(config.runtime), for_torch=by_torch),
         input_size=size,
+        intrinsics=camera,
         boxes=boxes,
         skip_unreadable=config.on_error == "skip",
     )

@@ -4,9 +4,14 @@ Convention: pixel centers are whole numbers (the center of the first pixel is (0
 z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
+
+SAME_ASPECT = 0.02  # share by which a resize may stretch one side: what rounding to whole pixels does
+BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normalized it
+FILM_DIAGONAL = 43.27  # of 35 mm film [mm]
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
@@ -31,6 +36,59 @@ def resize_intrinsics(
     sy, sx = size_to[0] / size_from[0], size_to[1] / size_from[1]
     matrix = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
     return matrix @ intrinsics
+
+
+def focal_of_fov(degrees: float, width: int) -> float:
+    """Return fx [px] of a picture ``width`` pixels wide with a horizontal field of view in degrees."""
+    if not 0 < degrees < 180:
+        raise ValueError(
+            f"fov={degrees}: give the horizontal field of view in degrees, above 0 and below 180"
+        )
+    return width / 2 / math.tan(math.radians(degrees) / 2)
+
+
+def focal_of_film(millimeters: float, size: tuple[int, int]) -> float:
+    """Return fx [px] of a picture of ``(height, width)`` from its focal length in terms of 35 mm film [mm].
+
+    Convention: equal diagonals (CIPA DCG-001), as cameras write it into EXIF.
+    """
+    return millimeters * math.hypot(*size) / FILM_DIAGONAL
+
+
+def size_of_aspect(size: tuple[int, int], frame: tuple[float, float]) -> tuple[int, int]:
+    """Return a ``(height, width)`` [px] of about as many pixels as ``size``, in the aspect of ``frame``.
+
+    It is ``size`` itself if the two aspects are alike up to rounding.
+    """
+    if same_aspect(size, frame):
+        return size
+    height = math.sqrt(size[0] * size[1] * frame[0] / frame[1])
+    return max(1, round(height)), max(1, round(height * frame[1] / frame[0]))
+
+
+def same_aspect(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether ``(height, width)`` of both have one aspect up to rounding."""
+    return abs(math.log(one[0] * other[1] / (one[1] * other[0]))) <= SAME_ASPECT
+
+
+def crop_to_aspect(size: tuple[int, int], wanted: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return the largest centered box ``(top, bottom, left, right)`` [px] in the aspect wanted."""
+    if same_aspect(size, wanted):
+        return 0, size[0], 0, size[1]
+    scale = min(size[0] / wanted[0], size[1] / wanted[1])
+    height, width = (max(1, round(side * scale)) for side in wanted)
+    top, left = crop_corner(size, (height, width), "center")
+    return top, top + height, left, left + width
+
+
+def fit_into(size: tuple[int, int], frame: tuple[float, float]) -> tuple[int, int, int, int]:
+    """Return the box ``(top, bottom, left, right)`` [px] of a ``frame`` centered in ``size``, aspect kept."""
+    if same_aspect(size, frame):
+        return 0, size[0], 0, size[1]
+    scale = min(size[0] / frame[0], size[1] / frame[1])
+    height, width = (max(1, round(side * scale)) for side in frame)
+    top, left = (size[0] - height) // 2, (size[1] - width) // 2
+    return top, top + height, left, left + width
 
 
 def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
 
 #: Version of the slots and of how eldenet's data sets read a frame: raise it when either changes.
-VERSION = 2
+VERSION = 3
 _LOG = logging.getLogger("eldenet")
 
 

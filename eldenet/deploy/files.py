@@ -53,18 +53,26 @@ def describe(
     from eldenet.evaluation.cost import count_macs, count_params
 
     height, width = camera_size or size
+    canonical = model.canonical_px is not None
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     return {
         "eldenet_version": __version__,
         "model": name,
-        "output": "depth (B, 1, H, W) in meters",
-        "units": "meters",
+        "output": (
+            "canonical depth (B, 1, H, W); meters = depth x fx [px of the network's image] / "
+            "(canonical_focal x canonical_width)"
+            if canonical
+            else "depth (B, 1, H, W) in meters"
+        ),
+        "units": "canonical meters" if canonical else "meters",
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
+        **canonical_camera(model),
         "license": license or str(model.info.get("license", "not stated")),
         "input": f"{takes}, H = {height}, W = {width}; normalization is inside",
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),
+        "stretch": json.dumps(model.info.get("stretch")),
         "camera_size": json.dumps(list(camera_size) if camera_size else None),
         "mean": json.dumps([round(value, 6) for value in model.mean.flatten().tolist()]),
         "std": json.dumps([round(value, 6) for value in model.std.flatten().tolist()]),
@@ -74,6 +82,11 @@ def describe(
         "params": str(count_params(model)),
         "gmacs": f"{count_macs(model, size) / 1e9:.6g}",
     }
+
+
+def canonical_camera(model: "DepthNet") -> dict[str, str]:
+    """Return ``canonical_focal`` [widths] and ``canonical_width`` [px] as metadata; "null" without."""
+    return {name: json.dumps(model.config[name]) for name in ("canonical_focal", "canonical_width")}
 
 
 def write_onnx(

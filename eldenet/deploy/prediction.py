@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import eldenet
+from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
@@ -50,6 +51,7 @@ class PredictionSetup:
         results: writes the results.
         resources: threads and device.
         skip_unreadable: list pictures that cannot be read instead of stopping.
+        intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
         boxes: ``boxes(results, names, log, seconds)`` is entered before the pictures are predicted, and gives
             what :attr:`Results.also` calls; None: no 3D boxes.
     """
@@ -59,6 +61,9 @@ class PredictionSetup:
     resources: "Resources"
     skip_unreadable: bool
     boxes: Callable[..., AbstractContextManager[Any]] | None
+    intrinsics: Sequence[float] | None
+    focal: float | None
+    fov: float | None
     checkpoint: str
     engine: str
     input_size: tuple[int, int] | None
@@ -83,7 +88,9 @@ def predict(setup: PredictionSetup) -> Results:
     source, results = setup.source, setup.results
     names = list(source.names.values())
     log = RunLog(results.folder)
-    predictor = Timed(open_predictor(setup, log))
+    network = open_predictor(setup, log)
+    lens = Lens(network.canonical_px, intrinsics=setup.intrinsics, focal=setup.focal, fov=setup.fov)
+    predictor = Timed(network, lens)
     boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor.seconds)
     broken = ""
     done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
@@ -95,6 +102,8 @@ def predict(setup: PredictionSetup) -> Results:
             )
         else:
             predict_pictures(setup, predictor, log, stop, done)
+    if results.images and (line := lens.describe()):
+        log.say(line)
     if not stop or source.is_live:
         results.end()
     if broken:
@@ -105,20 +114,22 @@ def predict(setup: PredictionSetup) -> Results:
 
 
 class Timed:
-    """A depth predictor that notes how long each picture took.
+    """A depth predictor that knows each picture's lens and notes how long each picture took.
 
     Attributes:
         seconds: of each of the last pictures.
     """
 
-    def __init__(self, predictor: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.predictor = predictor
+    def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
+        self.predictor, self.lens = predictor, lens
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
-    def __call__(self, frame: np.ndarray) -> np.ndarray:
-        """Depth ``(H, W)`` [m] of a frame."""
+    def __call__(self, frame: np.ndarray, path: Path | None = None) -> np.ndarray:
+        """Depth ``(H, W)`` [m] of a frame; ``path`` is of the photo, whose EXIF may know the lens."""
+        focal = self.lens.focal_of((frame.shape[0], frame.shape[1]), path)
+        camera = None if focal is None else (focal, focal, 0.0, 0.0)  # the network uses fx alone
         start = time.perf_counter()
-        depth = self.predictor(frame)
+        depth = self.predictor(frame, intrinsics=camera)
         self.seconds.append(time.perf_counter() - start)
         return depth
 
@@ -179,7 +190,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
 
 def predict_pictures(
     setup: PredictionSetup,
-    predictor: Callable[[np.ndarray], np.ndarray],
+    predictor: Timed,
     log: "RunLog",
     stop: "GracefulStop",
     done: Collection[Path | str] = (),
@@ -205,7 +216,7 @@ def predict_pictures(
                     raise
                 results.skipped.append(str(error))
             else:
-                results.write(name, photo, predictor(photo), results.formats)
+                results.write(name, photo, predictor(photo, Path(path)), results.formats)
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate
     if pictures and not results.images and not stop:

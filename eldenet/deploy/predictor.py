@@ -1,13 +1,17 @@
 """A trained network behind one call: camera frame in, meters out. An exported file needs no torch."""
 
+import functools
+import logging
+import math
 import threading
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import resize_image
+from eldenet.geometry import BORDER_COLOR, fit_into, focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.resources import full_fp32
 
 if TYPE_CHECKING:
@@ -17,6 +21,10 @@ if TYPE_CHECKING:
 
 MAX_SIDE = 640
 DEEPEST_MILLIMETERS = 65535
+NO_FOCAL = (
+    "this network knows no focal lengths: the camera is not used, and meters hold for the lens of its "
+    "training (canonical_focal in a training changes that)"
+)
 
 
 class DepthPredictor:
@@ -24,10 +32,14 @@ class DepthPredictor:
 
     ``predictor = DepthPredictor(eldenet.load("runs/my-run")); depth = predictor(frame)``
 
-    Frames are resized to the scale of the training, and depth is resized back to the frame's own size
-    (bilinear), so the frame's own intrinsics hold for it. Resizing does not change depth. A network that was
-    trained on crops sees whole frames at the scale of those crops. Depth is metric for cameras with about the
-    field of view of the training camera. Several threads may call one predictor.
+    Frames are resized to the scale of the training with their aspect kept, and depth is resized back to the
+    frame's own size (bilinear), so the frame's own intrinsics hold for it. A frame of another aspect than the
+    training's gets as many pixels in its own aspect; a file of one size gets it with a border. A network that
+    was trained on crops sees whole frames at the scale of those crops.
+
+    Depth is metric for the camera given with each frame. Without one, the network's canonical camera is
+    assumed. A network without ``canonical_px`` knows no focal lengths: its meters hold for about the field of
+    view of its training camera. Several threads may call one predictor.
 
     In a loop over a video, depth is steady: each frame is mixed with the frames before it, see
     :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene is predicted alone. Each thread
@@ -69,6 +81,8 @@ class DepthPredictor:
         self.max_side = max_side
         self.steady = steady
         self._filters = threading.local()
+        self.stretch = float(getattr(model, "info", {}).get("stretch") or 1.0)
+        self._said = False  # that the network ignores cameras
         if isinstance(model, Runtime):
             if device is not None:
                 raise ValueError(
@@ -89,40 +103,79 @@ class DepthPredictor:
             if self.device.type == "cuda":
                 full_fp32()  # as under other runtimes
 
+    @property
+    def canonical_px(self) -> float | None:
+        """Focal length of the network's canonical camera [px]; None: it knows no focal lengths."""
+        return getattr(self.model, "canonical_px", None)
+
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` [px] at which the network sees a frame of ``height`` x ``width``."""
         if self.input_size is not None:
-            return self.input_size
+            if isinstance(self.model, Runtime) and self.model.fixed_size is not None:
+                return self.input_size
+            return size_of_aspect(self.input_size, (height, width * self.stretch))
         scale = min(1.0, self.max_side / max(height, width))
         return max(1, round(height * scale)), max(1, round(width * scale))
 
-    def __call__(self, frame: np.ndarray) -> np.ndarray:
+    def __call__(
+        self,
+        frame: np.ndarray,
+        *,
+        intrinsics: "Sequence[float] | np.ndarray | None" = None,
+        fov: float | None = None,
+    ) -> np.ndarray:
         """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m].
 
+        Args:
+            frame: of the camera.
+            intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frame [px]; only fx is used.
+            fov: horizontal field of view instead [degrees]. Without either: the canonical camera.
+
         Raises:
-            ValueError: the frame has another shape or type, or the network's depth is not finite.
+            ValueError: the frame has another shape or type, its camera is given twice or out of range, or the
+                network's depth is not finite.
         """
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
         size = (frame.shape[0], frame.shape[1])
-        camera_size = self.model.camera_size if isinstance(self.model, Runtime) else None
-        picture = resize_image(frame, camera_size or self.size_for(*size))
-        depth = self._depth(picture)
+        focal = focal_length(intrinsics, fov, size[1])
+        picture, depth, scale = self._depth(frame)
         if not np.isfinite(depth).all():
             raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
         if self.steady:
             depth = self._filter(picture, depth)
+        if focal is not None:
+            if self.canonical_px is not None:
+                depth = depth * np.float32(focal * scale / self.canonical_px)
+            elif not self._said:
+                self._said = True
+                logging.getLogger("eldenet").warning(NO_FOCAL)
         return depth if depth.shape == size else enlarged(depth, size)
 
-    def _depth(self, picture: np.ndarray) -> np.ndarray:
-        """Depth at the network's own size."""
+    def _depth(self, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """The frame and its depth at the network's own size, and that size in widths of the frame."""
+        height, width = frame.shape[:2]
+        camera = self.model.camera_size if isinstance(self.model, Runtime) else None
+        size = camera or self.size_for(height, width)
+        top, bottom, left, right = fit_into(size, (height, width if camera else width * self.stretch))
+        picture = image = resize_image(frame, (bottom - top, right - left))
+        if image.shape[:2] != size:
+            filled = np.full((*size, 3), BORDER_COLOR, np.uint8)
+            filled[top:bottom, left:right] = image
+            image = filled
+        seen = (right - left) / width
         if isinstance(self.model, Runtime):
-            return self.model(picture[None] if self.model.camera_size else as_image(picture))[0, 0]
-        import torch
+            if camera is not None and self.model.fixed_size is not None:
+                seen *= self.model.fixed_size[1] / camera[1]
+            depth = self.model(image[None] if camera else as_image(image))[0, 0]
+        else:
+            import torch
 
-        image = torch.from_numpy(as_image(picture))
-        with torch.inference_mode():
-            return self.model(image.to(self.device))[0, 0].float().cpu().numpy()
+            with torch.inference_mode():
+                depth = (
+                    self.model(torch.from_numpy(as_image(image)).to(self.device))[0, 0].float().cpu().numpy()
+                )
+        return picture, depth[top:bottom, left:right], seen
 
     @property
     def _filter(self) -> SteadyFilter:
@@ -131,6 +184,37 @@ class DepthPredictor:
             self._filters.steady = SteadyFilter()
         steady: SteadyFilter = self._filters.steady
         return steady
+
+
+def focal_length(
+    intrinsics: "Sequence[float] | np.ndarray | None", fov: float | None, width: int
+) -> float | None:
+    """Return fx [px] of a frame ``width`` pixels wide; None if nothing is given.
+
+    Raises:
+        ValueError: both are given, or one is out of its range.
+    """
+    if fov is not None:
+        if intrinsics is not None:
+            raise ValueError("both intrinsics and fov are given: give one of them")
+        return focal_of_fov(fov, width)
+    if intrinsics is None:
+        return None
+    numbers = np.asarray(intrinsics, dtype=np.float64)
+    if numbers.shape not in ((4,), (3, 3)) or not (numbers.flat[0] > 0 and math.isfinite(numbers.flat[0])):
+        raise ValueError(
+            f"intrinsics={intrinsics}: give (fx, fy, cx, cy) in pixels, or the (3, 3) matrix; fx above 0"
+        )
+    return float(numbers.flat[0])
+
+
+def for_camera(
+    predictor: Callable[[np.ndarray], np.ndarray], intrinsics: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return ``predictor`` for frames of one camera, if it is one that knows focal lengths; else itself."""
+    if isinstance(predictor, DepthPredictor) and predictor.canonical_px is not None:
+        return functools.partial(predictor, intrinsics=intrinsics)
+    return predictor
 
 
 def as_image(frame: np.ndarray) -> np.ndarray:

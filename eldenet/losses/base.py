@@ -91,9 +91,17 @@ class WeightedTerm(nn.Module):
         """
 
     def forward(
-        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+        self,
+        prediction: Tensor,
+        target: Tensor,
+        mask: Tensor,
+        image: Tensor | None = None,
+        focal: Tensor | None = None,
     ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight; most terms ignore ``image``."""
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight.
+
+        Most terms ignore ``image`` and ``focal``: see :meth:`WeightedSum.forward`.
+        """
         if self.space != "meters":
             prediction, target = (SPACES[self.space](m) for m in fill_masked(prediction, target, mask))
         return self.loss(prediction, target, mask)
@@ -137,9 +145,16 @@ class WeightedSum(nn.Module):
             term.setup(student, autocast)
 
     def forward(
-        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+        self,
+        prediction: Tensor,
+        target: Tensor,
+        mask: Tensor,
+        image: Tensor | None = None,
+        focal: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
+
+        ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
 
         Raises:
             ValueError: the maps differ in shape, or the mask is not bool.
@@ -151,6 +166,6 @@ class WeightedSum(nn.Module):
             )
         if mask.dtype != torch.bool:
             raise ValueError(f"mask is {mask.dtype}: give a bool tensor, True where depth is known")
-        values = {name: term(prediction, target, mask, image) for name, term in self.terms.items()}
+        values = {name: term(prediction, target, mask, image, focal) for name, term in self.terms.items()}
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, extent_of
 from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance
@@ -68,8 +69,10 @@ class Camera:
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which turns its detections into boxes")
         height, width = (int(side) for side in size)
-        check_view(width, robot_intrinsics((height, width)))
-        self.predictor, self.lifter, self.detector = predictor, lifter, detector
+        intrinsics = robot_intrinsics((height, width))
+        check_view(width, intrinsics)
+        self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
+        self.lifter, self.detector = lifter, detector
         self.size, self.light = (height, width), light
         self.drift = Drift(**drift) if isinstance(drift, dict) else drift
         self.sources: dict[str, tuple[str, Any]] = {}

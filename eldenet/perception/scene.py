@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, check_intrinsics
 from eldenet.perception.detectors import Detector, check_frame
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
@@ -115,7 +116,8 @@ class Perception:
         *,
         tracker: BoxTracker | None = None,
     ) -> None:
-        self.depth_model, self.detector, self.lifter = depth_model, detector, lifter
+        self.depth_model = None if depth_model is None else for_camera(depth_model, camera.intrinsics)
+        self.detector, self.lifter = detector, lifter
         self.camera, self.tracker = camera, tracker
 
     def __call__(

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.geometry import same_aspect
 from eldenet.system.files import write_yaml
 from eldenet.system.locks import sole_writer
 from eldenet.system.resources import choose_resources, is_main_process, main_process_first
@@ -225,20 +226,22 @@ def model_info(setup: TrainingSetup, train_set: "DepthDataset") -> dict[str, Any
 
 def trained_sizes(
     input_size: Sequence[int] | None, protocol: "EvalProtocol", train_set: "DepthDataset"
-) -> dict[str, list[int] | None]:
+) -> dict[str, Any]:
     """Return ``(height, width)`` [px] of the network's input and, where a protocol crops, of the whole frame.
 
-    The latter is that of the first frame.
+    The latter is that of the first frame. Where a protocol squeezes frames, ``stretch`` says by how much.
     """
     from eldenet.evaluation.protocol_frames import whole_frame_size
 
     seen = None if input_size is None else list(input_size)
-    sizes: dict[str, list[int] | None] = {"input_size": seen}
+    sizes: dict[str, Any] = {"input_size": seen}
     if protocol.changes_frames:
         height, width = train_set.load_frame(0).depth.shape
         whole = list(whole_frame_size(protocol, (height, width), seen))
         if whole != seen:
             sizes["whole_frame_size"] = whole
+        if not same_aspect((whole[0], whole[1]), (height, width)):
+            sizes["stretch"] = whole[1] * height / (whole[0] * width)
     return sizes
 
 

@@ -23,7 +23,7 @@ def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: Depth
     predictor = DepthPredictor(model)
     depth = predictor(photo(50, 90))
     hook.remove()
-    assert seen == [(1, 3, 32, 64)]
+    assert seen == [(1, 3, 34, 61)]  # as many pixels as 32 x 64, in the frame's own aspect
     assert (depth.shape, depth.dtype) == ((50, 90), np.float32)
     assert model.head.min_depth <= depth.min() <= depth.max() <= model.head.max_depth
     np.testing.assert_array_equal(depth, predictor(photo(50, 90)))

@@ -73,14 +73,18 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.deploy.files import canonical_camera, describe, write_onnx
     from eldenet.model import DepthNet, size_of_frames
 
     model = source if isinstance(source, DepthNet) else eldenet.load(source, trusted_modules=trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
     size = size or size_of_frames(model.info)
     name = str(model.info.get("model_name", "unnamed"))
-    metadata = {"model": name} if size is None else describe(model, name, (int(size[0]), int(size[1])))
+    metadata = (
+        {"model": name} | canonical_camera(model)
+        if size is None
+        else describe(model, name, (int(size[0]), int(size[1])))
+    )
     if runtime in TORCH:
         from eldenet.deploy.runtimes.pytorch import TorchRuntime
 

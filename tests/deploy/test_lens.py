@@ -1,0 +1,155 @@
+"""Meters follow the lens: the focal length that is given, the EXIF's, or the canonical camera's."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from support.predicting import photo, save, setup
+from torch import nn
+
+import eldenet
+from eldenet.deploy.files import describe, write_onnx
+from eldenet.deploy.lens import Lens, exif_focal
+from eldenet.deploy.prediction import predict
+from eldenet.deploy.predictor import DepthPredictor
+from eldenet.geometry import focal_of_fov
+from eldenet.heads import ScaledHead
+from eldenet.model import DepthNet
+
+SIZE = (24, 32)
+
+
+class Size(nn.Module):
+    """A network that measures: canonical depth of a white disc is its size in the picture, inverted."""
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        white = (image.mean(1, keepdim=True) > 0.4).float().sum((2, 3), keepdim=True)
+        return (100 / white.sqrt()).expand(-1, 1, *image.shape[-2:])
+
+
+def measuring() -> DepthNet:
+    """See discs in pictures; f_canonical is 0.8 x 64 px."""
+    head = ScaledHead(min_depth=1e-3, max_depth=1e3)
+    model = DepthNet(Size(), head, mean=(0, 0, 0), std=(1, 1, 1), canonical_focal=0.8, canonical_width=64)
+    model.info = {"input_size": [48, 64]}
+    return model.eval()
+
+
+def disc(height: int, width: int, radius: float) -> np.ndarray:
+    rows, cols = np.indices((height, width))
+    inside = np.hypot(rows - (height - 1) / 2, cols - (width - 1) / 2) < radius
+    return np.repeat((inside * 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+@pytest.fixture
+def lens_model() -> DepthNet:
+    torch.manual_seed(0)
+    model = eldenet.load("eldenet_s")
+    model = DepthNet(model.network, model.head, canonical_focal=0.8, canonical_width=SIZE[1]).eval()
+    model.info = {"input_size": list(SIZE)}
+    return model
+
+
+@pytest.mark.parametrize("cut", [(480, 640), (360, 480), (240, 320), (480, 270), (270, 480), (360, 640)])
+def test_a_crop_changes_no_meter(cut: tuple[int, int]) -> None:
+    """Portrait, 16:9 and longer lenses: the same disc, the same distance."""
+    frame = disc(480, 640, 80)
+    top, left = (480 - cut[0]) // 2, (640 - cut[1]) // 2
+    part = np.ascontiguousarray(frame[top : top + cut[0], left : left + cut[1]])
+    predictor, camera = DepthPredictor(measuring()), (520.0, 520.0, 320.0, 240.0)
+    whole, seen = (predictor(each, intrinsics=camera)[0, 0] for each in (frame, part))
+    assert seen == pytest.approx(whole, rel=0.05)  # a disc of some ten pixels is counted in whole ones
+
+
+def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None:
+    predictor, frame = DepthPredictor(lens_model), photo(48, 64)
+    canonical, focal = predictor(frame), focal_of_fov(90, 64)
+    assert focal == pytest.approx(32)
+    wide = predictor(frame, fov=90)
+    np.testing.assert_array_equal(wide, predictor(frame, intrinsics=np.diag([focal, focal, 1.0])))
+    np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
+    with pytest.raises(ValueError, match="give one of them"):
+        predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
+    with pytest.raises(ValueError, match="fx above 0"):
+        predictor(frame, intrinsics=(0, 32, 31.5, 23.5))
+
+
+def test_a_network_without_focal_lengths_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
+    model = eldenet.load("eldenet_s")
+    model.info = {"input_size": list(SIZE)}
+    predictor, frame = DepthPredictor(model), photo(48, 64)
+    with caplog.at_level(logging.WARNING, "eldenet"):
+        np.testing.assert_array_equal(predictor(frame, fov=60), predictor(frame, fov=90))
+    assert [record.getMessage()[:38] for record in caplog.records] == [
+        "this network knows no focal lengths: t"
+    ]
+
+
+@pytest.mark.parametrize("frame", [(48, 64), (96, 128), (64, 48), (54, 96)])
+def test_files_give_the_meters_of_torch(
+    frame: tuple[int, int], lens_model: DepthNet, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """A file of one size sees other aspects with a border, so these agree in scale alone."""
+    pytest.importorskip("onnxruntime")
+    from eldenet.deploy import runtimes
+
+    folder = tmp_path_factory.getbasetemp() / "lens"
+    path = folder / "lens.onnx"
+    if not path.is_file():
+        write_onnx(lens_model, path, SIZE, batch=1, opset=17, metadata=describe(lens_model, "lens", SIZE))
+    network = runtimes.load(path, "onnxruntime", threads=1)
+    assert network.canonical_px == pytest.approx(lens_model.canonical_px)
+    by_file, by_torch = DepthPredictor(network), DepthPredictor(lens_model)
+    picture = photo(*frame)
+    depth = by_file(picture, fov=70)
+    assert depth.shape == frame
+    if frame[0] * 4 == frame[1] * 3:
+        np.testing.assert_allclose(depth, by_torch(picture, fov=70), rtol=1e-3)
+    share = 2 / np.tan(np.radians(35)) * np.tan(np.radians(20)) / 2
+    np.testing.assert_allclose(by_file(picture, fov=40) * share, depth, rtol=1e-4)
+
+
+def photo_with_exif(path: Path, size: tuple[int, int], film: int, *, turned: bool = False) -> Path:
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = film
+    if turned:
+        exif[0x0112] = 6
+    Image.fromarray(photo(*size)).save(path, exif=exif)
+    return path
+
+
+def test_exif_knows_the_lens_of_a_photo_however_it_was_held(tmp_path: Path) -> None:
+    flat = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
+    upright = photo_with_exif(tmp_path / "b.jpg", (48, 64), 26, turned=True)
+    assert exif_focal(flat, (48, 64)) == pytest.approx(26 * 80 / 43.27)
+    assert exif_focal(upright, (64, 48)) == pytest.approx(26 * 80 / 43.27)
+    assert exif_focal(save(tmp_path / "c.png", photo()), (48, 64)) is None
+    assert exif_focal(photo_with_exif(tmp_path / "d.jpg", (48, 64), 0), (48, 64)) is None
+
+
+def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
+    path = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
+    assert Lens(50.0, focal=70.0).focal_of((48, 64), path) == 70.0
+    assert Lens(50.0, fov=90.0).focal_of((48, 64), path) == pytest.approx(32)
+    assert Lens(50.0).focal_of((48, 64), path) == pytest.approx(26 * 80 / 43.27)
+    assert Lens(50.0).focal_of((48, 64)) is None
+    assert Lens(None, focal=70.0).focal_of((48, 64), path) is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (["focal=50"], "camera: fx 50 px (given) at 64 x 48"),
+        ([], "camera: fx 48 px (from EXIF) at 64 x 48"),
+    ],
+)
+def test_predict_says_which_camera_it_assumed(
+    overrides: list[str], line: str, lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens_model.save_pretrained(tmp_path / "model")
+    picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
+    predict(setup(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
+    assert line in capsys.readouterr().out
