@@ -173,7 +173,9 @@ class Trainer:
         """
         with self.accelerator.autocast():
             prediction = self.model(batch["image"])
-        total, terms = self.loss(prediction, batch["depth"], batch["mask"], batch["image"])
+        total, terms = self.loss(
+            prediction, batch["depth"], batch["mask"], batch["image"], batch.get("relative")
+        )
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             average_gradients(self.loss, self.accelerator)  # DDP averages the model's
