@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from eldenet.training.setup import TrainingSetup
 
 SPLITS = ("train", "val", "test")
+#: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
+FOCAL_RANGE = (0.4, 2.0)
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 
 
@@ -91,10 +93,10 @@ def added_sources() -> list[str]:
     ]
 
 
-def resolver(name: str) -> Callable[[Callable[..., str]], Callable[..., str]]:
+def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a function that YAML files call as ``${name:argument,...}``."""
 
-    def register(function: Callable[..., str]) -> Callable[..., str]:
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
         OmegaConf.register_new_resolver(name, function, replace=True)
         return function
 
@@ -106,6 +108,24 @@ def _test_part(test_root: str | None, root: str | None) -> str:
     """``${test_part:test_root,root}``: "val" of the training's own folder, "all" of another one."""
     places = {folder and Path(folder).expanduser().resolve() for folder in (test_root, root)}
     return "val" if len(places) == 1 else "all"
+
+
+@resolver("canonical_near")
+def _canonical_near(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_near:depth,canonical_focal}``: canonical ``depth`` [m] of the longest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[1]
+
+
+@resolver("canonical_far")
+def _canonical_far(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_far:depth,canonical_focal}``: canonical ``depth`` [m] of the widest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[0]
+
+
+@resolver("zoom")
+def _zoom(canonical_focal: float | None) -> str:
+    """``${zoom:canonical_focal}``: what an augmentation's zoom changes."""
+    return "depth" if canonical_focal is None else "focal"
 
 
 def read_yaml(path: Path) -> Any:
@@ -169,7 +189,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         input_size=settings["data"]["input_size"],
         protocol=build_protocol(config),
         make_split=functools.partial(build_split, config),
-        make_model=functools.partial(instantiate, config.model),
+        make_model=functools.partial(instantiate, config.model, **canonical_camera(config)),
         own_normalization=bool({"mean", "std"} & config.model.keys()),
         make_loss=functools.partial(instantiate, config.loss),
         make_trainer=functools.partial(_build_trainer, config),
@@ -208,6 +228,22 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
         trusted_modules=settings["trusted_modules"],
         settings=settings,
     )
+
+
+def canonical_camera(config: DictConfig) -> dict[str, Any]:
+    """Return ``canonical_focal`` and ``canonical_width`` of the network to train; nothing without them.
+
+    Raises:
+        ValueError: the input's width is unknown.
+    """
+    if config.canonical_focal is None:
+        return {}
+    if config.data.input_size is None:
+        raise ValueError(
+            "canonical_focal is in widths of the input, which data.input_size=null leaves open: give "
+            "data.input_size=[height,width], or canonical_focal=null"
+        )
+    return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
 
 
 def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":

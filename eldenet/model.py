@@ -14,7 +14,7 @@ from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
-from eldenet.heads import Head
+from eldenet.heads import Head, in_meters
 from eldenet.types import FeatureInfo
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -50,16 +50,26 @@ class EncoderDecoder(Configurable, nn.Module):
 class DepthNet(Configurable, nn.Module):
     """A depth network: camera images in, meters out.
 
+    With ``canonical_focal`` the network predicts depth as if a camera of that focal length had taken the image
+    (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal. So its
+    meters hold for any lens. Without, they hold for the training's lens alone.
+
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
-        head: raw map -> meters within a range.
-        refine: optional ``(depth, image) -> depth``, applied last.
+        head: raw map -> meters (with ``canonical_focal``: canonical meters) within a range.
+        refine: optional ``(depth, image) -> depth``, applied to the head's depth.
+        canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
+            network knows no focal lengths.
+        canonical_width: width of the training's images [px]; goes with ``canonical_focal``.
         mean: mean per channel of RGB in [0, 1], for the normalization.
         std: standard deviation per channel.
 
     Attributes:
         info: facts about the weights (training data, protocol, ...), saved with them. :func:`size_of_frames`
             reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px].
+
+    Raises:
+        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or one comes without the other.
     """
 
     mean: Tensor
@@ -73,8 +83,11 @@ class DepthNet(Configurable, nn.Module):
         refine: nn.Module | None = None,
         mean: Sequence[float] = IMAGENET_MEAN,
         std: Sequence[float] = IMAGENET_STD,
+        canonical_focal: float | None = None,
+        canonical_width: int | None = None,
     ) -> None:
         super().__init__()
+        self.canonical_px = _canonical_px(canonical_focal, canonical_width)
         self.network, self.head, self.refine = network, head, refine
         self.info: dict[str, Any] = {}
         self.register_buffer("mean", torch.tensor(mean).view(1, 3, 1, 1), persistent=False)
@@ -87,13 +100,18 @@ class DepthNet(Configurable, nn.Module):
         decoder: Callable[[Sequence[FeatureInfo]], Decoder],
         head: Head,
         refine: nn.Module | None = None,
-        **normalization: Sequence[float],
+        **options: Any,
     ) -> Self:
         """Return ``DepthNet(EncoderDecoder(backbone, decoder), head)``, for the flat YAML files of models."""
-        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **normalization)
+        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **options)
 
-    def forward(self, image: Tensor) -> Tensor:
+    def forward(self, image: Tensor, focal: float | Tensor | None = None) -> Tensor:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
+
+        Args:
+            image: RGB.
+            focal: fx [px of ``image``], a number or ``(B,)``; 0, NaN and None stand for the canonical camera.
+                Ignored without ``canonical_focal``.
 
         Raises:
             ValueError: an image of another shape, or one that is not floating point.
@@ -106,7 +124,9 @@ class DepthNet(Configurable, nn.Module):
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
         depth = self.head.to_meters(raw)
-        return depth if self.refine is None else self.refine(depth, image)
+        if self.refine is not None:
+            depth = self.refine(depth, image)
+        return in_meters(depth, focal, self.canonical_px)
 
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
         """Write ``config.json`` and ``model.safetensors`` into ``folder``.
@@ -205,6 +225,18 @@ class DepthNet(Configurable, nn.Module):
         with tempfile.TemporaryDirectory() as folder:
             self.save_pretrained(folder, **save_options)
             return str(api.upload_folder(repo_id=repo_id, folder_path=folder))
+
+
+def _canonical_px(focal: float | None, width: int | None) -> float | None:
+    """Return the canonical focal length [px] of ``focal`` widths and ``width`` [px]; None: there is none."""
+    if focal is None and width is None:
+        return None
+    if focal is None or width is None or not (focal > 0 and width > 0):
+        raise ValueError(
+            f"canonical_focal={focal}, canonical_width={width}: give both above 0 (in widths, and the width "
+            "of the training's images in pixels), or neither"
+        )
+    return float(focal) * float(width)
 
 
 def size_of_frames(info: Mapping[str, Any]) -> tuple[int, int] | None:

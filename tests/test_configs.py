@@ -54,9 +54,10 @@ SUPPLIED: dict[str, set[str]] = {
 HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet.from_parts": {
         "refine",  # chosen as a group: model/refine=joint_bilateral
-        "normalization",  # ImageNet's, which every pretrained backbone expects
+        "options",  # normalization, ImageNet's by default; the canonical camera, from canonical_focal
     },
-    "eldenet.model.DepthNet": {"refine", "mean", "std"},  # the same, for whole networks
+    # the same, for whole networks
+    "eldenet.model.DepthNet": {"refine", "mean", "std", "canonical_focal", "canonical_width"},
     "eldenet.perception.lifter.BoxLifter": {"priors"},  # a table of class sizes, given from Python
     # workers depend on the machine; rendered frames are never missing and need no cache
     "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},

@@ -33,7 +33,7 @@ class Mix(DepthDataset):
     """Draws from several data sets, each with its own range, camera and cache.
 
     Sample ``(epoch, i)`` is of a source chosen by weight and of a frame of it chosen at random, both drawn
-    from ``(seed, epoch, i)`` alone. ``names`` are the frames of all sources, ``len`` is the draws of an epoch.
+    from ``(seed, epoch, i)`` alone. ``names`` are the frames of all sources, ``len`` is the draws per epoch.
 
     Args:
         sources: name -> ``{data: ..., weight: 1.0, relative: false}``, where ``data`` takes the keywords of

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.data.resize_crop import check_same_size
+from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
 BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once the network has normalized it
@@ -20,15 +21,18 @@ class Augmentation:
     earlier calls nor the worker matter. Pixels from beyond the border get one color and unknown depth (0), as
     a mirrored border would invent depth.
 
-    Zooming by s shows the scene from s times nearer: depth is divided by s, the focal length stays, and X and
-    Y of every point in the camera frame stay (as in sparse-to-dense and FastDepth). Flip, rotation and shift
-    keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 % apart for
-    NYU) shears the scene by that difference times the sine of the angle, which is not corrected.
+    A zoom by s is a longer lens (``zoom="focal"``: the focal lengths grow by s, depth stays), or it shows the
+    scene from s times nearer (``zoom="depth"``: depth is divided by s, the focal lengths stay, and X and Y of
+    every point in the camera frame stay; as in sparse-to-dense and FastDepth). To a network that predicts
+    canonical depth both are the same. The depth of frames without intrinsics is always divided. Flip, rotation
+    and shift keep depth. The principal point moves with the image. Rotating with unequal focal lengths (0.1 %
+    apart for NYU) shears the scene by that difference times the sine of the angle, which is not corrected.
 
     Args:
         flip: probability of mirroring left and right.
         affine: probability of zoom, shift and rotation together.
         scale: range of the zoom factor s.
+        zoom: what a zoom changes, "depth" or "focal".
         shift: largest shift, as a fraction of width and height.
         rotate: largest rotation [deg].
         brightness_contrast: probability of a change of brightness and contrast by up to ``brightness`` and
@@ -55,6 +59,7 @@ class Augmentation:
         flip: float = 0.5,
         affine: float = 0.5,
         scale: Sequence[float] = (1.0, 1.3),
+        zoom: str = "depth",
         shift: float = 0.05,
         rotate: float = 5.0,
         brightness_contrast: float = 0.3,
@@ -74,6 +79,8 @@ class Augmentation:
         for name, fraction in fractions.items():
             if not 0.0 <= fraction <= 1.0:
                 raise ValueError(f"{name}={fraction}: give a number from 0 to 1")
+        one_of("zoom", zoom, ("depth", "focal"))
+        self.zoom = zoom
         low, high = (float(s) for s in scale)
         if not 0.1 <= low <= high:
             raise ValueError(
@@ -135,11 +142,27 @@ class Augmentation:
             if labels is not None:
                 labels = moved["labels"] - np.uint8(1)
             matrix = _affine_through(corners, np.asarray(moved["keypoints"], dtype=np.float64))
-            depth, intrinsics = _move_camera(depth, intrinsics, matrix)
+            depth, intrinsics = self._move_camera(depth, intrinsics, matrix)
         if self.color is not None:
             self.color.set_random_state(generator, chance)
             image = self.color(image=image)["image"]
         return Frame(image, depth, intrinsics, name, labels)
+
+    def _move_camera(
+        self, depth: np.ndarray, intrinsics: np.ndarray | None, matrix: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return depth and intrinsics of a picture moved by ``matrix (2, 3)`` [px]."""
+        zoom = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
+        zoom = zoom if abs(zoom - 1.0) > 1e-5 else 1.0  # below that, it is rounding of float32 keypoints
+        longer = zoom if self.zoom == "focal" and intrinsics is not None else 1.0
+        if zoom != longer:
+            depth = depth / np.float32(zoom)
+        if intrinsics is not None:
+            moved = np.array(intrinsics, dtype=np.float64)
+            moved[:2, :2] *= longer
+            moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
+            intrinsics = moved
+        return depth, intrinsics
 
 
 def _albumentations() -> Any:
@@ -154,17 +177,3 @@ def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the ``(2, 3)`` matrix [px] that maps three points ``(3, 2)`` to their new places."""
     homogeneous = np.column_stack([before.astype(np.float64), np.ones(3)])
     return np.linalg.solve(homogeneous, after).T
-
-
-def _move_camera(
-    depth: np.ndarray, intrinsics: np.ndarray | None, matrix: np.ndarray
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return depth and intrinsics of a moved picture: zoom divides depth, the principal point moves."""
-    zoom = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
-    if abs(zoom - 1.0) > 1e-5:  # below that, it is rounding of float32 keypoints
-        depth = depth / np.float32(zoom)
-    if intrinsics is not None:
-        moved = np.array(intrinsics, dtype=np.float64)
-        moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
-        intrinsics = moved
-    return depth, intrinsics

@@ -44,14 +44,22 @@ def describe(
     from eldenet.evaluation.cost import count_macs, count_params
 
     height, width = camera_size or size
+    canonical = model.canonical_px is not None
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     return {
         "eldenet_version": __version__,
         "model": name,
-        "output": "depth (B, 1, H, W) in meters",
-        "units": "meters",
+        "output": (
+            "canonical depth (B, 1, H, W); meters = depth x fx [px of the network's image] / "
+            "(canonical_focal x canonical_width)"
+            if canonical
+            else "depth (B, 1, H, W) in meters"
+        ),
+        "units": "canonical meters" if canonical else "meters",
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
+        "canonical_focal": json.dumps(model.config["canonical_focal"]),
+        "canonical_width": json.dumps(model.config["canonical_width"]),
         "license": license or str(model.info.get("license", "not stated")),
         "input": f"{takes}, H = {height}, W = {width}; normalization is inside",
         "input_size": json.dumps(list(size)),

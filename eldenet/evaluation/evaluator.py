@@ -14,6 +14,7 @@ from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.heads import in_meters
 from eldenet.model import eval_mode
 
 PER_IMAGE_HEADER = ("name", *METRICS)
@@ -35,12 +36,17 @@ class Evaluation:
 
 
 @torch.inference_mode()
-def predict_depth(model: nn.Module, image: Tensor, *, flip: str = "none") -> Tensor:
-    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's."""
+def predict_depth(
+    model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
+) -> Tensor:
+    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's.
+
+    ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
+    """
     prediction = model(image)
     if flip == "mean":
         prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
-    return prediction
+    return in_meters(prediction, focal, getattr(model, "canonical_px", None))
 
 
 def evaluate(
@@ -59,7 +65,8 @@ def evaluate(
     On CUDA, call :func:`eldenet.system.resources.full_fp32` first, as the commands do, to turn TF32 off.
 
     Args:
-        model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept.
+        model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m], canonical depth if it has
+            ``canonical_px``; its mode is kept.
         dataset: built for evaluation (depth in its own resolution).
         protocol: the rules.
         device: where the model is.
@@ -81,7 +88,8 @@ def evaluate(
     with eval_mode(model):
         for batch in chain.from_iterable(loader):
             image = batch["image"].to(device, memory_format=torch.channels_last)
-            prediction = predict_depth(model, image, flip=protocol.flip)
+            focal = batch["intrinsics"][:, 0, 0].to(device)
+            prediction = predict_depth(model, image, focal, flip=protocol.flip)
             labels = batch["labels"].to(device) if "labels" in batch else None
             metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device), labels)
             values = metrics.rows.cpu().tolist()
@@ -111,7 +119,8 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
     with eval_mode(model):
         for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
             batch: dict[str, Any] = collate([dataset[index]])
-            prediction = predict_depth(model, batch["image"].to(device)).cpu()
+            focal = batch["intrinsics"][:, 0, 0].to(device)
+            prediction = predict_depth(model, batch["image"].to(device), focal).cpu()
             valid = protocol.valid_mask(batch["depth"], batch["mask"])
             prediction = protocol.align(prediction, batch["depth"], valid)
             image = protocol.resize_to_gt(batch["image"], batch["depth"].shape[-2:])

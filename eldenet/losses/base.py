@@ -92,9 +92,17 @@ class WeightedTerm(nn.Module):
         """
 
     def forward(
-        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+        self,
+        prediction: Tensor,
+        target: Tensor,
+        mask: Tensor,
+        image: Tensor | None = None,
+        focal: Tensor | None = None,
     ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight; most terms ignore ``image``."""
+        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight.
+
+        Most terms ignore ``image`` and ``focal``: see :meth:`WeightedSum.forward`.
+        """
         if self.space != "meters":
             prediction, target = (SPACES[self.space](m) for m in fill_masked(prediction, target, mask))
         return self.loss(prediction, target, mask)
@@ -133,10 +141,12 @@ class WeightedSum(nn.Module):
         target: Tensor,
         mask: Tensor,
         image: Tensor | None = None,
+        focal: Tensor | None = None,
         relative: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
 
+        ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
         ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
 
         Raises:
@@ -153,7 +163,8 @@ class WeightedSum(nn.Module):
         is_relative = is_relative.view(-1, 1, 1, 1)
         masks = {"metric": mask & ~is_relative, "relative": mask & is_relative}
         values = {
-            name: term(prediction, target, masks[term.applies_to], image) for name, term in self.terms.items()
+            name: term(prediction, target, masks[term.applies_to], image, focal)
+            for name, term in self.terms.items()
         }
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

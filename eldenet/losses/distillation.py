@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from eldenet.heads import in_meters
 from eldenet.losses.base import Autocast, Loss, WeightedTerm
 
 
@@ -23,7 +24,8 @@ class Teacher:
     precision: a large teacher is most of a step's work.
 
     Args:
-        network: image ``(B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m]; frozen in place.
+        network: image ``(B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m]; frozen in place. One
+            with ``canonical_px`` also takes the focal length.
         source: where it came from, for the run's record.
         input_size: ``(height, width)`` of the images it sees [px]; None: the student's.
     """
@@ -37,8 +39,11 @@ class Teacher:
         self.autocast: Autocast = nullcontext
 
     @torch.no_grad()
-    def __call__(self, image: Tensor) -> Tensor:
-        """Return the depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, at the image's size."""
+    def __call__(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
+        """Return the depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, at the image's size.
+
+        ``focal (B,)`` is fx [px of ``image``], 0 where it is unknown.
+        """
         channels_last = image.is_contiguous(memory_format=torch.channels_last)
         layout = torch.channels_last if channels_last else torch.contiguous_format
         self.network.to(image.device).to(memory_format=layout)
@@ -48,8 +53,10 @@ class Teacher:
             image = F.interpolate(
                 image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrinks
             )
+            focal = None if focal is None else focal * (self.input_size[1] / size[1])
         with self.autocast():
             depth = self.network(image).float()
+        depth = in_meters(depth, focal, getattr(self.network, "canonical_px", None))
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth
@@ -154,12 +161,17 @@ class DistilledTerm(WeightedTerm):
         return {info.stride: info.channels for info in backbone.feature_info}
 
     def forward(
-        self, prediction: Tensor, target: Tensor, mask: Tensor, image: Tensor | None = None
+        self,
+        prediction: Tensor,
+        target: Tensor,
+        mask: Tensor,
+        image: Tensor | None = None,
+        focal: Tensor | None = None,
     ) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool, ``image (B, 3, H, W)`` -> scalar without the weight."""
         if image is None:
             raise ValueError("image=None: a distilled term needs the images; call the loss with image=...")
-        depth = self.teacher(image)
+        depth = self.teacher(image, focal)
         value = super().forward(prediction, depth, torch.isfinite(depth) & (depth > 0))
         return value if self.feature_weight == 0 else value + self.feature_weight * self._feature_loss()
 

@@ -14,9 +14,11 @@ from eldenet.data.loaders import EpochSampler, to_device, training_loader
 from eldenet.evaluation.evaluator import evaluate, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.heads import focal_ratio, in_meters
 from eldenet.losses.base import WeightedSum
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
+from eldenet.system.checks import one_of
 from eldenet.system.resources import Resources, make_accelerator, seed_everything
 from eldenet.training.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.training.ema import WeightAverage, average_gradients
@@ -62,6 +64,8 @@ class Trainer:
             None: no average.
         channels_last: memory layout of images and weights.
         monitor: metric that decides which epoch is the best.
+        loss_camera: of a network with ``canonical_px``: the loss compares depth in meters of the "canonical"
+            camera, or of each frame's "own" camera.
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
         seed: of frame order, augmentation and anything random in the network.
@@ -83,7 +87,10 @@ class Trainer:
         checkpoint_every: int = 200,
         evaluate_every: int = 1,
         seed: int = 0,
+        loss_camera: str = "canonical",
     ) -> None:
+        one_of("loss_camera", loss_camera, ("canonical", "own"))
+        self.loss_camera = loss_camera
         if monitor not in METRICS:
             raise ValueError(f"monitor={monitor!r}: choose one of {METRICS}")
         counts = {
@@ -173,9 +180,15 @@ class Trainer:
         """
         with self.accelerator.autocast():
             prediction = self.model(batch["image"])
-        total, terms = self.loss(
-            prediction, batch["depth"], batch["mask"], batch["image"], batch.get("relative")
-        )
+        depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
+        canonical_px = self.bare_model.canonical_px
+        if canonical_px is not None and self.loss_camera == "canonical":
+            depth = depth / focal_ratio(focal, canonical_px)
+            focal = torch.full_like(focal, canonical_px)
+        else:
+            prediction = in_meters(prediction, focal, canonical_px)
+        relative = batch.get("relative")
+        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal, relative)
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             average_gradients(self.loss, self.accelerator)  # DDP averages the model's

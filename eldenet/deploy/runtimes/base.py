@@ -15,6 +15,9 @@ PRECISIONS = ("fp32", "bf16", "fp16", "int8")
 class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
+    Where it has ``canonical_px``, the output is canonical depth; meters = output x fx / ``canonical_px``, with
+    fx in pixels of the image that the network sees.
+
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
 
     Attributes:
@@ -42,6 +45,14 @@ class Runtime:
         """Like ``DepthNet.info``: the size that the network sees [px], and the model's name."""
         known = {"input_size": self._sizes("input_size"), "model_name": self.metadata.get("model")}
         return {key: value for key, value in known.items() if value is not None}
+
+    @property
+    def canonical_px(self) -> float | None:
+        """Focal length of the canonical camera [px]; None: the output is in meters of the training's lens."""
+        focal, width = (
+            json.loads(self.metadata.get(f"canonical_{key}", "null")) for key in ("focal", "width")
+        )
+        return None if focal is None else float(focal) * float(width)
 
     @property
     def camera_size(self) -> tuple[int, int] | None:

@@ -22,7 +22,7 @@ class RuntimeNetwork(nn.Module):
         if network.takes_frames:
             raise ValueError("this file takes camera frames: to score the network, export it without camera=")
         self.network = network
-        self.info = network.info
+        self.info, self.canonical_px = network.info, network.canonical_px
 
     def forward(self, image: Tensor) -> Tensor:
         """Depth [m] on the image's device."""
