@@ -32,7 +32,9 @@ def score(source: str, place: str) -> tuple[float, float, float, float]:
         table.write("\n".join(",".join(line.split(",")[:2]) for line in lines))
         table.flush()
         data = ["data=folder", f"data.root={root}", f"data.csv={table.name}", f"data.intrinsics={intrinsics}"]
-        config = compose("train", [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"])
+        config = compose(
+            "train", [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
+        )
         protocol = build_protocol(config)
         config.data.val.split = "all"
         frames = build_split(config, "val", protocol)
