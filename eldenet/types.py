@@ -45,6 +45,7 @@ class DepthSample(TypedDict):
         name: the frame's name.
         labels: ``(1, H, W)`` uint8 semantic class of each pixel of ``depth``, 255 = none; only if the data
             set reads them.
+        relative: bool scalar, True where depth is known up to a factor only; only in a mix.
     """
 
     image: "Tensor"
@@ -53,3 +54,4 @@ class DepthSample(TypedDict):
     intrinsics: "Tensor"
     name: str
     labels: NotRequired["Tensor"]
+    relative: NotRequired["Tensor"]

@@ -62,6 +62,9 @@ HIDDEN: dict[str, set[str]] = {
     # workers depend on the machine; rendered frames are never missing and need no cache
     "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
     "eldenet.data.arenas.Arenas": {"workers", "cache", "on_error", "resize_on_load"},
+    "eldenet.losses.": {"applies_to"},  # "metric" but in losses for data=mix
+    # options of the sources, which each source states itself
+    "eldenet.data.mix.Mix": {"min_depth", "max_depth", "cache", "on_error", "resize_on_load"},
     # torch's rarely used options; +optimizer.eps=... adds one
     "torch.optim.": {
         *("eps", "amsgrad", "foreach", "maximize", "capturable", "differentiable", "fused"),

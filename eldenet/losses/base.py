@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from eldenet.system.checks import one_of
+
 Autocast = Callable[[], AbstractContextManager[Any]]
 """Returns a mixed-precision context, as ``Accelerator.autocast`` does."""
 
@@ -55,6 +57,7 @@ class WeightedTerm(nn.Module):
         weight: 0 or more.
         space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
             AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
+        applies_to: "metric" or "relative": the samples that count, by what is known of their depth.
 
     Raises:
         ValueError: a weight below 0, an unknown space, or one that the loss does not support.
@@ -65,8 +68,11 @@ class WeightedTerm(nn.Module):
 
     needs_depth = True
 
-    def __init__(self, loss: Loss, weight: float = 1.0, space: str = "meters") -> None:
+    def __init__(
+        self, loss: Loss, weight: float = 1.0, space: str = "meters", applies_to: str = "metric"
+    ) -> None:
         super().__init__()
+        one_of("applies_to", applies_to, ("metric", "relative"))
         if weight < 0:
             raise ValueError(f"weight={weight}: a loss weight must be 0 or more")
         if space not in SPACES:
@@ -75,7 +81,7 @@ class WeightedTerm(nn.Module):
             raise ValueError(
                 f"space={space!r} does not fit {type(loss).__name__}: choose one of {', '.join(loss.spaces)}"
             )
-        self.loss, self.weight, self.space = loss, weight, space
+        self.loss, self.weight, self.space, self.applies_to = loss, weight, space, applies_to
 
     @property
     def signature(self) -> Mapping[str, Any]:
@@ -151,10 +157,12 @@ class WeightedSum(nn.Module):
         mask: Tensor,
         image: Tensor | None = None,
         focal: Tensor | None = None,
+        relative: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
 
         ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
+        ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
 
         Raises:
             ValueError: the maps differ in shape, or the mask is not bool.
@@ -166,6 +174,12 @@ class WeightedSum(nn.Module):
             )
         if mask.dtype != torch.bool:
             raise ValueError(f"mask is {mask.dtype}: give a bool tensor, True where depth is known")
-        values = {name: term(prediction, target, mask, image, focal) for name, term in self.terms.items()}
+        is_relative = mask.new_zeros(len(mask)) if relative is None else relative
+        is_relative = is_relative.view(-1, 1, 1, 1)
+        masks = {"metric": mask & ~is_relative, "relative": mask & is_relative}
+        values = {
+            name: term(prediction, target, masks[term.applies_to], image, focal)
+            for name, term in self.terms.items()
+        }
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

@@ -203,7 +203,8 @@ class Trainer:
             focal = torch.full_like(focal, canonical_px)
         else:
             prediction = in_meters(prediction, focal, canonical_px)
-        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal)
+        relative = batch.get("relative")
+        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal, relative)
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             average_gradients(self.loss, self.accelerator)  # DDP averages the model's

@@ -1,4 +1,4 @@
-"""Trained weights that come with the package; all were trained on rendered frames only."""
+"""Trained weights that come with the package; each ``config.json`` says what they have seen."""
 
 import hashlib
 import warnings

@@ -1,0 +1,130 @@
+"""``mix``: several data sets in one training, drawn by weight."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+import torch
+
+from eldenet.data.base import DepthDataset, SampleKey, SampleOptions
+from eldenet.types import DepthSample, Frame
+
+
+@dataclass(frozen=True)
+class Source:
+    """One data set of a mix.
+
+    Attributes:
+        frames: the data set.
+        weight: its share of the draws, relative to the other weights.
+        relative: its depth is known up to a factor (and a shift) only: it counts in the loss terms with
+            ``applies_to: relative`` and in no other.
+    """
+
+    frames: DepthDataset
+    weight: float
+    relative: bool
+
+
+class Mix(DepthDataset):
+    """Draws from several data sets, each with its own range, camera and cache.
+
+    Sample ``(epoch, i)`` is of a source chosen by weight and of a frame of it chosen at random, both drawn
+    from ``(seed, epoch, i)`` alone. ``names`` are the frames of all sources, ``len`` is the draws per epoch.
+
+    Args:
+        sources: name -> ``{data: ..., weight: 1.0, relative: false}``, where ``data`` takes the keywords of
+            :class:`~eldenet.data.base.DepthDataset` and returns a data set (``_partial_: true`` in YAML). A
+            source of weight 0 is left out.
+        frames: draws of an epoch.
+        **options: for every source; its own settings come first.
+
+    Raises:
+        ValueError: no source has a weight, or a weight or ``frames`` is out of range.
+    """
+
+    def __init__(
+        self, sources: Mapping[str, Mapping[str, Any]], frames: int, **options: Unpack[SampleOptions]
+    ) -> None:
+        if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
+            raise ValueError(f"frames={frames!r}: give the draws of an epoch, 1 or more")
+        self.sources = {name: _source(name, given, options) for name, given in sources.items()}
+        self.sources = {name: source for name, source in self.sources.items() if source is not None}
+        if not self.sources:
+            raise ValueError("sources: none has a weight above 0")
+        parts = [source.frames for source in self.sources.values()]
+        super().__init__(
+            [f"{name}/{frame}" for name, source in self.sources.items() for frame in source.frames.names],
+            min_depth=min(part.min_depth for part in parts),
+            max_depth=max(part.max_depth for part in parts),
+            **{name: options[name] for name in ("input_size", "seed") if name in options},  # type: ignore[misc]
+        )
+        self.frames = frames
+        self.skipped = {
+            f"{name}/{frame}": reason
+            for name, source in self.sources.items()
+            for frame, reason in source.frames.skipped.items()
+        }
+        self._ends = np.cumsum([len(part) for part in parts])
+        weights = np.array([source.weight for source in self.sources.values()])
+        self._shares = weights / weights.sum()
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def __getitem__(self, key: SampleKey) -> DepthSample:
+        epoch, index = key if isinstance(key, tuple) else (0, key)
+        generator = np.random.default_rng((self.seed, epoch, index))
+        source = list(self.sources.values())[generator.choice(len(self._shares), p=self._shares)]
+        place = int(generator.integers(len(source.frames)))
+        # one draw, one augmentation: a frame that an epoch draws twice is augmented in two ways
+        sample = source.frames[epoch * self.frames + index, place]
+        sample["relative"] = torch.tensor(source.relative)
+        return sample
+
+    def load_frame(self, index: int) -> Frame:
+        """Read frame ``index`` of ``names``."""
+        part, place = self._place(index)
+        return part.load_frame(place)
+
+    def frame_files(self, index: int) -> Sequence[Path]:
+        """Return the files of frame ``index`` of ``names``."""
+        part, place = self._place(index)
+        return part.frame_files(place)
+
+    def _place(self, index: int) -> tuple[DepthDataset, int]:
+        which = int(np.searchsorted(self._ends, index, side="right"))
+        part = list(self.sources.values())[which].frames
+        return part, index - int(self._ends[which]) + len(part)
+
+    def open_cache(self) -> None:
+        """Open the cache of every source."""
+        for source in self.sources.values():
+            source.frames.open_cache()
+
+    @property
+    def split_hash(self) -> str:
+        """Names the mix in reports: every source's split, weight and kind, and the draws of an epoch."""
+        parts = [
+            f"{name} {source.frames.split_hash} {source.weight!r} {source.relative}"
+            for name, source in self.sources.items()
+        ]
+        return hashlib.sha256("\n".join([*parts, str(self.frames)]).encode()).hexdigest()[:16]
+
+
+def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Source | None:
+    unknown = set(given) - {"data", "weight", "relative"}
+    if unknown or "data" not in given:
+        raise ValueError(f"sources.{name}: give data, weight and relative, not {', '.join(sorted(given))}")
+    weight = float(given.get("weight", 1.0))
+    if not 0 <= weight < float("inf"):
+        raise ValueError(f"sources.{name}.weight={weight}: give 0 (left out) or more")
+    if weight == 0:
+        return None
+    build: Callable[..., DepthDataset] = given["data"]
+    own = getattr(build, "keywords", {})  # the source's own settings come first
+    frames = build(**{option: value for option, value in options.items() if own.get(option) is None})
+    return Source(frames, weight, bool(given.get("relative", False)))

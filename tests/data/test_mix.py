@@ -1,0 +1,121 @@
+"""Several data sets in one training: drawn by weight, the same draws on every machine and after a resume."""
+
+from collections import Counter
+from functools import partial
+
+import pytest
+import torch
+from support.synthetic import SyntheticDepth
+from support.training import Stopped, digest, fit, make_trainer, stopping_at
+
+from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.mix import Mix
+from eldenet.data.transforms import Augmentation
+from eldenet.losses.base import WeightedSum, WeightedTerm
+from eldenet.losses.pointwise import L1Loss
+from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
+
+
+def mix(frames: int = 40, near: float = 3.0, far: float = 1.0, **options) -> Mix:
+    sources = {
+        "near": {"data": partial(SyntheticDepth, 5, max_depth=4.0), "weight": near},
+        "far": {"data": partial(SyntheticDepth, 7, max_depth=9.0), "weight": far, "relative": True},
+    }
+    return Mix(sources, frames, **({"seed": 3} | options))
+
+
+def drawn(frames: Mix, epoch: int) -> list[tuple[str, bool]]:
+    samples = [frames[epoch, index] for index in range(len(frames))]
+    return [(sample["name"], bool(sample["relative"])) for sample in samples]
+
+
+def test_draws_follow_the_weights_and_depend_on_the_seed_epoch_and_index_alone() -> None:
+    frames = mix(400)
+    first = drawn(frames, 0)
+    kinds = Counter(relative for _, relative in first)
+    assert 260 < kinds[False] < 340  # three quarters
+    assert len(set(first)) == 12  # every frame of both sources
+    assert drawn(mix(400), 0) == first
+    assert drawn(frames, 1) != first
+    assert drawn(mix(400, seed=4), 0) != first
+
+
+def test_each_source_keeps_its_own_range() -> None:
+    frames = mix()
+    assert (frames.min_depth, frames.max_depth) == (0.1, 9.0)
+    for index in range(40):
+        sample = frames[0, index]
+        limit = 9.0 if sample["relative"] else 4.0
+        assert sample["depth"].max() <= limit
+
+
+def test_a_frame_drawn_twice_in_an_epoch_is_augmented_in_two_ways() -> None:
+    frames = mix(60, far=0.0, transform=Augmentation())
+    of_one = [frames[0, index]["image"] for index in range(60) if frames[0, index]["name"] == "synthetic/0"]
+    assert len(of_one) > 2
+    assert not any(torch.equal(of_one[0], other) for other in of_one[1:])
+
+
+def test_the_hash_covers_frames_weights_and_kinds() -> None:
+    hashes = {mix().split_hash, mix(near=2.0).split_hash, mix(41).split_hash, mix(far=0.0).split_hash}
+    assert len(hashes) == 4
+    assert mix().split_hash == mix(seed=9).split_hash
+
+
+def test_frames_are_found_by_their_place_in_names() -> None:
+    frames = mix()
+    assert frames.names == [f"near/synthetic/{i}" for i in range(5)] + [
+        f"far/synthetic/{i}" for i in range(7)
+    ]
+    assert frames.load_frame(4).name == "synthetic/4"
+    assert frames.load_frame(5).name == "synthetic/0"
+
+
+def test_wrong_settings_are_named() -> None:
+    with pytest.raises(ValueError, match=r"sources\.near\.weight=-1"):
+        mix(near=-1)
+    with pytest.raises(ValueError, match="none has a weight above 0"):
+        mix(near=0, far=0)
+    with pytest.raises(ValueError, match="frames=0"):
+        mix(0)
+    with pytest.raises(ValueError, match="give data, weight and relative"):
+        Mix({"one": {"data": partial(SyntheticDepth), "share": 2}}, 5)
+
+
+def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
+    def terms() -> dict[str, WeightedTerm]:
+        return {"ssi": WeightedTerm(ScaleShiftInvariantLoss(scales=1), space="log", applies_to="relative")}
+
+    settings = {"epochs": 2, "checkpoint_every": 1}
+    fit(tmp_path / "whole", data=mix(12), terms=terms(), **settings)
+    stopping = make_trainer(stopping_at(5), **settings)
+    with pytest.raises(Stopped):
+        fit(tmp_path / "part", trainer=stopping, data=mix(12), terms=terms())
+    again = make_trainer(**settings)
+    fit(tmp_path / "part", trainer=again, data=mix(12), terms=terms(), ckpt_path=tmp_path / "part")
+    assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+
+
+def test_metric_and_relative_terms_see_their_own_samples() -> None:
+    terms = {kind: WeightedTerm(L1Loss(), applies_to=kind) for kind in ("metric", "relative")}
+    loss = WeightedSum(terms)
+    prediction, mask = torch.ones(2, 1, 2, 2), torch.ones(2, 1, 2, 2, dtype=torch.bool)
+    target = torch.stack([torch.full((1, 2, 2), 3.0), torch.full((1, 2, 2), 6.0)])
+    _, values = loss(prediction, target, mask, relative=torch.tensor([False, True]))
+    assert values == {"metric": 2.0, "relative": 5.0}
+    _, values = loss(prediction, target, mask)
+    assert values == {"metric": 3.5, "relative": 0.0}
+
+
+def test_the_yaml_mixes_rendered_rooms_with_the_labeled_frames(tmp_path, monkeypatch) -> None:
+    from support import layouts
+
+    layouts.labeled(tmp_path / "nyu_depth_v2/labeled", layouts.content((480, 640)))
+    monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
+    monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "cache"))
+    rooms = ["data.sources.rooms.data.frames=8", "data.sources.rooms.data.size=[16,24]"]
+    config = compose("train", ["data=mix", "data.frames=6", "data.input_size=[24,32]", *rooms])
+    frames = build_split(config, "train", build_protocol(config), augment=True)
+    kinds = {name.split("/")[0] for name in frames.names}
+    assert kinds == {"nyu", "rooms"}
+    assert {tuple(frames[0, index]["image"].shape) for index in range(6)} == {(3, 24, 32)}

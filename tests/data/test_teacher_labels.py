@@ -1,0 +1,140 @@
+"""Photographs without depth: labeled once by a teacher, stored in millimeters, read like any data set."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from onnx import TensorProto, checker, helper, save
+
+from eldenet.data.teacher_labels import TeacherLabels, centered_box
+from eldenet.deploy.onnx_teacher import OnnxTeacher
+
+
+class Brightness:
+    """Depth [m] is 1 + 4 x red, 8 x 16 pixels; counts its calls."""
+
+    input_size = (8, 16)
+
+    def __init__(self, name: str = "brightness") -> None:
+        self.name, self.calls = name, 0
+
+    def __call__(self, image: torch.Tensor) -> torch.Tensor:
+        assert image.shape[1:] == (3, 8, 16)
+        self.calls += 1
+        return 1 + 4 * image[:, :1]
+
+    @property
+    def signature(self) -> dict[str, object]:
+        return {"source": self.name}
+
+
+@pytest.fixture
+def photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "photos"
+    (folder / "more").mkdir(parents=True)
+    ramp = np.zeros((16, 32, 3), np.uint8)
+    ramp[..., 2] = np.linspace(0, 255, 32).astype(np.uint8)  # red, in OpenCV's order
+    cv2.imwrite(str(folder / "wide.png"), ramp)
+    cv2.imwrite(str(folder / "more/tall.png"), ramp.transpose(1, 0, 2))
+    (folder / "notes.txt").write_text("no picture")
+    return folder
+
+
+def test_labels_are_the_teachers_depth_of_the_part_it_saw(photos: Path) -> None:
+    frames = TeacherLabels(photos, teacher=Brightness())
+    assert frames.names == ["more/tall.png", "wide.png"]
+    wide = frames.load_frame(1)
+    assert wide.image.shape == (16, 32, 3)
+    red = wide.image[..., 0].astype(float) / 255
+    assert np.abs(wide.depth - (1 + 4 * red)).max() < 0.15  # resized twice
+    tall = frames.load_frame(0)  # 32 x 16: the middle 8 rows have the teacher's shape
+    assert tall.image.shape == (8, 16, 3)
+    assert tall.depth.shape == (8, 16)
+    stored = cv2.imread(str(frames.label_file(0)), cv2.IMREAD_UNCHANGED)
+    assert stored.shape == (32, 16)
+    assert stored.dtype == np.uint16
+    assert (stored[:12] == 0).all()
+    assert (stored[12:20] > 0).all()
+    assert (stored[20:] == 0).all()
+
+
+def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -> None:
+    first = Brightness()
+    frames = TeacherLabels(photos, teacher=first)
+    assert first.calls == 2  # the pictures and their mirror images
+    again = Brightness()
+    TeacherLabels(photos, teacher=again)
+    assert again.calls == 0
+    other = Brightness("another")
+    assert TeacherLabels(photos, teacher=other, mirror=False).folder != frames.folder
+    assert other.calls == 1
+    note = json.loads((frames.folder / "teacher.json").read_text())
+    assert note["teacher"] == {"source": "brightness"}
+    assert note["mirror"] is True
+
+
+def test_a_teacher_of_metric_depth_lends_its_camera(photos: Path) -> None:
+    assert TeacherLabels(photos, teacher=Brightness()).load_frame(1).intrinsics is None
+    intrinsics = TeacherLabels(photos, teacher=Brightness(), focal=0.5).load_frame(0).intrinsics
+    assert intrinsics is not None
+    assert intrinsics[0].tolist() == [8.0, 0.0, 7.5]
+
+
+@pytest.mark.parametrize(
+    ("size", "box"),
+    [((240, 320), (0, 0, 240, 320)), ((200, 400), (0, 66, 200, 267)), ((400, 200), (125, 0, 150, 200))],
+)
+def test_the_largest_centered_part_of_a_shape(size: tuple[int, int], box: tuple[int, ...]) -> None:
+    assert centered_box(size, (192, 256)) == box
+
+
+def test_missing_pictures_and_sizes_are_named(photos: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="is not a folder"):
+        TeacherLabels(tmp_path / "nothing", teacher=Brightness())
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="found no frames"):
+        TeacherLabels(tmp_path / "empty", teacher=Brightness())
+    teacher = Brightness()
+    teacher.input_size = None  # type: ignore[assignment]
+    with pytest.raises(ValueError, match="input_size"):
+        TeacherLabels(photos, teacher=teacher)
+
+
+def red_channel(path: Path) -> Path:
+    """An ONNX network whose one map is the red channel of its input."""
+    shape = [1, 3, 8, 16]
+    starts, ends, axes = (
+        helper.make_tensor(name, TensorProto.INT64, [1], [value])
+        for name, value in (("starts", 0), ("ends", 1), ("axes", 1))
+    )
+    graph = helper.make_graph(
+        [helper.make_node("Slice", ["image", "starts", "ends", "axes"], ["map"])],
+        "red",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info("map", TensorProto.FLOAT, [1, 1, 8, 16])],
+        [starts, ends, axes],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    checker.check_model(model)
+    save(model, path)
+    return path
+
+
+def test_an_onnx_file_teaches_with_its_own_preprocessing(tmp_path: Path) -> None:
+    file = red_channel(tmp_path / "net.onnx")
+    images = torch.rand(2, 3, 8, 16)
+    options = {"input_size": (8, 16), "mean": (0.5, 0, 0), "std": (0.25, 1, 1)}
+    depth = OnnxTeacher(file, scale=2.0, **options)(images)
+    torch.testing.assert_close(depth, 2 * (images[:, :1] - 0.5) / 0.25)
+    teacher = OnnxTeacher(file, output="disparity", **options)
+    inverse = 1 / teacher(images)
+    assert inverse.amin((1, 2, 3)).tolist() == pytest.approx([0.1, 0.1])
+    assert inverse.amax((1, 2, 3)).tolist() == pytest.approx([1.1, 1.1])
+    assert teacher.signature["weights"]
+    assert teacher.signature != OnnxTeacher(file, **options).signature
+    with pytest.raises(ValueError, match="output='disp'"):
+        OnnxTeacher(file, output="disp", **options)
