@@ -10,6 +10,7 @@ from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
 from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
 from eldenet.system.checks import one_of
+from eldenet.system.disk import DiskError
 from eldenet.types import Frame
 
 SPLITS = ("train", "val", "test")
@@ -79,6 +80,8 @@ class RenderedScenes(DepthDataset):
                 count = min(2, os.cpu_count() or 1) if workers is None else workers
                 render_missing(self.folder, self.generator, split, missing, self.size, count)
             self.store = self._open(split, frames)
+        except DiskError:  # says it already
+            raise
         except OSError as error:
             raise type(error)(
                 f"{self.folder} cannot store rendered frames ({error.strerror or error}): free some space "

@@ -23,10 +23,12 @@ class Scores:
     Attributes:
         images: their names.
         values: ``(runs, images)``.
+        source: the file of the first run, for messages.
     """
 
     images: tuple[str, ...]
     values: np.ndarray
+    source: str = "one row"
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def per_image(files: Sequence[Path], metric: str) -> Scores:
         if found[-1].keys() != found[0].keys():
             raise ValueError(f"{file} and {files[0]} scored different images and can't be paired")
     images = tuple(sorted(found[0]))
-    return Scores(images, np.array([[values[name] for name in images] for values in found]))
+    return Scores(images, np.array([[values[name] for name in images] for values in found]), str(files[0]))
 
 
 def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[float, float, float]:
@@ -102,7 +104,7 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
         ValueError: the two rows scored different images.
     """
     if ours.images != theirs.images:
-        raise ValueError("the two rows scored different images and can't be paired")
+        raise ValueError(f"{ours.source} and {theirs.source} scored different images and can't be paired")
     known = np.isfinite(ours.values).all(axis=0) & np.isfinite(theirs.values).all(axis=0)
     mine, other = ours.values[:, known], theirs.values[:, known]
     difference = mine.mean(axis=0) - other.mean(axis=0)

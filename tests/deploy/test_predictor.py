@@ -20,7 +20,7 @@ from eldenet.visualization import photo_beside_depth, round_numbers, visible_ran
 def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: DepthNet) -> None:
     seen = []
     hook = model.register_forward_pre_hook(lambda _, inputs: seen.append(tuple(inputs[0].shape)))
-    predictor = DepthPredictor(model)
+    predictor = DepthPredictor(model, steady=False)
     depth = predictor(photo(50, 90))
     hook.remove()
     assert seen == [(1, 3, 34, 61)]  # as many pixels as 32 x 64, in the frame's own aspect

@@ -67,8 +67,8 @@ def campaign(folder: Path, *, quick: bool, only: str) -> list[Row]:
     for name, outcomes in (disk or {}).items():
         add("full disk", name, outcomes)
     (folder / "kills").mkdir()
-    add("accident", "kills of a training", kills(folder / "kills", 20))
-    add("accident", "two trainings in one folder", two_trainings(folder / "two", 4))
+    add("accident", "kills of a training", kills(folder / "kills", 12))
+    add("accident", "two trainings in one folder", two_trainings(folder / "two", 3))
     return rows
 
 

@@ -12,6 +12,7 @@ from eldenet.results.fingerprints import run_differences
 from eldenet.results.record_checks import ADVICE, CHOICE, check_shape, require
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
+from eldenet.system.reading import reading
 
 NEEDED: tuple[str, ...] = (
     "model",
@@ -86,7 +87,8 @@ def stored_choice(study: Study, row: StudyRow) -> Choice | None:
     record = read_record(file)
     require(file, record, "learning_rate", "delta1", "rule.candidates", "rule.config", "sources")
     check_shape(file, record, CHOICE)
-    tried = tuple(sorted(float(rate) for rate in record["delta1"]))
+    with reading(file, "search for a learning rate", ADVICE):
+        tried = tuple(sorted(float(rate) for rate in record["delta1"]))
     return Choice(float(record["learning_rate"]), tried, record)
 
 
