@@ -1,6 +1,6 @@
 """Scores weights on the places of other cameras, unaligned with the focal length given and median-aligned.
 
-``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` prints a Markdown table; the frames
+``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` prints a table in Markdown. Frames
 are those of ``$ELDENET_DATA/other_cameras``.
 """
 
