@@ -37,8 +37,8 @@ def refuse_not_finite(weights: Weights, source: str | Path) -> None:
     wrong = [name for name, tensor in weights.items() if not torch.isfinite(tensor).all()]
     if wrong:
         raise ValueError(
-            f"the weights of {source} are not finite ({wrong[0]}; {len(wrong)} of {len(weights)} tensors): the "
-            "training diverged, or the file is damaged"
+            f"the weights of {source} are not finite ({wrong[0]}; {len(wrong)} of {len(weights)} tensors): "
+            "the training diverged, or the file is damaged"
         )
 
 

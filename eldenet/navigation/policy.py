@@ -212,7 +212,7 @@ class Navigator:
 
         Returns:
             Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if odometry, goal or intrinsics
-            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near, and
+            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
             inf as free.
 
         Raises:
