@@ -2,10 +2,10 @@
 
 It subscribes to a depth image (32FC1 [m] or 16UC1 [mm]) of a level forward camera with its CameraInfo, to
 odometry, and to a goal in the odometry's frame. It publishes velocity commands five times per second. It
-stops the robot at the goal, without a goal, when depth or odometry are older than half a second, and when
-they are not numbers, and logs what is missing. It rejects a goal in another frame: RViz sends goals in its
-"Fixed Frame", so set that to the odometry's. After an error, Ctrl-C or SIGTERM a last command stops the
-robot. Keep a hardware emergency stop within reach, and let the base limit speed and acceleration.
+stops the robot at the goal, without a goal, and when depth or odometry are older than half a second or not
+finite, and logs what is missing. It rejects a goal in another frame: RViz sends goals in its "Fixed Frame",
+so set that to the odometry's. After an error, Ctrl-C or SIGTERM a last command stops the robot. Keep a
+hardware emergency stop within reach, and let the base limit speed and acceleration.
 
 The robot must be at most 0.60 x 0.50 m and turn about its center, the origin of its odometry. The camera must
 be level, 0.20 m ahead of the axle and CAMERA_HEIGHT above the floor: measure it, because with a height 15 cm

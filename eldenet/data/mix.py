@@ -51,8 +51,8 @@ class Mix(DepthDataset):
     ) -> None:
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
             raise ValueError(f"frames={frames!r}: give the draws of an epoch, 1 or more")
-        self.sources = {name: _source(name, given, options) for name, given in sources.items()}
-        self.sources = {name: source for name, source in self.sources.items() if source is not None}
+        built = {name: _source(name, given, options) for name, given in sources.items()}
+        self.sources = {name: source for name, source in built.items() if source is not None}
         if not self.sources:
             raise ValueError("sources: none has a weight above 0")
         parts = [source.frames for source in self.sources.values()]
@@ -60,7 +60,7 @@ class Mix(DepthDataset):
             [f"{name}/{frame}" for name, source in self.sources.items() for frame in source.frames.names],
             min_depth=min(part.min_depth for part in parts),
             max_depth=max(part.max_depth for part in parts),
-            **{name: options[name] for name in ("input_size", "seed") if name in options},  # type: ignore[misc]
+            **{name: options[name] for name in ("input_size", "seed") if name in options},  # type: ignore[arg-type]
         )
         self.frames = frames
         self.skipped = {

@@ -81,8 +81,7 @@ def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
     """
     if not (np.isfinite(intrinsics).all() and intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0):
         raise ValueError(
-            f"intrinsics={np.asarray(intrinsics).tolist()}: give the (3, 3) matrix of a calibrated camera "
-            "[px]"
+            f"intrinsics={np.asarray(intrinsics).tolist()}: give the (3, 3) matrix of a calibrated camera"
         )
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
