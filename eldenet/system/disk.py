@@ -50,7 +50,9 @@ def disk_errors(folder: Path, what: str) -> Iterator[None]:
 
 def is_full(error: BaseException | None) -> bool:
     """Whether an error, or one that it came from, is that of a full disk."""
-    while error is not None:
+    seen: list[BaseException] = []  # an error that was raised again from its own cause comes round
+    while error is not None and error not in seen:
+        seen.append(error)
         if isinstance(error, OSError) and error.errno in FULL:
             return True
         if any(words in str(error) for words in FULL_WORDS):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.system.disk import DiskError, disk_errors
+from eldenet.system.disk import DiskError, disk_errors, is_full
 from eldenet.system.files import part_file, part_path, safe_stem, write_text
 
 
@@ -100,3 +100,10 @@ def test_an_unwritable_folder_is_one_line(tmp_path: Path) -> None:
 )
 def test_names_from_foreign_data_stay_in_their_folder(name: str, stem: str) -> None:
     assert safe_stem(name) == stem
+
+
+@pytest.mark.timeout(20)
+def test_an_error_that_is_its_own_cause_ends_the_search_for_a_full_disk() -> None:
+    first, second = ValueError("a"), ValueError("b")
+    first.__cause__, second.__cause__ = second, first
+    assert not is_full(first)
