@@ -37,7 +37,14 @@ def test_a_video_becomes_a_video(model_folder: Path, model: DepthNet, tmp_path: 
 
 def test_other_formats_are_one_file_per_frame(model_folder: Path, model: DepthNet, tmp_path: Path) -> None:
     source = write_video(tmp_path / "walk.mp4", frames=2)
-    run(model_folder, source, tmp_path / "out", "formats=[depth,ply]", "intrinsics=[50,50,32,24]")
+    run(
+        model_folder,
+        source,
+        tmp_path / "out",
+        "formats=[depth,ply]",
+        "intrinsics=[50,50,32,24]",
+        "steady=false",
+    )
     assert listed(tmp_path / "out") == ["walk"]
     assert listed(tmp_path / "out/walk") == [
         f"00000{i}{end}" for i in range(2) for end in (".ply", "_depth.png")
@@ -49,7 +56,9 @@ def test_other_formats_are_one_file_per_frame(model_folder: Path, model: DepthNe
 
 def test_an_exported_file_predicts_a_video(model: DepthNet, tmp_path: Path, capsys) -> None:
     source, file = write_video(tmp_path / "walk.mp4"), exported(model, tmp_path / "small.onnx")
-    results = run(file, source, tmp_path / "out", "formats=[depth]", "frames=3", "engine=onnxruntime")
+    results = run(
+        file, source, tmp_path / "out", "formats=[depth]", "frames=3", "engine=onnxruntime", "steady=false"
+    )
     assert results.images == 3
     said = capsys.readouterr().out
     assert "small.onnx: onnxruntime, fp32, 1 threads" in said
