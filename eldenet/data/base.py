@@ -11,14 +11,7 @@ from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameCache, open_cache
 from eldenet.data.paths import check_files, missing_files
-from eldenet.geometry import (
-    crop_intrinsics,
-    crop_to_aspect,
-    resize_image,
-    resize_intrinsics,
-    resize_sparse,
-    size_of_aspect,
-)
+from eldenet.geometry import resize_image, resize_intrinsics, resize_sparse
 from eldenet.system.checks import one_of
 from eldenet.types import DepthSample, Frame
 
@@ -52,9 +45,7 @@ class DepthDataset(Dataset[DepthSample]):
         names: the frames of this split, in a fixed order.
         min_depth: nearest depth that counts as known [m]; None for the adapter's usual one.
         max_depth: farthest depth that counts as known [m]; None for the adapter's usual one.
-        input_size: ``(height, width)`` of a sample's image [px]; None keeps the frame's. Frames are never
-            stretched: those of another aspect are cut to this one (``resize_depth``), or get as many pixels
-            in their own.
+        input_size: ``(height, width)`` of a sample's image [px]; None keeps the frame's.
         transform: augmentation or protocol geometry, ``(frame, generator) -> frame``.
         resize_depth: True resizes depth to ``input_size`` too (training); False keeps the ground truth's own
             resolution (evaluation).
@@ -218,12 +209,7 @@ class DepthDataset(Dataset[DepthSample]):
         return frame if self.resize_on_load is None else self._resized(frame, self.resize_on_load)
 
     def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
-        """Resize without stretching: cut to the aspect in training; in evaluation the image keeps its own."""
         sparse = self.ground_truth in SPARSE
-        if self.resize_depth:
-            frame = cut_to_aspect(frame, size)
-        else:
-            size = size_of_aspect(size, (frame.image.shape[0], frame.image.shape[1]))
         return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 
 
@@ -313,19 +299,6 @@ def resize_frame(
         else:
             depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return Frame(image, depth, intrinsics, name, labels)
-
-
-def cut_to_aspect(frame: Frame, wanted: tuple[int, int]) -> Frame:
-    """Cut the middle of a frame to the aspect of ``wanted`` (height, width), up to rounding."""
-    image, depth, intrinsics, name, labels = frame
-    top, bottom, left, right = crop_to_aspect((image.shape[0], image.shape[1]), wanted)
-    if (bottom - top, right - left) == image.shape[:2]:
-        return frame
-    if intrinsics is not None:
-        intrinsics = crop_intrinsics(intrinsics, top, left)
-    rows, cols = (slice(*ends) for ends in np.reshape(crop_to_aspect(depth.shape, wanted), (2, 2)))
-    labels = None if labels is None else labels[rows, cols]
-    return Frame(image[top:bottom, left:right], depth[rows, cols], intrinsics, name, labels)
 
 
 def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:

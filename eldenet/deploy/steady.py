@@ -17,7 +17,9 @@ JUMP = 0.4  # change of scale at which a new scene starts
 
 class _Memory(NamedTuple):
     gray: np.ndarray  # (h, w) uint8
-    log_depth: np.ndarray  # (H, W) float32
+    depth: np.ndarray  # (H, W) float32 [m], as the network gave it
+    steady: np.ndarray  # (H, W) float32 [m], as it came out
+    log_depth: np.ndarray  # (H, W) float32, of steady
     trend: float  # of the mean of log_depth per frame
 
 
@@ -54,7 +56,10 @@ class SteadyFilter:
             cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (width, height), interpolation=cv2.INTER_AREA
         )
         log_depth = cv2.log(depth)
-        last, self._memory = self._memory, _Memory(gray, log_depth, 0.0)
+        last, self._memory = self._memory, _Memory(gray, depth, depth, log_depth, 0.0)
+        if last is not None and np.array_equal(depth, last.depth):  # the same frame again
+            self._memory = last
+            return last.steady
         if last is None or last.gray.shape != gray.shape or last.log_depth.shape != depth.shape:
             return depth
         motion = self._flow.calc(gray, last.gray, None)  # type: ignore[call-overload]
@@ -74,8 +79,8 @@ class SteadyFilter:
             return depth
         trend = float(np.clip(last.trend + TREND * shift, -FASTEST, FASTEST))
         steady = log_depth - np.float32(1 - NEW) * weight * surprise
-        self._memory = _Memory(gray, steady, trend)
-        return cv2.exp(steady)
+        self._memory = _Memory(gray, depth, cv2.exp(steady), steady, trend)
+        return self._memory.steady
 
 
 def _same_surface(gray: np.ndarray, last: np.ndarray, where: np.ndarray) -> np.ndarray:
