@@ -29,11 +29,11 @@ def third_picture(monkeypatch: pytest.MonkeyPatch):
     def arrange(number: signal.Signals) -> None:
         predict, seen = DepthPredictor.__call__, []
 
-        def depth(predictor: DepthPredictor, frame):
+        def depth(predictor: DepthPredictor, frame, **camera):
             seen.append(frame)
             if len(seen) == 3:
                 signal.raise_signal(number)
-            return predict(predictor, frame)
+            return predict(predictor, frame, **camera)
 
         monkeypatch.setattr(DepthPredictor, "__call__", depth)
 
