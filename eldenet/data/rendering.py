@@ -38,15 +38,20 @@ class Generator(NamedTuple):
             :class:`~eldenet.simulation.furnished_rooms.render.Views`, the frames of scene ``index``.
         digests: by ``(height, width)``, a suffix of the folder's name: results stored before versions existed
             know their frames by it.
+        focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
     """
 
     name: str
     version: int
     renderer: str
     digests: Mapping[tuple[int, int], str]
+    focal: tuple[float, float] | None = None
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
+        if self.focal is not None:
+            low, high = self.focal
+            return f"{self.name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
         digest = self.digests.get(size)
         return f"{self.name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
 
@@ -79,16 +84,17 @@ class SceneStore:
         """Whether every frame of a scene is stored and whole."""
         return all(self.frame(scene * VIEWS + view) is not None for view in range(VIEWS))
 
-    def render(self, renderer: str, scene: int) -> None:
+    def render(self, renderer: str, scene: int, focal: tuple[float, float] | None = None) -> None:
         """Render and store one scene, unless it is there."""
         if self.has(scene):
             return
         with disk_errors(self.folder, "a rendered frame"):
-            self._render(renderer, scene)
+            self._render(renderer, scene, focal)
 
-    def _render(self, renderer: str, scene: int) -> None:
+    def _render(self, renderer: str, scene: int, focal: tuple[float, float] | None) -> None:
         module, _, function = renderer.rpartition(".")
-        views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS)
+        options = {} if focal is None else {"focal": focal}
+        views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         meters = encode_depth(views.depth).astype(np.float32) * np.float32(DEPTH_STEP)
         for view in range(VIEWS):
             index = scene * VIEWS + view
@@ -120,10 +126,11 @@ def render_missing(
         if workers == 0:
             store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)
             for scene in scenes:
-                store.render(generator.renderer, scene)
+                store.render(generator.renderer, scene, generator.focal)
                 bar.advance(VIEWS)
             return
         job = {"folder": str(folder), "name": generator.name, "renderer": generator.renderer, "split": split}
+        job |= {"focal": generator.focal}
         shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
         _render_in_processes([{**job, "size": size, "scenes": list(share)} for share in shares], bar.advance)
 
@@ -178,7 +185,7 @@ def _work() -> None:
     store = SceneStore(Path(job["folder"]), job["name"], job["split"], max(scenes) + 1, tuple(job["size"]))
     for scene in scenes:
         try:
-            store.render(job["renderer"], scene)
+            store.render(job["renderer"], scene, job["focal"])
         except DiskError:
             sys.exit(FULL_DISK)
         try:

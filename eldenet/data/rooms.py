@@ -1,12 +1,32 @@
 """``rooms``: furnished rooms rendered with rays, the data set that needs no download."""
 
+from collections.abc import Sequence
+from typing import Any
+
 from eldenet.data.rendered import RenderedScenes
 from eldenet.data.rendering import Generator
 
 
 class Rooms(RenderedScenes):
-    """Furnished rooms, from the height of a robot or a hand; the splits hold different rooms."""
+    """Furnished rooms, from the height of a robot or a hand; the splits hold different rooms.
+
+    Args:
+        *arguments: see :class:`~eldenet.data.rendered.RenderedScenes`.
+        focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
+            None: about the Kinect's, 0.76 to 0.88.
+        **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
+
+    Raises:
+        ValueError: an argument is out of its range.
+    """
 
     generator = Generator(
         "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
     )
+
+    def __init__(self, *arguments: Any, focal: Sequence[float] | None = None, **options: Any) -> None:
+        if focal is not None:
+            if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
+                raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
+            self.generator = self.generator._replace(focal=(float(focal[0]), float(focal[1])))
+        super().__init__(*arguments, **options)

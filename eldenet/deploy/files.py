@@ -17,6 +17,7 @@ import numpy as np
 
 from eldenet import __version__
 from eldenet.deploy.sealing import SEAL, sealed
+from eldenet.geometry import same_aspect, size_of_aspect
 from eldenet.system.checks import check_size
 from eldenet.system.files import part_file
 from eldenet.system.reading import reading
@@ -111,7 +112,8 @@ def write_onnx(
         metadata: from :func:`describe`.
 
     Raises:
-        ValueError: the opset, batch or size is out of range, or the opset cannot express this network.
+        ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, or the
+            opset cannot express this network.
     """
     import onnx
     import torch
@@ -127,6 +129,7 @@ def write_onnx(
     network: nn.Module = fold(model).cpu()
     name, example = "image", torch.rand(batch or 2, 3, *size)
     if camera_size is not None:
+        check_aspect(size, camera_size, model)
         network = CameraNet(network, camera_size, size)  # type: ignore[arg-type]
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     with part_file(path) as unfinished:
@@ -141,6 +144,16 @@ def write_onnx(
         set_metadata(unfinished, metadata or {})
         onnx.checker.check_model(str(unfinished))
     return path
+
+
+def check_aspect(size: tuple[int, int], camera_size: tuple[int, int], model: "DepthNet") -> None:
+    """Raise ValueError if frames of a camera would be stretched to the size that the network sees."""
+    seen = (camera_size[0], camera_size[1] * (model.info.get("stretch") or 1.0))
+    if not same_aspect(size, seen):
+        raise ValueError(
+            f"size={list(size)} would stretch frames of camera={list(camera_size)}: give size="
+            f"{list(size_of_aspect(size, seen))}, or leave it out"
+        )
 
 
 def _torch_to_onnx(

@@ -42,8 +42,8 @@ class DepthPredictor:
     view of its training camera. Several threads may call one predictor.
 
     In a loop over a video, depth is steady: each frame is mixed with the frames before it, see
-    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene is predicted alone. Each thread
-    has a video of its own. ``steady=False`` predicts every frame alone.
+    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted alone. Each
+    thread has a video of its own. ``steady=False`` predicts every frame alone.
 
     Args:
         model: put into eval mode and moved to ``device``; or a network under another runtime
@@ -143,7 +143,7 @@ class DepthPredictor:
         if not np.isfinite(depth).all():
             raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
         if self.steady:
-            depth = self._filter(picture, depth)
+            depth = self._filter_of((size, focal))(picture, depth)
         if focal is not None:
             if self.canonical_px is not None:
                 depth = depth * np.float32(focal * scale / self.canonical_px)
@@ -177,11 +177,10 @@ class DepthPredictor:
                 )
         return picture, depth[top:bottom, left:right], seen
 
-    @property
-    def _filter(self) -> SteadyFilter:
-        """The filter of this thread's video."""
-        if not hasattr(self._filters, "steady"):
-            self._filters.steady = SteadyFilter()
+    def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
+        """The filter of this thread's video; another camera (frame size and fx) begins another video."""
+        if getattr(self._filters, "camera", None) != camera:
+            self._filters.camera, self._filters.steady = camera, SteadyFilter()
         steady: SteadyFilter = self._filters.steady
         return steady
 

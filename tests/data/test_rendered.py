@@ -57,6 +57,15 @@ def test_the_frames_that_results_were_scored_on_keep_their_names(monkeypatch: py
         assert Rooms(split, frames, size=(96, 128)).split_hash == expected
     assert Rooms("test", 8, size=(96, 128)).folder.name == "rooms-v1-96x128-fd67c9271919"
     assert Rooms("test", 8, size=(96, 160)).folder.name == "rooms-v1-96x160"
+    assert Rooms("test", 8, size=(96, 160), focal=[0.4, 2]).folder.name == "rooms-v1-96x160-focal-0.4-2"
+
+
+def test_rooms_of_many_lenses_hand_over_each_focal_length(tmp_path: Path) -> None:
+    rooms = Rooms("train", 16, size=SIZE, root=tmp_path, workers=2, focal=[0.4, 2.0])
+    widths = [float(rooms[index]["intrinsics"][0, 0]) / SIZE[1] for index in range(16)]
+    assert 0.4 <= min(widths) < 0.8 < 1.4 < max(widths) <= 2.0
+    with pytest.raises(ValueError, match=r"focal=\[2.0, 0.4\]: give \[low, high\] in widths, from 0.2 to 5"):
+        Rooms("train", 8, size=SIZE, root=tmp_path, focal=[2.0, 0.4])
 
 
 def test_stored_depth_is_exact_to_a_tenth_of_a_millimeter(dataset: Rooms) -> None:

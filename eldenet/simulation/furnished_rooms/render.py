@@ -12,6 +12,8 @@ from eldenet.simulation.rendering.camera_noise import develop
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom
 
+KINECT = (0.76, 0.88)  # fx [widths]: about 63 degrees
+
 
 class Views(NamedTuple):
     """All frames of one room.
@@ -31,14 +33,29 @@ class Views(NamedTuple):
     rotation: np.ndarray
 
 
-def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
-    """Render the frames of room ``index`` of a split at ``(height, width)`` [px]."""
+def render_room(
+    split: str,
+    index: int,
+    size: tuple[int, int] = (128, 160),
+    views: int = 8,
+    *,
+    focal: tuple[float, float] = KINECT,
+) -> Views:
+    """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
+
+    Args:
+        split: "train", "val" or "test".
+        index: of the room.
+        size: of the frames.
+        views: how many.
+        focal: range of fx [widths]; each frame draws its own.
+    """
     cv2.setNumThreads(0)
     room = CompiledRoom(generate_room(split, index))
     draw = Draw((SPLITS[split], index, 1))
     frames = []
     for view in range(views):
-        camera = RayCamera(size, draw_intrinsics(draw, size))
+        camera = RayCamera(size, draw_intrinsics(draw, size, focal))
         position, rotation = choose_pose(room, camera, draw)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
@@ -48,10 +65,12 @@ def render_room(split: str, index: int, size: tuple[int, int] = (128, 160), view
     return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
 
 
-def draw_intrinsics(draw: Draw, size: tuple[int, int]) -> np.ndarray:
-    """Draw a camera with about the Kinect's 63 degrees and nearly square pixels."""
+def draw_intrinsics(
+    draw: Draw, size: tuple[int, int], focal: tuple[float, float] = KINECT
+) -> np.ndarray:
+    """Draw a camera with nearly square pixels and fx in a range [widths]."""
     height, width = size
-    fx = width * draw.uniform(0.76, 0.88)
+    fx = width * draw.uniform(*focal)
     fy = fx * draw.uniform(0.98, 1.07)
     cx = (width - 1) / 2 + width * draw.uniform(-0.02, 0.02)
     cy = (height - 1) / 2 + height * draw.uniform(-0.03, 0.03)
