@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.configurable import building_only, refuse_foreign_code
 from eldenet.system.checks import check_arguments, one_of
 from eldenet.system.resources import choose_resources, prepare_environment
-from eldenet.weights import list_weights
+from eldenet.weights import BEST, list_weights
 
 prepare_environment()
 
@@ -686,6 +686,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.geometry import focal_of_fov, pinhole
     from eldenet.results.fingerprints import fingerprint
 
+    if config.checkpoint is None:
+        config.checkpoint = BEST
     check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
     one_of("engine", engine, ("auto", *runtimes.RUNTIMES))

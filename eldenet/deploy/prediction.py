@@ -171,6 +171,8 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
         predictor = DepthPredictor(network, size, max_side=max_side, steady=steady)
     else:
         model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
+        packaged = checkpoint in eldenet.list_weights()
+        log.say(f"weights: {checkpoint}" + (" of the package (yours: checkpoint=...)" if packaged else ""))
         if setup.engine in ("auto", "torch"):
             predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device, steady=steady)
         else:
