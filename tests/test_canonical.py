@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,13 @@ from support.training import ONE_THREAD, PROTOCOL, make_trainer
 
 import eldenet
 from eldenet.config import FOCAL_RANGE, build_protocol, canonical_camera, compose, config_folder, instantiate
+from eldenet.data.mix import Mix
 from eldenet.evaluation.evaluator import evaluate, predict_depth
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.refinement import JointBilateral
 from eldenet.system.resources import seed_everything
+from eldenet.training.run import without_camera
 from eldenet.training.trainer import TrainingData
 
 CANONICAL = 0.8  # [widths]
@@ -177,6 +180,20 @@ def test_figures_are_in_meters_of_each_frames_camera() -> None:
     clamped = expected.clamp(PROTOCOL.min_depth, PROTOCOL.max_depth)
     errors = [(p - d)[m].abs().mean().item() for p, d, m in zip(clamped, depth, mask, strict=True)]
     assert result == pytest.approx(np.mean(errors), rel=1e-4)
+
+
+class NoCamera(SyntheticDepth):
+    def load_frame(self, index: int):
+        return super().load_frame(index)._replace(intrinsics=None)
+
+
+def test_frames_without_a_camera_are_noticed_where_they_teach_meters() -> None:
+    assert without_camera(SyntheticDepth(2)) == ""
+    assert without_camera(NoCamera(2)) == "synthetic/0"
+    for relative, found in ((False, "synthetic/0"), (True, "")):
+        unknown = {"data": partial(NoCamera, 2), "weight": 1.0, "relative": relative}
+        sources = {"known": {"data": partial(SyntheticDepth, 2), "weight": 1.0}, "unknown": unknown}
+        assert without_camera(Mix(sources, 4)) == found
 
 
 class Watched(WeightedTerm):
