@@ -26,6 +26,8 @@ STREETS_VERSION = 1
 #: Kinds of scenes and names of objects for a 2D detector.
 KINDS = ("street", "hall", "room")
 NAMES = (*STREET_NAMES, "furniture")
+#: fx [widths]: KITTI's field of view outdoors, a wide robot's camera in halls.
+FOCAL = {"street": 0.58, "hall": 0.62}
 _ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
 _MIN_PIXELS = 30  # of an object in a street or hall
 _MIN_PIXELS_ROOM = 60
@@ -74,15 +76,27 @@ class ObjectView(NamedTuple):
 
 
 def render_street(
-    split: str, index: int, size: tuple[int, int] = (256, 832), kind: str = "street"
+    split: str,
+    index: int,
+    size: tuple[int, int] = (256, 832),
+    kind: str = "street",
+    *,
+    focal: tuple[float, float] | None = None,
 ) -> StreetView:
-    """Render scene ``index`` at ``(height, width)`` [px]; objects of few visible pixels are left out."""
+    """Render scene ``index``; objects of few visible pixels are left out.
+
+    Args:
+        split: "train", "val" or "test".
+        index: of the scene.
+        size: ``(height, width)`` of the frame [px].
+        kind: "street" or "hall".
+        focal: range of fx [widths], of which each scene draws its own; None: ``FOCAL`` of its kind.
+    """
     scene = generate_scene(split, index, kind)
     compiled = CompiledRoom(scene.room)
     height, width = size
-    # KITTI's field of view outdoors, a wide robot's camera in halls
-    focal = width * (0.58 if kind == "street" else 0.62)
-    matrix = pinhole(focal, focal, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
+    fx = width * (FOCAL[kind] if focal is None else Draw((STREAM, SPLITS[split], index, 3)).uniform(*focal))
+    matrix = pinhole(fx, fx, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
     camera = RayCamera(size, matrix, far=FAR[kind])
     position = np.array([0.0, 0.0, scene.camera_height])
     rotation = camera_rotation(0.0, *scene.tilt)
