@@ -6,7 +6,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.furnished_rooms.render import choose_pose, draw_intrinsics
+from eldenet.simulation.furnished_rooms.render import KINECT, choose_pose, draw_intrinsics
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import (
     SEEN_GROUPS,
@@ -126,26 +126,29 @@ def render_street(
     )
 
 
-def render_objects(split: str, index: int, size: tuple[int, int], kind: str) -> ObjectView:
+def render_objects(
+    split: str, index: int, size: tuple[int, int], kind: str, *, focal: tuple[float, float] | None = None
+) -> ObjectView:
     """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
 
     Objects that are mostly hidden or smaller than a few pixels are left out. Classes keep the numbers they
-    have in streets; everything else in a room is "furniture".
+    have in streets; everything else in a room is "furniture". ``focal`` is a range of fx [widths], of which
+    each frame draws its own; None: the lens of its kind.
 
     Raises:
         ValueError: unknown kind or split.
     """
     if kind == "room":
-        return _render_room(split, index, size)
-    view = render_street(split, index, size, kind)
+        return _render_room(split, index, size, focal or KINECT)
+    view = render_street(split, index, size, kind, focal=focal)
     found = view.detections.select(view.visible >= _MIN_VISIBLE)
     return ObjectView(view.image, _large_enough(found.xyxy, found.label))
 
 
-def _render_room(split: str, index: int, size: tuple[int, int]) -> ObjectView:
+def _render_room(split: str, index: int, size: tuple[int, int], focal: tuple[float, float]) -> ObjectView:
     room = CompiledRoom(generate_room(split, index))
     draw = Draw((_ROOM_STREAM, SPLITS[split], index))
-    camera = RayCamera(size, draw_intrinsics(draw, size))
+    camera = RayCamera(size, draw_intrinsics(draw, size, focal))
     linear, hits = room.photograph(camera, *choose_pose(room, camera, draw))
     image = develop(linear, draw, (_ROOM_STREAM, SPLITS[split], index, 1))
     body = np.append(room.model.geom_bodyid, 0)[hits.geom].reshape(size)  # -1 is the last: nothing was met
