@@ -315,6 +315,7 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
         ),
         data=Path(settings["data"]["root"]),
         kinds=listed(config.data.kinds),
+        focal=settings["data"]["focal"],
         counts={split: config.data[split] for split in ("train", "test")},
         resources=resources,
         resume=config.resume,

@@ -71,16 +71,6 @@ def same_aspect(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return abs(math.log(one[0] * other[1] / (one[1] * other[0]))) <= SAME_ASPECT
 
 
-def crop_to_aspect(size: tuple[int, int], wanted: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return the largest centered box ``(top, bottom, left, right)`` [px] in the aspect wanted."""
-    if same_aspect(size, wanted):
-        return 0, size[0], 0, size[1]
-    scale = min(size[0] / wanted[0], size[1] / wanted[1])
-    height, width = (max(1, round(side * scale)) for side in wanted)
-    top, left = crop_corner(size, (height, width), "center")
-    return top, top + height, left, left + width
-
-
 def fit_into(size: tuple[int, int], frame: tuple[float, float]) -> tuple[int, int, int, int]:
     """Return the box ``(top, bottom, left, right)`` [px] of a ``frame`` centered in ``size``, aspect kept."""
     if same_aspect(size, frame):

@@ -69,8 +69,8 @@ class DepthNet(Configurable, nn.Module):
 
     Attributes:
         info: facts about the weights (training data, protocol, ...), saved with them. :func:`size_of_frames`
-            reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px]. Where the training's
-            protocol squeezed frames, ``stretch`` is how many times wider it showed things than they are.
+            reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px]. Where the training
+            squeezed frames, ``stretch`` is how many times wider it showed things than they are.
         canonical_px: focal length of the canonical camera [px]; None without ``canonical_focal``.
 
     Raises:

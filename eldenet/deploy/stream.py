@@ -1,10 +1,11 @@
 """Depth of a camera or a video while it runs: a bounded queue between reader and network."""
 
+import functools
 import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -54,6 +55,8 @@ class DepthStream:
         drop: whether to drop frames that wait too long; None: only those of cameras and addresses.
         timeout: time without a new frame after which a camera or an address counts as lost [s]; None: never.
             Files, and iterables whose frames are not dropped, may take any time.
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frames [px], which the predictor then gets with
+            each one: so its meters hold for this camera.
 
     Attributes:
         dropped: number of frames that were not predicted.
@@ -70,17 +73,19 @@ class DepthStream:
     def __init__(
         self,
         source: str | Path | Iterable[np.ndarray],
-        predictor: Callable[[np.ndarray], np.ndarray],
+        predictor: Callable[..., np.ndarray],
         *,
         queue_size: int = 2,
         drop: bool | None = None,
         timeout: float | None = 10.0,
+        intrinsics: Sequence[float] | np.ndarray | None = None,
     ) -> None:
         if queue_size < 1:
             raise ValueError(f"queue_size={queue_size}: give 1 or more")
         if timeout is not None and not 0 < timeout <= threading.TIMEOUT_MAX:
             raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait for ever")
-        self.predictor, self.queue_size = predictor, queue_size
+        camera = {} if intrinsics is None else {"intrinsics": intrinsics}
+        self.predictor, self.queue_size = functools.partial(predictor, **camera), queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
         self._fault: Callable[[int], str] = lambda frames: ""

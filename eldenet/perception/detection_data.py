@@ -23,6 +23,7 @@ def write_dataset(
     size: tuple[int, int],
     *,
     kinds: Sequence[str] = KINDS,
+    focal: tuple[float, float] | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> Path:
     """Render ``counts[split]`` images of each split into ``folder``; return the path of ``data.yaml``.
@@ -35,16 +36,20 @@ def write_dataset(
         counts: by split of the simulator: "train", "val", "test".
         size: ``(height, width)`` [px].
         kinds: of scenes, see :data:`eldenet.simulation.street_views.KINDS`.
+        focal: range of fx [widths], of which each image draws its own; None: the lens of its kind.
         advance: called with the number of new images.
 
     Raises:
-        ValueError: no images, unknown kinds, or the folder holds images of other settings.
+        ValueError: no images, unknown kinds, an impossible lens, or a folder of images of other settings.
     """
     if not kinds or not set(kinds) <= set(KINDS):
         raise ValueError(f"kinds={list(kinds)}: give some of {list(KINDS)}")
     if min(counts.values()) < 1:
         raise ValueError(f"counts={dict(counts)}: give every split at least one image")
+    if focal is not None and (len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5):
+        raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
     settings = {"size": list(size), "kinds": list(kinds), "names": list(NAMES)}
+    settings |= {} if focal is None else {"focal": list(focal)}
     stored = folder / SETTINGS
     if stored.is_file() and read_json(stored) != settings:
         raise ValueError(
@@ -57,7 +62,7 @@ def write_dataset(
             picture = folder / PICTURES / split / f"{number:06d}.png"
             if not picture.is_file():
                 kind = kinds[number % len(kinds)]
-                view = render_objects(split, number // len(kinds), size, kind)
+                view = render_objects(split, number // len(kinds), size, kind, focal=focal)
                 _write_boxes(folder / BOXES / split / f"{number:06d}.txt", view.detections, size)
                 write_picture(picture, view.image)  # last: an image is only there with its boxes
             if advance is not None:

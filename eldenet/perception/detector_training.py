@@ -36,6 +36,7 @@ class DetectorTrainingSetup:
         training: epochs, batch size ...
         data: folder of the rendered images; images that it holds already are used.
         kinds: of scenes.
+        focal: range of fx [widths]; None: the lens of each kind.
         counts: images of the splits "train" and "test".
         resources: threads and device.
         resume: continue from the last epoch in ``folder``.
@@ -47,6 +48,7 @@ class DetectorTrainingSetup:
     training: YoloTraining
     data: Path
     kinds: Sequence[str]
+    focal: tuple[float, float] | None
     counts: dict[str, int]
     resources: "Resources"
     resume: bool
@@ -69,7 +71,14 @@ def _train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
     name = f"yolov9-{setup.settings['detector']['size']}"
     start = time.perf_counter()
     with log.bar("rendering", sum(counts.values())) as bar:
-        data = write_dataset(setup.data, counts, detector.input_size, kinds=setup.kinds, advance=bar.advance)
+        data = write_dataset(
+            setup.data,
+            counts,
+            detector.input_size,
+            kinds=setup.kinds,
+            focal=setup.focal,
+            advance=bar.advance,
+        )
     rendered = time.perf_counter()
     log.say(
         f"{name}, {setup.training.epochs} epochs of {counts['train']} pictures on {setup.resources.device}, "

@@ -6,7 +6,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.furnished_rooms.render import choose_pose, draw_intrinsics
+from eldenet.simulation.furnished_rooms.render import KINECT, choose_pose, draw_intrinsics
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import (
     SEEN_GROUPS,
@@ -26,6 +26,8 @@ STREETS_VERSION = 1
 #: Kinds of scenes and names of objects for a 2D detector.
 KINDS = ("street", "hall", "room")
 NAMES = (*STREET_NAMES, "furniture")
+#: fx [widths]: KITTI's field of view outdoors, a wide robot's camera in halls.
+FOCAL = {"street": 0.58, "hall": 0.62}
 _ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
 _MIN_PIXELS = 30  # of an object in a street or hall
 _MIN_PIXELS_ROOM = 60
@@ -74,15 +76,27 @@ class ObjectView(NamedTuple):
 
 
 def render_street(
-    split: str, index: int, size: tuple[int, int] = (256, 832), kind: str = "street"
+    split: str,
+    index: int,
+    size: tuple[int, int] = (256, 832),
+    kind: str = "street",
+    *,
+    focal: tuple[float, float] | None = None,
 ) -> StreetView:
-    """Render scene ``index`` at ``(height, width)`` [px]; objects of few visible pixels are left out."""
+    """Render scene ``index``; objects of few visible pixels are left out.
+
+    Args:
+        split: "train", "val" or "test".
+        index: of the scene.
+        size: ``(height, width)`` of the frame [px].
+        kind: "street" or "hall".
+        focal: range of fx [widths], of which each scene draws its own; None: ``FOCAL`` of its kind.
+    """
     scene = generate_scene(split, index, kind)
     compiled = CompiledRoom(scene.room)
     height, width = size
-    # KITTI's field of view outdoors, a wide robot's camera in halls
-    focal = width * (0.58 if kind == "street" else 0.62)
-    matrix = pinhole(focal, focal, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
+    fx = width * (FOCAL[kind] if focal is None else Draw((STREAM, SPLITS[split], index, 3)).uniform(*focal))
+    matrix = pinhole(fx, fx, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
     camera = RayCamera(size, matrix, far=FAR[kind])
     position = np.array([0.0, 0.0, scene.camera_height])
     rotation = camera_rotation(0.0, *scene.tilt)
@@ -112,26 +126,29 @@ def render_street(
     )
 
 
-def render_objects(split: str, index: int, size: tuple[int, int], kind: str) -> ObjectView:
+def render_objects(
+    split: str, index: int, size: tuple[int, int], kind: str, *, focal: tuple[float, float] | None = None
+) -> ObjectView:
     """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
 
     Objects that are mostly hidden or smaller than a few pixels are left out. Classes keep the numbers they
-    have in streets; everything else in a room is "furniture".
+    have in streets; everything else in a room is "furniture". ``focal`` is a range of fx [widths], of which
+    each frame draws its own; None: the lens of its kind.
 
     Raises:
         ValueError: unknown kind or split.
     """
     if kind == "room":
-        return _render_room(split, index, size)
-    view = render_street(split, index, size, kind)
+        return _render_room(split, index, size, focal or KINECT)
+    view = render_street(split, index, size, kind, focal=focal)
     found = view.detections.select(view.visible >= _MIN_VISIBLE)
     return ObjectView(view.image, _large_enough(found.xyxy, found.label))
 
 
-def _render_room(split: str, index: int, size: tuple[int, int]) -> ObjectView:
+def _render_room(split: str, index: int, size: tuple[int, int], focal: tuple[float, float]) -> ObjectView:
     room = CompiledRoom(generate_room(split, index))
     draw = Draw((_ROOM_STREAM, SPLITS[split], index))
-    camera = RayCamera(size, draw_intrinsics(draw, size))
+    camera = RayCamera(size, draw_intrinsics(draw, size, focal))
     linear, hits = room.photograph(camera, *choose_pose(room, camera, draw))
     image = develop(linear, draw, (_ROOM_STREAM, SPLITS[split], index, 1))
     body = np.append(room.model.geom_bodyid, 0)[hits.geom].reshape(size)  # -1 is the last: nothing was met

@@ -105,6 +105,12 @@ def _fit(
         f"{setup.folder}"
     )
     announce_frames(setup, loss, train_set, {"validation": val_set, "test": test_set}, log)
+    if model.canonical_px is not None and (frame := without_camera(train_set)):
+        log.say(
+            f"note: training frames such as {frame} have no intrinsics, so they count as the canonical "
+            "camera's: meters will be off by as much as their focal length differs (data=folder takes "
+            "data.intrinsics)"
+        )
     progress = trainer.fit(
         model,
         loss,
@@ -206,6 +212,16 @@ def announce_frames(
             log.say(term.teacher.describe(setup.input_size))
 
 
+def without_camera(train_set: "DepthDataset") -> str:
+    """Return the name of a frame in meters without intrinsics; "" if the first of each source has them."""
+    from eldenet.data.mix import Mix
+
+    parts = [train_set]
+    if isinstance(train_set, Mix):
+        parts = [source.frames for source in train_set.sources.values() if not source.relative]
+    return next((part.names[0] for part in parts if part.load_frame(0).intrinsics is None), "")
+
+
 def common_frames(train_set: "DepthDataset", scored: "DepthDataset") -> int:
     """Return how many frames of ``scored`` are in ``train_set`` too: their scores measure memorization."""
     from eldenet.data.inspection import identities
@@ -229,19 +245,19 @@ def trained_sizes(
 ) -> dict[str, Any]:
     """Return ``(height, width)`` [px] of the network's input and, where a protocol crops, of the whole frame.
 
-    The latter is that of the first frame. Where a protocol squeezes frames, ``stretch`` says by how much.
+    The latter is that of the first frame. Where frames are squeezed into the input, ``stretch`` says by how
+    much.
     """
     from eldenet.evaluation.protocol_frames import whole_frame_size
 
     seen = None if input_size is None else list(input_size)
     sizes: dict[str, Any] = {"input_size": seen}
-    if protocol.changes_frames:
-        height, width = train_set.load_frame(0).depth.shape
-        whole = list(whole_frame_size(protocol, (height, width), seen))
-        if whole != seen:
-            sizes["whole_frame_size"] = whole
-        if not same_aspect((whole[0], whole[1]), (height, width)):
-            sizes["stretch"] = whole[1] * height / (whole[0] * width)
+    height, width = train_set.load_frame(0).depth.shape
+    whole = list(whole_frame_size(protocol, (height, width), seen))
+    if protocol.changes_frames and whole != seen:
+        sizes["whole_frame_size"] = whole
+    if not same_aspect((whole[0], whole[1]), (height, width)):
+        sizes["stretch"] = whole[1] * height / (whole[0] * width)
     return sizes
 
 

@@ -10,7 +10,7 @@ import torch
 from support import layouts
 from torch.utils.data import DataLoader
 
-from eldenet.config import build_protocol, build_split, compose, config_folder, plain
+from eldenet.config import FOCAL_RANGE, build_protocol, build_split, compose, config_folder, plain
 from eldenet.data.base import DepthDataset
 from eldenet.data.folder import FolderDataset
 
@@ -83,6 +83,30 @@ def test_data_builds_and_can_be_scored(given: list[str]) -> None:
         counts = protocol.valid_mask(sample["depth"][None], sample["mask"][None])
         assert counts.any()
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
+
+
+#: Data sets without cameras, and why.
+UNKNOWN_CAMERAS = {
+    "cityscapes_mtan": "the set lacks them (see CityscapesMTAN)",
+    "folder": "the user gives data.intrinsics, see test_folder.py",
+}
+
+
+def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
+    """Its focal length is that of a lens from ultra-wide to tele, its center is in the middle."""
+    config = compose("train", given)
+    protocol = build_protocol(config)
+    for split in ("train", "val", "test"):
+        sample = build_split(config, split, protocol, augment=split == "train")[0]
+        (fx, _, cx), (_, fy, cy), _ = sample["intrinsics"].tolist()
+        if config.data.name in UNKNOWN_CAMERAS:
+            assert fx == 0
+            continue
+        height, width = sample["image"].shape[1:]
+        assert FOCAL_RANGE[0] <= fx / width <= FOCAL_RANGE[1]
+        assert fy / fx == pytest.approx(1, abs=0.03)  # where a resize stretches, by less than that
+        assert 0.3 < cx / width < 0.7
+        assert 0 < cy / height < 1  # KITTI's crop is of the lower part
 
 
 def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:

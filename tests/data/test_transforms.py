@@ -87,6 +87,30 @@ def test_augmented_points_agree_with_the_camera(case: str, seed: int) -> None:
     np.testing.assert_array_equal(moved.intrinsics[:2, :2], frame.intrinsics[:2, :2])
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("case", CASES)
+def test_points_reproject_to_where_a_longer_lens_shows_them(case: str, seed: int) -> None:
+    """``zoom="focal"``: depth stays, so a point seen before projects, turned, to where it is seen after."""
+    settings = {**OFF, **CASES[case]}
+    frame = ramp_frame()
+    moved = Augmentation(**settings, zoom="focal")(frame, np.random.default_rng(seed))
+    x, y, inside = source_pixels(moved)
+    rows, cols = np.nonzero(inside)
+    grid = np.column_stack([cols, rows, np.ones(len(rows))])
+    back, *_ = np.linalg.lstsq(grid, np.column_stack([x[inside], y[inside]]), rcond=None)
+    zoom = 1 / np.sqrt(abs(np.linalg.det(back[:2])))
+    assert moved.intrinsics[0, 0] == pytest.approx(FOCAL * zoom, rel=0.01)  # the ramp has eight bits
+    assert moved.intrinsics[1, 1] == pytest.approx(moved.intrinsics[0, 0])
+    np.testing.assert_allclose(moved.depth[inside], depth_at(x, y)[inside], atol=0.025)
+    # the points, turned about the optical axis as the picture was, seen by the new camera
+    z = depth_at(x, y)[inside]
+    before = np.stack([(x[inside] - CX) / FOCAL * z, (y[inside] - CY) / FOCAL * z], axis=-1)
+    turned = before @ (np.linalg.inv(back[:2]) / zoom)
+    seen = np.column_stack([turned / z[:, None], np.ones(len(z))]) @ moved.intrinsics.T
+    np.testing.assert_allclose(seen, grid, atol=0.6)
+    np.testing.assert_allclose((seen - grid).mean(axis=0), 0, atol=0.05)
+
+
 def test_flip_is_exact() -> None:
     frame = ramp_frame()
     moved = Augmentation(**{**OFF, "flip": 1})(frame, np.random.default_rng(0))

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.networks import canonical_predictor
 from support.predicting import exported, listed, photo, read_ply, run, save, setup, turned_by_exif
 
 import eldenet
@@ -49,6 +50,22 @@ def test_a_picture_becomes_depth_colors_and_points(
     np.testing.assert_allclose(vertices["z"], depth.ravel(), rtol=1e-6)
     rgb = np.stack([vertices[name] for name in ("red", "green", "blue")], -1)
     np.testing.assert_array_equal(rgb.reshape(48, 64, 3), photo())
+
+
+@pytest.mark.parametrize("size", [(48, 64), (64, 36)])
+def test_a_longer_lens_moves_points_away_and_keeps_their_width(size: tuple[int, int], tmp_path: Path) -> None:
+    """Z grows with the focal length, X = (u - cx) Z / fx and Y stay."""
+    model = canonical_predictor(48, 64).model.save_pretrained(tmp_path / "model")
+    source = save(tmp_path / "in/kitchen.png", photo(*size))
+    clouds = []
+    for focal in (40, 80):
+        camera = f"intrinsics=[{focal},{focal},{(size[1] - 1) / 2},{(size[0] - 1) / 2}]"
+        run(model, source, tmp_path / str(focal), camera, "formats=[ply]")
+        clouds.append(read_ply(tmp_path / f"{focal}/kitchen.ply"))
+    near, far = clouds
+    assert len(near) == size[0] * size[1]
+    for axis, factor in (("x", 1), ("y", 1), ("z", 2)):
+        np.testing.assert_allclose(far[axis], factor * near[axis], rtol=1e-4, atol=1e-5)
 
 
 def test_a_note_says_when_depth_is_doubtful(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

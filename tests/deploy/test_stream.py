@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from support.films import write_video
+from support.networks import canonical_predictor
 
 from eldenet import runtimes
 
@@ -28,6 +29,18 @@ def test_a_stream_keeps_every_frame_of_a_file() -> None:
     assert seen == [(number, number) for number in range(20)]
     assert stream.dropped == 0
     assert stream.fps > 0
+
+
+@pytest.mark.parametrize("size", [(36, 64), (64, 36), (48, 64)])
+def test_a_stream_tells_the_predictor_its_camera(size: tuple[int, int]) -> None:
+    """So meters hold for the camera; frames of any aspect have depth of their own size."""
+    predictor, frame = canonical_predictor(48, 64), np.full((*size, 3), 90, np.uint8)
+    camera = (100.0, 100.0, 32.0, 24.0)
+    with runtimes.DepthStream([frame], predictor, intrinsics=camera) as stream:
+        (seen,) = stream
+    assert seen.depth.shape == size
+    np.testing.assert_array_equal(seen.depth, predictor(frame, intrinsics=camera))
+    assert not np.allclose(seen.depth, predictor(frame))
 
 
 def test_a_slow_network_never_delays_the_camera() -> None:

@@ -94,6 +94,19 @@ def test_where_frames_are_seen_whole_nothing_is_added(tmp_path: Path) -> None:
         assert sizes == {"input_size": [128, 256]}
 
 
+def test_frames_that_are_squeezed_into_the_input_are_squeezed_by_the_predictor(tmp_path: Path) -> None:
+    """A folder of 16:9 pictures and an input of 4:3."""
+    tree = layouts.folder(tmp_path, layouts.content((36, 64)))
+    config = compose("train", ["data=folder", f"data.root={tree}", "data.input_size=[48,64]"])
+    protocol = build_protocol(config)
+    sizes = trained_sizes([48, 64], protocol, build_split(config, "train", protocol))
+    assert sizes == {"input_size": [48, 64], "stretch": pytest.approx(0.75)}
+    model = small_net()
+    model.info = sizes
+    assert DepthPredictor(model).size_for(36, 64) == (48, 64)
+    assert trained_sizes(None, protocol, build_split(config, "train", protocol)) == {"input_size": None}
+
+
 WHOLE, PART = [60, 76], [48, 64]
 
 

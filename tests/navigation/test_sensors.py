@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from support.networks import canonical_predictor
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.boxes import Boxes3D, Detections2D
@@ -151,6 +152,14 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
         np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
     with pytest.raises(ValueError, match="unknown model 'no-such-run'"):
         camera("no-such-run")
+
+
+def test_the_network_of_a_camera_is_told_the_robots_lens():
+    predictor, size = canonical_predictor(60, 80), (60, 80)
+    seen = instance_of(Camera(predictor, size=size)).scan()
+    intrinsics = ArenaView(ARENA, size).intrinsics
+    np.testing.assert_array_equal(seen.depth, predictor(seen.image, intrinsics=intrinsics))
+    assert not np.allclose(seen.depth, predictor(seen.image))
 
 
 @pytest.mark.parametrize("sensor", ["ranges", "objects"])  # tests of the modes use noisy and camera

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.networks import canonical_predictor
 from support.standing_boxes import CAMERA, boxes
 
 from eldenet.geometry import PinholeCamera, pinhole
@@ -37,6 +38,14 @@ def test_an_image_becomes_a_scene(view, tmp_path):
     read = read_labels(tmp_path / "a.txt")
     np.testing.assert_allclose(read.boxes.center, scene.boxes.center, atol=1e-3)
     np.testing.assert_allclose(read.xyxy, view.detections.xyxy, atol=1e-3)
+
+
+def test_the_depth_model_is_told_the_camera(view):
+    predictor = canonical_predictor(128, 416)
+    perception = Perception(predictor, FixedDetections([view.detections]), BoxLifter(), view.camera)
+    expected = predictor(view.image, intrinsics=view.camera.intrinsics)
+    np.testing.assert_array_equal(perception(view.image).depth, expected)
+    assert not np.allclose(expected, predictor(view.image))
 
 
 def test_depth_image_and_camera_must_fit_together(view):

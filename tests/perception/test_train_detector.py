@@ -11,7 +11,7 @@ from eldenet.config import build_train_detector, compose
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.detector_training import average_precisions, train_detector
 from eldenet.perception.libreyolo_detector import LibreYoloDetector, YoloTraining
-from eldenet.simulation.street_views import NAMES, render_objects
+from eldenet.simulation.street_views import KINDS, NAMES, render_objects
 
 SIZE = (96, 160)
 NEEDED = "pip install 'eldenet[yolo]'"
@@ -50,6 +50,18 @@ def test_a_data_set_holds_the_rendered_images_and_continues_where_it_stopped(tmp
     assert (tmp_path / "images/test/000002.png").is_file()
     with pytest.raises(ValueError, match="other settings"):
         write_dataset(tmp_path, {"train": 2}, (64, 96), kinds=("hall", "street"))
+
+
+def test_a_data_set_of_other_lenses_is_another_one(tmp_path):
+    for name, focal in (("own", None), ("any", (0.4, 2.0))):
+        write_dataset(tmp_path / name, {"train": 3}, SIZE, focal=focal)
+        images = [image for image, _ in read_split(tmp_path / name, "train", 3)]
+        wanted = [render_objects("train", 0, SIZE, kind, focal=focal).image for kind in KINDS]
+        np.testing.assert_array_equal(images, wanted)
+    with pytest.raises(ValueError, match="other settings"):
+        write_dataset(tmp_path / "own", {"train": 3}, SIZE, focal=(0.4, 2.0))
+    with pytest.raises(ValueError, match=r"focal=\[2.0, 0.4\]"):
+        write_dataset(tmp_path / "wrong", {"train": 3}, SIZE, focal=(2.0, 0.4))
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,35 @@ def test_the_pixels_of_an_object_lie_in_its_boxes(views):
             np.testing.assert_allclose(xyxy, wanted)
 
 
+@pytest.mark.parametrize("kind", ["street", "hall"])
+def test_another_lens_shows_the_same_scene(kind):
+    """Boxes in space stay, wherever both lenses see an object; each scene draws a lens of its own."""
+    size = (96, 160)
+    wide, tele = (render_street("val", 3, size, kind, focal=(lens, lens)) for lens in (0.4, 2.0))
+    assert wide.camera.intrinsics[0, 0] == pytest.approx(0.4 * 160)
+    assert tele.camera.intrinsics[1, 1] == pytest.approx(2 * 160)
+    assert not np.array_equal(wide.image, tele.image)
+    pairs = [
+        (one, other)
+        for one in wide.boxes.center
+        for other in tele.boxes.center
+        if np.linalg.norm(one - other) < 1e-6
+    ]
+    assert pairs
+    # what the wide lens sees in the middle is where the tele lens, five times as sharp, sees it
+    rows, columns = np.mgrid[40:54, 66:94]
+    depth = wide.depth[rows, columns]
+    known = depth > 0
+    pixels = np.rint(tele.camera.project(wide.camera.back_project(columns, rows, depth)[known])).astype(int)
+    seen = tele.depth[pixels[:, 1], pixels[:, 0]]
+    assert np.median(np.abs(seen / depth[known] - 1)) < 0.02
+    lenses = {
+        render_street("val", i, (24, 40), kind, focal=(0.4, 2.0)).camera.intrinsics[0, 0] for i in range(4)
+    }
+    assert len(lenses) == 4
+    assert all(0.4 * 40 <= lens <= 2 * 40 for lens in lenses)
+
+
 def neighbors(view, number: int) -> set[int]:
     """Nearer objects that touch the pixels of an object."""
     mine = view.instance == number

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 
@@ -15,6 +16,13 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
     torch.manual_seed(seed)
     options = {"backbone": PPLCNet(0.25), "decoder": FastUpConvDecoder, "head": LinearHead()} | options
     return DepthNet.from_parts(**options).eval()
+
+
+def canonical_predictor(height: int, width: int, canonical: float = 0.8) -> DepthPredictor:
+    """A small network with a canonical camera of ``canonical`` widths; predicts single frames."""
+    model = small_net(canonical_focal=canonical, canonical_width=width)
+    model.info = {"input_size": [height, width]}
+    return DepthPredictor(model, steady=False)
 
 
 def picture(*size: int, seed: int = 0, batch: int = 1) -> Tensor:
