@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from eldenet.config import compose, config_folder
+from eldenet.data import array_files
 from eldenet.simulation.robot import ROBOT
+from eldenet.system import checks, files
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -183,3 +185,16 @@ def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
     assert abs(names["turn"]) <= ROBOT.max_turn
     assert names["envs"].num_envs == 16
     assert (tmp_path / "driver.onnx").is_file()
+
+
+def test_security_states_the_limits_of_the_code():
+    limits = (REPOSITORY / "SECURITY.md").read_text().partition("## Limits")[2].partition("\n## ")[0]
+    for name in re.findall(r"`[\w.]*?([A-Z_]{4,})`", limits):
+        assert any(hasattr(module, name) for module in (files, checks)), name
+    assert array_files.PIXEL_VARIABLE in limits
+    for amount in (
+        f"{array_files.MOST_PIXELS // 1_000_000} million pixels",
+        *(f"{most // 1_000_000} MB" for most in (files.MOST_YAML, files.MOST_JSON)),
+        *(f"{files.MOST_VALUES:,}", f"{files.DEEPEST} levels", f"{checks.LARGEST_SIDE:,} px"),
+    ):
+        assert f"| {amount}" in limits, amount

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import sys
 import tempfile
 import threading
@@ -19,7 +20,7 @@ from eldenet import __version__
 from eldenet.deploy.sealing import SEAL, sealed
 from eldenet.geometry import same_aspect, size_of_aspect
 from eldenet.system.checks import check_size
-from eldenet.system.files import part_file
+from eldenet.system.files import parse_json, part_file
 from eldenet.system.reading import reading
 
 if TYPE_CHECKING:
@@ -262,15 +263,28 @@ def read_metadata(path: str | Path) -> dict[str, str]:
 
 
 def checked(path: str | Path, metadata: dict[str, str]) -> dict[str, str]:
-    """Return the metadata of a file once its sizes are known to be sizes.
+    """Return the metadata of a file once its sizes are known to be sizes, and its figures numbers.
 
     Raises:
         ValueError: they are something else; the message names the file.
     """
-    for name in ("input_size", "whole_frame_size", "camera_size"):
-        with reading(path, "exported network", EXPORT_AGAIN):
-            check_size(name, json.loads(metadata.get(name, "null")))
+    with reading(path, "exported network", EXPORT_AGAIN):
+        for name in ("input_size", "whole_frame_size", "camera_size"):
+            check_size(name, metadata_value(metadata, name))
+        for name in ("stretch", "canonical_focal", "canonical_width", "params", "gmacs"):
+            value = metadata_value(metadata, name)
+            if value is not None and not (type(value) in (int, float) and 0 < value < math.inf):
+                raise ValueError(f"{name} is {value!r}, but must be null or a number above 0")
     return metadata
+
+
+def metadata_value(metadata: Mapping[str, str], name: str) -> Any:
+    """Return the value of an entry that :func:`describe` wrote as JSON; None: there is no such entry.
+
+    Raises:
+        ValueError: it is no JSON.
+    """
+    return parse_json(metadata.get(name, "null"), name)
 
 
 def without_prefix(properties: Mapping[str, str]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
 from eldenet.system.disk import disk_errors
-from eldenet.system.files import part_file, part_path, remove_unfinished, write_text
+from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
 from eldenet.visualization import photo_beside_depth, visible_range, write_picture
 
 if TYPE_CHECKING:
@@ -73,8 +73,8 @@ class Results:
     def goes_on(self) -> bool:
         """Whether the same command was stopped here before all results were written."""
         try:
-            noted = json.loads((self.folder / UNFINISHED).read_text())
-        except (OSError, ValueError):
+            noted = read_json(self.folder / UNFINISHED)
+        except ValueError:
             return False
         return not self.overwrite and self.settings is not None and noted == self.settings
 

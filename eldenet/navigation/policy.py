@@ -23,7 +23,7 @@ from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
-from eldenet.system.files import part_file
+from eldenet.system.files import parse_json, part_file
 from eldenet.system.reading import reading
 from eldenet.weights import check_packaged
 
@@ -257,7 +257,7 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
         raise ValueError(f"{path} is not a navigation policy: it has no notes about the observer")
     refuse_not_finite(weights, path)
     with reading(path, "navigation policy", advice):
-        content: dict[str, Any] = json.loads(notes)
+        content: dict[str, Any] = parse_json(notes, "its notes")
         if content.get(KEY) not in (None, _digest(content, weights)):
             raise ValueError("it does not match its digest")
         shape, members = (

@@ -16,6 +16,7 @@ from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
+from eldenet.system.reading import reading
 
 _STRIDES = (8, 16, 32)
 _INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters
@@ -177,8 +178,9 @@ class OnnxDetector:
             fitted = fitted[..., ::-1]
         tensor = np.ascontiguousarray(fitted.transpose(2, 0, 1)[None], np.float32)
         tensor *= np.float32(self.layout.scale)
-        output = self.session.run(None, {self.input_name: tensor.astype(self.input_type, copy=False)})[0]
-        xyxy, score = self.layout.decode(output, self.input_size)
+        inputs = {self.input_name: tensor.astype(self.input_type, copy=False)}
+        with reading(self.path, f"detector of layout {self.layout_name}", "export it again, or give layout="):
+            xyxy, score = self.layout.decode(self.session.run(None, inputs)[0], self.input_size)
         wanted = None if self.keep is None else [self.names.index(name) for name in self.keep]
         xyxy, best, label = select_boxes(
             xyxy, score, placement, threshold=self.threshold, nms=self.nms,

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from eldenet.backbones.weights import read_torch
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
-from eldenet.system.files import copy_file, part_file
+from eldenet.system.files import copy_file, parse_json, part_file
 from eldenet.system.reading import reading
 from eldenet.training.resume import checkpoint_file
 
@@ -109,7 +109,7 @@ class TrainingState:
         """
         state = load_checkpoint(path)
         with reading(path, "training checkpoint of eldenet", RESUME_ADVICE):
-            theirs = _renamed_identity(json.loads(state["identity"]))
+            theirs = _renamed_identity(parse_json(state["identity"], "its identity"))
         ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
         different = differences(ours, theirs)
         if different:

@@ -241,9 +241,7 @@ class Trainer:
         loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.sync_batchnorm and self.processes > 1:
-            if self.accelerator.device.type != "cuda":
-                raise ValueError("trainer.sync_batchnorm=true needs GPUs: on CPUs set it to false")
-            torch.nn.SyncBatchNorm.convert_sync_batchnorm(model)
+            synchronize_batchnorm(model, self.accelerator.device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
         self.sampler = EpochSampler(
@@ -403,3 +401,14 @@ class Trainer:
         self._average_sums()
         if self.accelerator.is_main_process:
             self.state.save(self.folder / "checkpoints" / name)
+
+
+def synchronize_batchnorm(model: torch.nn.Module, device: torch.device) -> None:
+    """Turn every BatchNorm of ``model`` into a SyncBatchNorm with the same weights, under the same names.
+
+    Raises:
+        ValueError: ``device`` is no GPU; torch has it for these alone.
+    """
+    if device.type != "cuda":
+        raise ValueError("trainer.sync_batchnorm=true needs GPUs: on CPUs set it to false")
+    torch.nn.SyncBatchNorm.convert_sync_batchnorm(model)

@@ -14,6 +14,7 @@ from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.renames import renamed
+from eldenet.system.files import read_json
 from eldenet.weights import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
@@ -136,7 +137,7 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
         subprocess.run(command, check=True)
     if not note.is_file():
         raise ValueError(f"{folder} holds a policy without training.json, so its settings are unknown")
-    made = json.loads(note.read_text())
+    made = read_json(note)
     config = compose("navigate", ["mode=train", *options])
     asked = json.loads(json.dumps({name: plain(config[name]) for name in SETTINGS}))
     there = {"goal": "known"} | renamed(made["config"])

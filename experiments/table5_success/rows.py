@@ -6,7 +6,6 @@
 import csv
 import fcntl
 import functools
-import json
 import os
 import shutil
 import time
@@ -29,7 +28,7 @@ from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
-from eldenet.system.files import write_json, write_rows
+from eldenet.system.files import read_json, write_json, write_rows
 
 HERE = Path(__file__).parent
 LABELS = ("sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row of a method
@@ -90,7 +89,7 @@ def course_name(density: int, movers: int) -> str:
 def measure(row: Row, args: Namespace) -> list[Episode]:
     """Return the episodes of a row: stored ones if all that they depend on is unchanged, else new ones."""
     arenas, found = frozen(row.density, row.worlds, row.movers)
-    wanted = json.loads((HERE / "arenas.json").read_text()).get(str(row.worlds), {}).get(row.course)
+    wanted = read_json(HERE / "arenas.json").get(str(row.worlds), {}).get(row.course)
     if wanted is not None and found != wanted:
         raise ValueError(f"the test arenas of course {row.course} differ from the frozen ones in arenas.json")
     weights = policy_file(row, args)
@@ -181,7 +180,7 @@ def read_notes(file: Path) -> dict[str, dict[str, Any]]:
     """Return the notes of a method's rows by their names; none without the file."""
     if not file.is_file():
         return {}
-    content = json.loads(file.read_text())
+    content = read_json(file)
     environments = content["environments"]
     return {
         name: note | {"environment": environments[note["environment"]]}

@@ -13,7 +13,7 @@ from eldenet.deploy import runtimes
 from eldenet.deploy.benchmarking.measure import Case
 from eldenet.deploy.benchmarking.run import prepare
 from eldenet.deploy.exporting import ExportSetup, target_of
-from eldenet.deploy.files import describe, read_metadata, set_metadata, write_onnx, write_openvino
+from eldenet.deploy.files import checked, describe, read_metadata, set_metadata, write_onnx, write_openvino
 from eldenet.deploy.sealing import check_seal, is_whole
 
 pytest.importorskip("onnxruntime")
@@ -115,6 +115,18 @@ def test_an_odd_size_in_the_metadata_is_named(size: str, copied: Path) -> None:
     for runtime in ("onnxruntime", "openvino"):
         with pytest.raises(ValueError, match=rf"{path} is truncated or not a valid exported network"):
             runtimes.load(path, runtime, threads=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("stretch", value) for value in ('"x"', "-1", "1e999", "NaN", "[" * 100_000, "9" * 400, "no JSON")),
+        *(("canonical_focal", "[1]"), ("canonical_width", "0"), ("gmacs", '"x"'), ("params", "true")),
+    ],
+)
+def test_an_odd_figure_in_the_metadata_is_named(name: str, value: str, copied: Path) -> None:
+    with pytest.raises(ValueError, match=rf"^{copied} is truncated or not a valid exported network.*{name}"):
+        checked(copied, {name: value})
 
 
 def test_a_name_in_the_weights_cannot_leave_the_folder(

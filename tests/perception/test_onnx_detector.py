@@ -129,3 +129,14 @@ def test_real_weights_find_the_cars(monkeypatch):
             assert sorted(set(both.classes)) == ["car", "truck"]
             assert len(both) == 11  # one of the cars is found as a truck too
             np.testing.assert_allclose(found.score[:5], [0.89, 0.89, 0.86, 0.86, 0.84], atol=0.006)
+
+
+def test_a_detector_that_fails_on_a_frame_is_named(tmp_path):
+    """Of another layout, or damaged where only running it shows."""
+    path = save(tmp_path / "d.onnx", *FILES["fastestdet"])
+    detector = OnnxDetector(path, layout="yolox")
+    with pytest.raises(ValueError, match=rf"^{path} is .*detector of layout yolox.*give layout="):
+        detector(FRAME)
+    detector.input_name = "gone"
+    with pytest.raises(ValueError, match=rf"^{path} is .*gone"):
+        detector(FRAME)

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layouts
 from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL, fit
 
+from eldenet.config import build_training, compose
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm
 from eldenet.losses.pointwise import L1Loss
-from eldenet.training.run import collapse, make_splits
+from eldenet.training.run import collapse, make_splits, train
 from eldenet.training.trainer import Trainer
 
 
@@ -95,3 +97,15 @@ def test_a_network_worse_than_a_constant_map_is_said() -> None:
     assert "lower optimizer.lr" in collapse(worse)
     assert collapse({"metrics": {"delta1": 0.3, "abs_rel": 0.4}, "constant_predictor": constant}) == ""
     assert collapse({"metrics": worse["metrics"], "constant_predictor": None}) == ""
+
+
+def test_a_rate_that_is_far_too_high_is_said_in_one_line(tmp_path: Path, capsys) -> None:
+    layouts.folder(tmp_path / "data", count=10)
+    words = ["data=folder", f"data.root={tmp_path / 'data'}", "model=eldenet_s", "data.input_size=[32,64]"]
+    words += ["optimizer.lr=1e3", "trainer.epochs=2", "trainer.batch_size=4", "runtime.workers=0"]
+    folder = tmp_path / "run"
+    train(build_training(compose("train", [*words, "runtime.threads=1", f"run_dir={folder}"]), folder))
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning")]
+    assert len(said) == 1
+    assert "worse than a constant depth map (delta1 0.000" in said[0]
+    assert "Try a lower optimizer.lr" in said[0]

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 from support.synthetic import SyntheticDepth
+from support.training import fit, make_trainer
 
 import eldenet
 from eldenet.data.transforms import Augmentation
@@ -21,9 +22,10 @@ from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.results.fingerprints import differences
 from eldenet.system.resources import Resources, seed_everything
+from eldenet.training import trainer as trainer_module
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.optim import constant
-from eldenet.training.trainer import Trainer, TrainingData
+from eldenet.training.trainer import Trainer, TrainingData, synchronize_batchnorm
 
 FRAMES, TOGETHER = 24, 8
 
@@ -144,9 +146,12 @@ WATCHED = (
 )
 
 
-@pytest.mark.parametrize("number", [None, signal.SIGSTOP, signal.SIGKILL])
-def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signals | None) -> None:
-    """Without a launcher, which would end it too: as on two machines."""
+@pytest.mark.parametrize(
+    ("number", "hit"),
+    [(None, 1), (signal.SIGSTOP, 1), (signal.SIGKILL, 1), (signal.SIGSTOP, 0), (signal.SIGKILL, 0)],
+)
+def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signals | None, hit: int) -> None:
+    """Without a launcher, which would end it too: as on two machines. Process 0 keeps the group's store."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         port = free.getsockname()[1]
@@ -154,7 +159,7 @@ def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signal
     shared |= {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
     ranks = [
         subprocess.Popen(
-            [sys.executable, "-c", WATCHED, "2" if number else "60", "wait" if rank else "-"],
+            [sys.executable, "-c", WATCHED, "2" if number else "60", "wait" if rank == hit else "-"],
             env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
@@ -165,10 +170,10 @@ def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signal
             assert rank.stdout is not None
             assert int(rank.stdout.readline()) == rank.pid
         if number:
-            ranks[1].send_signal(number)
+            ranks[hit].send_signal(number)
         else:
-            ranks[1].communicate("\n", timeout=60)
-        _, errors = ranks[0].communicate(timeout=60)
+            ranks[hit].communicate("\n", timeout=60)
+        _, errors = ranks[1 - hit].communicate(timeout=60)
     finally:
         for rank in ranks:
             rank.kill()
@@ -177,10 +182,45 @@ def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signal
     if number is None:
         assert [rank.returncode for rank in ranks] == [0, 0], errors
         return
-    assert ranks[0].returncode == 1
+    assert ranks[1 - hit].returncode == 1
     assert len(lines) == 1, errors
     assert "another of the 2 processes has ended, or has not answered for process_timeout=2 s" in lines[0]
     assert "ckpt_path=auto" in lines[0]
+
+
+def test_sync_batchnorm_converts_every_layer_on_gpus_alone() -> None:
+    model = eldenet.load("eldenet_s")
+    before = model.state_dict()
+    layers = [name for name, layer in model.named_modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    with pytest.raises(
+        ValueError, match=r"^trainer\.sync_batchnorm=true needs GPUs: on CPUs set it to false$"
+    ):
+        synchronize_batchnorm(model, torch.device("cpu"))
+    assert [
+        name for name, layer in model.named_modules() if isinstance(layer, torch.nn.BatchNorm2d)
+    ] == layers
+    synchronize_batchnorm(model, torch.device("cuda"))
+    layer_type = torch.nn.SyncBatchNorm
+    assert [name for name, layer in model.named_modules() if isinstance(layer, layer_type)] == layers
+    assert all(
+        torch.equal(value, before[name]) for name, value in model.state_dict().items()
+    )  # files stay the same
+    assert layers
+
+
+def test_a_trainer_of_several_processes_asks_for_gpus(tmp_path: Path, monkeypatch) -> None:
+    """The setting is for several processes: alone, a batch is all there is."""
+    fit(tmp_path / "alone", trainer=make_trainer(sync_batchnorm=True, epochs=1))
+    make = trainer_module.make_accelerator
+
+    def two(resources):
+        made = make(resources)
+        monkeypatch.setattr(type(made), "num_processes", 2)
+        return made
+
+    monkeypatch.setattr(trainer_module, "make_accelerator", two)
+    with pytest.raises(ValueError, match=r"trainer\.sync_batchnorm=true needs GPUs"):
+        fit(tmp_path / "two", trainer=make_trainer(sync_batchnorm=True, epochs=1))
 
 
 def test_missing_rooms_are_rendered_by_one_process(tmp_path):

@@ -17,6 +17,7 @@ from eldenet.results.record_checks import (
     figure,
     require,
 )
+from eldenet.system.files import parse_json
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -57,8 +58,8 @@ def read_rows(
     if path.is_file():
         for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
             try:
-                row = json.loads(line)
-            except (ValueError, RecursionError):
+                row = parse_json(line.decode(), path)
+            except ValueError:
                 continue
             where = f"{path}, line {number} (remove that line, and it is measured again)"
             check_shape(where, row, ROW)

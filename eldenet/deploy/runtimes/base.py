@@ -1,10 +1,11 @@
 """The base class of all runtimes: images in, meters out."""
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+
+from eldenet.deploy.files import metadata_value
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -38,7 +39,7 @@ class Runtime:
         self.takes_frames = self._sizes("camera_size") is not None
 
     def _sizes(self, key: str) -> tuple[int, int] | None:
-        value = json.loads(self.metadata.get(key, "null"))
+        value = metadata_value(self.metadata, key)
         return None if value is None else (int(value[0]), int(value[1]))
 
     @property
@@ -46,7 +47,7 @@ class Runtime:
         """Like ``DepthNet.info``: the size that the network sees [px], its stretch, and the model's name."""
         known = {
             "input_size": self._sizes("input_size"),
-            "stretch": json.loads(self.metadata.get("stretch", "null")),
+            "stretch": metadata_value(self.metadata, "stretch"),
             "model_name": self.metadata.get("model"),
         }
         return {key: value for key, value in known.items() if value is not None}
@@ -54,9 +55,7 @@ class Runtime:
     @property
     def canonical_px(self) -> float | None:
         """Focal length of the canonical camera [px]; None: the output is in meters of the training's lens."""
-        focal, width = (
-            json.loads(self.metadata.get(f"canonical_{key}", "null")) for key in ("focal", "width")
-        )
+        focal, width = (metadata_value(self.metadata, f"canonical_{key}") for key in ("focal", "width"))
         return None if focal is None else float(focal) * float(width)
 
     @property

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.results.fingerprints import differences
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.system.files import read_table, write_rows
+from eldenet.system.files import parse_json, read_table, write_rows
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -104,8 +104,8 @@ def _check_line(path: Path, line: Mapping[str, str]) -> None:
     try:
         figures = [float(line[name]) for name in ("latency_ms_p50", *COUNTED)] + [int(line["height"])]
         fits = all(map(math.isfinite, figures)) and min(figures) > 0
-        fits = fits and isinstance(json.loads(line["network"]), dict) and int(line["width"]) > 0
-    except (ValueError, RecursionError):
+        fits = fits and isinstance(parse_json(line["network"], "network"), dict) and int(line["width"]) > 0
+    except ValueError:
         fits = False
     if not fits:
         raise ValueError(
@@ -162,7 +162,7 @@ class Latencies:
             if not math.isclose(float(line[name]), run["cost"][name], rel_tol=1e-6)
         ]
         given = frozenset(setting.rpartition(".")[2] for setting in row.given.values())
-        network = json.loads(line["network"])
+        network = parse_json(line["network"], "network")
         different += differences(network, run["config"]["model"], "model", ignored=given)
         if different:
             raise ValueError(

@@ -1,9 +1,9 @@
 """Runs of a study: finished ones are skipped, killed ones resume, a failed one does not stop the rest."""
 
-import os
 import shutil
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
 from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
-from eldenet.system.files import write_json, write_text
+from eldenet.system.files import part_file, write_json, write_text
 from eldenet.system.locks import FolderInUse, sole_writer
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
@@ -306,8 +306,7 @@ def next_candidates(scores: Mapping[float, float | None]) -> list[float]:
 def store(folder: Path, stored: Path) -> None:
     """Copy the files that tables are made of; a kill halfway leaves no run that looks stored."""
     stored.mkdir(parents=True, exist_ok=True)
-    for file in KEPT:
-        shutil.copyfile(folder / file, stored / f"{file}.part")
-    (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's must not stand beside this one's files
-    for file in KEPT:
-        os.replace(stored / f"{file}.part", stored / file)
+    with ExitStack() as copies:  # all are copied before the first takes its place
+        for file in reversed(KEPT):  # the last one that was entered takes its place first
+            shutil.copyfile(folder / file, copies.enter_context(part_file(stored / file)))
+        (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's must not stand beside this one's files
