@@ -1,0 +1,49 @@
+"""A depth map that says how sure it is: depth, standard deviation and intervals, of arrays or tensors."""
+
+import math
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+DISTRIBUTIONS = ("laplace", "gaussian")
+LEVELS = (0.5, 0.8, 0.9, 0.95)  # of the intervals whose coverage is measured
+NO_SIGMA = "this network knows no sigma: train one with model/head=uncertain loss=ssim_nll"
+
+
+class DepthEstimate(NamedTuple):
+    """Depth and how far it may be off, as arrays or tensors of one shape.
+
+    Attributes:
+        depth: [m].
+        sigma: standard deviation [m]; None: the network knows none.
+        distribution: of the error of ln depth, "laplace" or "gaussian".
+    """
+
+    depth: Any
+    sigma: Any = None
+    distribution: str | None = None
+
+    def interval(self, level: float = 0.9) -> tuple[Any, Any]:
+        """Low and high [m]: the true depth should lie between them in ``level`` of all pixels.
+
+        The interval is symmetric in ln depth: ``depth / f`` to ``depth * f``.
+
+        Raises:
+            ValueError: the network knows no sigma, or not ``0 < level < 1``.
+        """
+        if self.sigma is None or self.distribution is None:
+            raise ValueError(NO_SIGMA)
+        factor = math.e ** (deviations(self.distribution, level) * self.sigma / self.depth)
+        return self.depth / factor, self.depth * factor
+
+
+def deviations(distribution: str, level: float) -> float:
+    """Return how many standard deviations around the center hold ``level`` of a distribution.
+
+    Raises:
+        ValueError: not ``0 < level < 1``.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"level={level}: give a share between 0 and 1, such as 0.9")
+    if distribution == "laplace":
+        return -math.log(1 - level) / math.sqrt(2)
+    return NormalDist().inv_cdf((1 + level) / 2)
