@@ -60,7 +60,8 @@ class DepthNet(Configurable, nn.Module):
 
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size. Where the head
-            needs more channels, the network's last convolution gets them (:func:`eldenet.heads.add_channels`).
+            needs more channels, the network's last convolution gets them (see
+            :func:`~eldenet.heads.add_channels`).
         head: raw map -> meters (with ``canonical_focal``: canonical meters) within a range.
         refine: optional ``(depth, image) -> depth``, applied to the head's depth.
         canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
@@ -116,7 +117,7 @@ class DepthNet(Configurable, nn.Module):
 
     @property
     def distribution(self) -> str | None:
-        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: the network knows no sigma."""
+        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: no sigma is known."""
         return self.head.distribution
 
     def forward(

@@ -77,7 +77,7 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
 def _beside_new_channels(
     own: Mapping[str, "Tensor"], start: Mapping[str, "Tensor"], channels: int
 ) -> "dict[str, Tensor]":
-    """Tensors of the raw map with more channels than in ``start``: its ``channels`` first, then the own ones."""
+    """Tensors that have more channels than in ``start``: its ``channels`` first, then the own ones."""
     return {
         name: torch.cat([value, own[name][channels:]])
         for name, value in start.items()

@@ -150,7 +150,7 @@ def make_loss(setup: TrainingSetup) -> "WeightedSum":
 
 
 def refuse_untrained_sigma(model: "DepthNet", loss: "WeightedSum") -> None:
-    """Raise ValueError if the head has a sigma that no term of the loss trains, or has none that one needs."""
+    """Raise ValueError if no term of the loss trains the head's sigma, or one does and it has none."""
     if loss.needs_spread == (model.distribution is not None):
         return
     raise ValueError(
