@@ -91,10 +91,7 @@ def score_image(
         "abs_rel": sparsification(error / truth, spread),
         "rmse": np.sqrt(sparsification(error**2, spread * depth)),
     }
-    area = {
-        name: float((own - oracle).sum()) / PROTOCOL.steps
-        for name, (own, oracle) in curves.items()
-    }
+    area = {name: float((own - oracle).sum()) / PROTOCOL.steps for name, (own, oracle) in curves.items()}
     inside = [
         log_error <= deviations(distribution, level) * spread
         for level in (*PROTOCOL.levels, *RELIABILITY_LEVELS)
