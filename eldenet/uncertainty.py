@@ -5,6 +5,7 @@ from statistics import NormalDist
 from typing import Any, NamedTuple
 
 DISTRIBUTIONS = ("laplace", "gaussian")
+UNSURE = 0.3  # sigma / depth beyond which pictures show no depth
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # of the intervals whose coverage is measured
 NO_SIGMA = "this network knows no sigma: train one with model/head=uncertain loss=ssim_nll"
 
@@ -34,6 +35,16 @@ class DepthEstimate(NamedTuple):
             raise ValueError(NO_SIGMA)
         factor = math.e ** (deviations(self.distribution, level) * self.sigma / self.depth)
         return self.depth / factor, self.depth * factor
+
+    @property
+    def unsure(self) -> Any:
+        """Bool, where sigma is more than ``UNSURE`` of the depth; None: the network knows no sigma."""
+        return None if self.sigma is None else self.sigma > UNSURE * self.depth
+
+
+def as_estimate(depth: Any) -> DepthEstimate:
+    """Return an estimate as it is, and a depth map as an estimate without sigma."""
+    return depth if isinstance(depth, DepthEstimate) else DepthEstimate(depth)
 
 
 def deviations(distribution: str, level: float) -> float:

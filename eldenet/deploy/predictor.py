@@ -57,7 +57,8 @@ class DepthPredictor:
         uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
-        ValueError: ``uncertainty`` of a network that knows no sigma, a size is invalid or not the one that a file was exported for, or a runtime gets a device.
+        ValueError: ``uncertainty`` of a network that knows no sigma, a size is invalid or not the one that a
+            file was exported for, or a runtime gets a device.
     """
 
     def __init__(
@@ -177,15 +178,15 @@ class DepthPredictor:
             if camera is not None and self.model.fixed_size is not None:
                 seen *= self.model.fixed_size[1] / camera[1]
             given = image[None] if camera else as_image(image)
-            estimate = self.model.predict(given) if self.uncertainty else [self.model(given)]
+            estimate: Any = self.model.predict(given) if self.uncertainty else [self.model(given)]
             maps = [each[0, 0] for each in estimate[: 1 + self.uncertainty]]
         else:
             import torch
 
             with torch.inference_mode():
                 tensor = torch.from_numpy(as_image(image)).to(self.device)
-                estimate = self.model.predict(tensor) if self.uncertainty else [self.model(tensor)]
-                maps = [each[0, 0].float().cpu().numpy() for each in estimate[: 1 + self.uncertainty]]
+                found: Any = self.model.predict(tensor) if self.uncertainty else [self.model(tensor)]
+                maps = [each[0, 0].float().cpu().numpy() for each in found[: 1 + self.uncertainty]]
         return picture, [each[top:bottom, left:right] for each in maps], seen
 
     def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
