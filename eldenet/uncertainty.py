@@ -37,6 +37,11 @@ class DepthEstimate(NamedTuple):
         return self.depth / factor, self.depth * factor
 
     @property
+    def spread(self) -> Any:
+        """Standard deviation of ln depth, which is sigma / depth; None: the network knows no sigma."""
+        return None if self.sigma is None else self.sigma / self.depth
+
+    @property
     def unsure(self) -> Any:
         """Bool, where sigma is more than ``UNSURE`` of the depth; None: the network knows no sigma."""
         return None if self.sigma is None else self.sigma > UNSURE * self.depth
