@@ -134,6 +134,12 @@ class Box3D:
         """Distance from the origin to the center on the ground [m]."""
         return float(np.hypot(self.center[0], self.center[2]))
 
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Low and high end of the distance [m]; None: the depth had no sigma."""
+        low, high = (self.quality.get(f"distance_{end}", np.nan) for end in ("low", "high"))
+        return (low, high) if np.isfinite([low, high]).all() else None
+
 
 @dataclass(frozen=True)
 class Boxes3D(ArrayRows):
@@ -149,7 +155,8 @@ class Boxes3D(ArrayRows):
         quality: ``(N,)`` arrays on how each box was found: ``points`` (foreground pixels used),
             ``depth_scale`` (fitted factor on the depth), ``truncated``, ``occluded`` (share of its 2D box),
             ``fallback`` (1 if the method could not be used), ``cost`` (of the fit); for tracks ``heading``
-            (1 if front and back are known).
+            (1 if front and back are known); of depth with sigma ``distance_low`` and ``distance_high`` [m],
+            the interval of the distance.
         track_id: ``(N,)``, or None.
         velocity: ``(N, 3)`` [m/s], or None: from tracking.
     """

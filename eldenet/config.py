@@ -272,6 +272,7 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
         precision=config.precision,
         resources=settings["runtime"],
         batch_size=config.batch_size,
+        calibrated=None if config.calibrated is None else Path(config.calibrated).expanduser(),
         trusted_modules=settings["trusted_modules"],
         settings=settings,
     )

@@ -4,12 +4,18 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.configurable import Configurable
+from eldenet.system.checks import one_of
+from eldenet.uncertainty import DISTRIBUTIONS, NO_SIGMA
 
 
 class Head(Configurable, nn.Module):
     """Raw map ``(B, 1, H, W)`` -> depth ``(B, 1, H, W)`` [m] within ``[min_depth, max_depth]``.
 
     A new head implements :meth:`to_meters`.
+
+    Attributes:
+        channels: of the raw map.
+        distribution: of the error of ln depth, "laplace" or "gaussian"; None: the head knows none.
 
     Args:
         min_depth: [m].
@@ -18,6 +24,9 @@ class Head(Configurable, nn.Module):
     Raises:
         ValueError: not ``0 < min_depth < max_depth``.
     """
+
+    channels = 1
+    distribution: str | None = None
 
     def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__()
@@ -28,6 +37,14 @@ class Head(Configurable, nn.Module):
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
         raise NotImplementedError
+
+    def to_spread(self, raw: Tensor) -> Tensor:
+        """Standard deviation of ln depth ``(B, 1, H, W)``.
+
+        Raises:
+            ValueError: the head knows none.
+        """
+        raise ValueError(NO_SIGMA)
 
     def forward(self, raw: Tensor) -> Tensor:
         """Same as :meth:`to_meters`."""
@@ -84,6 +101,89 @@ class ScaledHead(Head):
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)
+
+
+class UncertainHead(Head):
+    """Depth by another head, and how far it may be off: a second raw channel is the scale of the error.
+
+    The error of ln depth follows a Laplace or a normal distribution whose scale each pixel has for itself
+    (Kendall & Gal, "What Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS
+    2017, section 3.1, here of ln depth). :class:`~eldenet.losses.likelihood.LikelihoodTerm` trains it. The
+    standard deviation of ln depth is ``min_spread * (max_spread / min_spread) ** sigmoid(raw)``, so that no
+    pixel can dominate the loss.
+
+    Args:
+        depth: turns the first channel into meters.
+        distribution: "laplace" or "gaussian".
+        min_spread: least standard deviation of ln depth: 0.01 is 1 % of the depth.
+        max_spread: the largest one.
+
+    Attributes:
+        temperature: factor of every standard deviation, fitted after the training on frames that it did not
+            see (Guo et al. 2017), see :func:`eldenet.evaluation.calibration.fit_temperature`.
+
+    Raises:
+        ValueError: an unknown distribution, or not ``0 < min_spread < max_spread``.
+    """
+
+    channels = 2
+    temperature: Tensor
+
+    def __init__(
+        self, depth: Head, *, distribution: str = "laplace", min_spread: float = 0.01, max_spread: float = 1.0
+    ) -> None:
+        super().__init__(depth.min_depth, depth.max_depth)
+        one_of("distribution", distribution, DISTRIBUTIONS)
+        if not 0 < min_spread < max_spread:
+            raise ValueError(
+                f"min_spread={min_spread}, max_spread={max_spread}: give 0 < min_spread < max_spread"
+            )
+        self.depth, self.distribution = depth, distribution
+        self.min_spread, self.max_spread = float(min_spread), float(max_spread)
+        self.register_buffer("temperature", torch.ones(()))
+
+    def to_meters(self, raw: Tensor) -> Tensor:
+        """First channel of ``(B, 2, H, W)`` -> meters ``(B, 1, H, W)``."""
+        return self.depth.to_meters(raw[:, :1])
+
+    def to_spread(self, raw: Tensor) -> Tensor:
+        """Second channel of ``(B, 2, H, W)`` -> standard deviation of ln depth ``(B, 1, H, W)``."""
+        ratio = self.max_spread / self.min_spread
+        return self.temperature * self.min_spread * ratio ** raw[:, 1:].sigmoid()
+
+
+def add_channels(network: nn.Module, count: int) -> None:
+    """Give the raw map of a network, in place, ``count`` more channels.
+
+    The network's last convolution of one channel, and a batch normalization after it, get them. The depth
+    stays; the new channels start at 0.
+
+    Raises:
+        ValueError: the network has no convolution of one channel.
+    """
+    parts = list(network.modules())
+    places = [i for i, part in enumerate(parts) if isinstance(part, nn.Conv2d) and part.out_channels == 1]
+    if not places:
+        raise ValueError(
+            f"this head needs {1 + count} raw channels, and no convolution of {type(network).__name__} has "
+            "one channel to widen: end the network in nn.Conv2d(..., 1, ...)"
+        )
+    conv = parts[places[-1]]
+    assert isinstance(conv, nn.Conv2d)
+    norms = [p for p in parts[places[-1] :] if isinstance(p, nn.BatchNorm2d) and p.num_features == 1]
+    new = torch.zeros(count, *conv.weight.shape[1:])
+    if norms:  # of zeros it would have no scale
+        nn.init.kaiming_normal_(new)
+    conv.out_channels += count
+    conv.weight = nn.Parameter(torch.cat([conv.weight.detach(), new]))
+    if conv.bias is not None:
+        conv.bias = nn.Parameter(torch.cat([conv.bias.detach(), torch.zeros(count)]))
+    for norm in norms:
+        norm.num_features += count
+        norm.weight = nn.Parameter(torch.cat([norm.weight.detach(), torch.ones(count)]))
+        norm.bias = nn.Parameter(torch.cat([norm.bias.detach(), torch.zeros(count)]))
+        norm.running_mean = torch.cat([norm.running_mean, torch.zeros(count)])  # type: ignore[list-item]
+        norm.running_var = torch.cat([norm.running_var, torch.ones(count)])  # type: ignore[list-item]
 
 
 def in_meters(depth: Tensor, focal: float | Tensor | None, canonical_px: float | None) -> Tensor:

@@ -14,11 +14,12 @@ from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
-from eldenet.heads import Head, in_meters
+from eldenet.heads import Head, add_channels, in_meters
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import part_file, read_json, write_text
 from eldenet.types import FeatureInfo
+from eldenet.uncertainty import DepthEstimate
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -58,7 +59,9 @@ class DepthNet(Configurable, nn.Module):
     its meters hold for any lens. Without, they hold for the training's lens alone.
 
     Args:
-        network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size.
+        network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size. Where the head
+            needs more channels, the network's last convolution gets them (see
+            :func:`~eldenet.heads.add_channels`).
         head: raw map -> meters (with ``canonical_focal``: canonical meters) within a range.
         refine: optional ``(depth, image) -> depth``, applied to the head's depth.
         canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
@@ -93,6 +96,8 @@ class DepthNet(Configurable, nn.Module):
     ) -> None:
         super().__init__()
         self.canonical_px = _canonical_px(canonical_focal, canonical_width)
+        if head.channels > 1:
+            add_channels(network, head.channels - 1)
         self.network, self.head, self.refine = network, head, refine
         self.info: dict[str, Any] = {}
         self.register_buffer("mean", torch.tensor(mean).view(1, 3, 1, 1), persistent=False)
@@ -110,16 +115,25 @@ class DepthNet(Configurable, nn.Module):
         """Return ``DepthNet(EncoderDecoder(backbone, decoder), head)``, for the flat YAML files of models."""
         return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **options)
 
-    def forward(self, image: Tensor, focal: float | Tensor | None = None) -> Tensor:
+    @property
+    def distribution(self) -> str | None:
+        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: no sigma is known."""
+        return self.head.distribution
+
+    def forward(
+        self, image: Tensor, focal: float | Tensor | None = None, *, with_spread: bool = False
+    ) -> Any:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
 
         Args:
             image: RGB.
             focal: fx [px of ``image``], a number or ``(B,)``; 0, NaN and None stand for the canonical camera.
                 Ignored without ``canonical_focal``.
+            with_spread: return depth and the standard deviation of ln depth ``(B, 1, H, W)``.
 
         Raises:
-            ValueError: an image of another shape, or one that is not floating point.
+            ValueError: an image of another shape, one that is not floating point, or ``with_spread`` of a
+                network that knows no sigma.
         """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")
@@ -131,7 +145,18 @@ class DepthNet(Configurable, nn.Module):
         depth = self.head.to_meters(raw)
         if self.refine is not None:
             depth = self.refine(depth, image)
-        return in_meters(depth, focal, self.canonical_px)
+        depth = in_meters(depth, focal, self.canonical_px)
+        return (depth, self.head.to_spread(raw)) if with_spread else depth
+
+    def predict(self, image: Tensor, focal: float | Tensor | None = None) -> DepthEstimate:
+        """Depth as :meth:`forward` gives it, and its standard deviation [m]; None if the head knows none.
+
+        ``estimate.interval(0.9)`` is where the true depth lies in nine pixels of ten.
+        """
+        if self.distribution is None:
+            return DepthEstimate(self(image, focal))
+        depth, spread = self(image, focal, with_spread=True)
+        return DepthEstimate(depth, depth * spread, self.distribution)
 
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
         """Write ``config.json`` and ``model.safetensors`` into ``folder``; the config has digests of both.

@@ -1,6 +1,6 @@
 """Pictures of depth: colors, a scale in meters, and rows of image, ground truth, prediction and error."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 UNKNOWN = (0, 0, 0)
+UNSURE_COLOR = (128, 128, 128)
+LARGEST_SIGMA = 50.0  # [% of the depth] of the colors of sigma
 PANEL_WIDTH = 256  # [px], about
 WIDEST_PANEL = 480  # [px]; wider maps shrink, so that a row of four fits a screen
 GAP = 2  # [px]
@@ -155,7 +157,9 @@ def visible_range(depth: np.ndarray) -> tuple[float, float]:
     return near, max(far, near + 0.05)
 
 
-def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: float) -> np.ndarray:
+def photo_beside_depth(
+    photo: np.ndarray, depth: np.ndarray, near: float, far: float, *, unsure: np.ndarray | None = None
+) -> np.ndarray:
     """One picture ``(h, w, 3)`` uint8 RGB: photo, colored depth, scale in meters.
 
     Args:
@@ -163,31 +167,70 @@ def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: f
         depth: ``(H, W)`` [m]; unknown (0 or not finite) is black.
         near: depth of the warm end [m].
         far: depth of the cool end [m].
+        unsure: ``(H, W)`` bool, where the picture is gray.
 
     Small photos are enlarged by a whole factor to ``SMALLEST_HEIGHT`` or more. Height and width are even, as
     video codecs need.
     """
     known = np.isfinite(depth) & (depth > 0)
+    colors = color_depth(depth, near, far, known)
+    if unsure is not None:
+        colors[unsure & known] = UNSURE_COLOR
+    return _beside(photo, colors, lambda height: depth_scale(near, far, height))
+
+
+def photo_beside_sigma(photo: np.ndarray, depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """One picture ``(h, w, 3)`` uint8 RGB: photo, sigma in percent of the depth, scale.
+
+    Dark is sure; bright is ``LARGEST_SIGMA`` percent and more. All maps are ``(H, W)`` [m].
+    """
+    colors = color_share(100 * sigma / depth)
+    scale = (0.0, LARGEST_SIGMA)
+    return _beside(photo, colors, lambda height: depth_scale(*scale, height, unit="%", color=color_share))
+
+
+def color_share(percent: np.ndarray, *_range: float) -> np.ndarray:
+    """Color ``(H, W)`` [%] as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SIGMA`` and more."""
+    return _colors(percent / LARGEST_SIGMA, cv2.COLORMAP_INFERNO, None)
+
+
+def _beside(photo: np.ndarray, colors: np.ndarray, scale: Callable[[int], np.ndarray]) -> np.ndarray:
+    """Photo, colors ``(H, W, 3)`` and the scale of their height in one picture of even sides."""
     factor = -(-SMALLEST_HEIGHT // photo.shape[0])
-    photo, colors = _enlarged(photo, factor), _enlarged(color_depth(depth, near, far, known), factor)
+    photo, colors = _enlarged(photo, factor), _enlarged(colors, factor)
     gap = _blank(photo.shape[0], 4)
-    row = np.concatenate([photo, gap, colors, gap, depth_scale(near, far, photo.shape[0])], axis=1)
+    row = np.concatenate([photo, gap, colors, gap, scale(photo.shape[0])], axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
-def depth_scale(near: float, far: float, height: int) -> np.ndarray:
-    """Colors from ``near`` (top) to ``far`` [m] beside round numbers: ``(height, w, 3)`` uint8 RGB."""
+def depth_scale(
+    near: float,
+    far: float,
+    height: int,
+    *,
+    unit: str = "m",
+    color: Callable[[np.ndarray, float, float], np.ndarray] = color_depth,
+) -> np.ndarray:
+    """Colors from ``near`` (top) to ``far`` beside round numbers: ``(height, w, 3)`` uint8 RGB.
+
+    Args:
+        near: at the top.
+        far: at the bottom.
+        height: of the picture [px].
+        unit: of both.
+        color: ``(values, near, far)`` -> colors.
+    """
     size = height / 800 + 0.2  # of the letters
     margin, bar = round(24 * size) + 2, max(10, height // 24)
     ticks = round_numbers(near, far)
     digits = max(0, min(2, -int(np.floor(np.log10(ticks[1] - ticks[0]) + 1e-9))))
-    labels = [f"{tick:.{digits}f} m" for tick in ticks]
+    labels = [f"{tick:.{digits}f} {unit}" for tick in ticks]
     font = cv2.FONT_HERSHEY_SIMPLEX
     (wide, _), _ = cv2.getTextSize("00.00 m", font, size, 1)  # constant, as the frames of a video need
     scale = _blank(height, bar + 10 + wide + 6)
     length = height - 2 * margin
     ramp = np.linspace(near, far, length)[:, None].repeat(bar, axis=1)
-    scale[margin : margin + length, :bar] = color_depth(ramp, near, far)
+    scale[margin : margin + length, :bar] = color(ramp, near, far)
     for tick, label in zip(ticks, labels, strict=True):
         row = margin + round((tick - near) / (far - near) * (length - 1))
         cv2.line(scale, (bar, row), (bar + 5, row), (0, 0, 0), 1)

@@ -4,8 +4,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from eldenet.model import DepthNet
-
 
 class CameraNet(nn.Module):
     """Frames in, meters at the camera's size out, in one graph.
@@ -15,7 +13,7 @@ class CameraNet(nn.Module):
     :class:`~eldenet.deploy.predictor.DepthPredictor`.
 
     Args:
-        model: image -> meters.
+        model: image -> meters, or a tuple of such maps.
         camera_size: ``(height, width)`` of the frames [px].
         input_size: ``(height, width)`` that the network sees [px].
 
@@ -26,7 +24,7 @@ class CameraNet(nn.Module):
     rows: Tensor
     cols: Tensor
 
-    def __init__(self, model: DepthNet, camera_size: tuple[int, int], input_size: tuple[int, int]) -> None:
+    def __init__(self, model: nn.Module, camera_size: tuple[int, int], input_size: tuple[int, int]) -> None:
         super().__init__()
         pairs = list(zip(camera_size, input_size, strict=True))
         self.shrinks = any(seen < given for given, seen in pairs)
@@ -42,15 +40,21 @@ class CameraNet(nn.Module):
         self.register_buffer("rows", rows)
         self.register_buffer("cols", cols.T.contiguous())
 
-    def forward(self, frame: Tensor) -> Tensor:
-        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m]."""
+    def forward(self, frame: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m], or the maps of the model."""
         image = frame.permute(0, 3, 1, 2).float()
         if self.camera_size != self.input_size:
             image = self.resized(image)
-        depth = self.model(image / 255.0)
-        if self.camera_size != self.input_size:
-            depth = F.interpolate(depth, size=self.camera_size, mode="bilinear", align_corners=False)
-        return depth
+        maps = self.model(image / 255.0)
+        if isinstance(maps, tuple):
+            return tuple(self.enlarged(each) for each in maps)
+        return self.enlarged(maps)
+
+    def enlarged(self, depth: Tensor) -> Tensor:
+        """A map of the model at the camera's size."""
+        if self.camera_size == self.input_size:
+            return depth
+        return F.interpolate(depth, size=self.camera_size, mode="bilinear", align_corners=False)
 
     def resized(self, image: Tensor) -> Tensor:
         """``image (B, 3, H, W)`` at ``input_size``: averaged over areas, or bilinear where it grows."""

@@ -67,6 +67,7 @@ def describe(
             else "depth (B, 1, H, W) in meters"
         ),
         "units": "canonical meters" if canonical else "meters",
+        "distribution": json.dumps(model.distribution),
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
         **canonical_camera(model),
@@ -121,6 +122,7 @@ def write_onnx(
 
     from eldenet.deploy.camera_net import CameraNet
     from eldenet.deploy.fold import fold
+    from eldenet.deploy.sigma_net import SigmaNet
 
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
@@ -128,16 +130,24 @@ def write_onnx(
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
     path = Path(path)
     network: nn.Module = fold(model).cpu()
+    outputs = ["depth"]
+    if model.distribution is not None:
+        network, outputs = SigmaNet(network), ["depth", "sigma"]  # type: ignore[arg-type]
     name, example = "image", torch.rand(batch or 2, 3, *size)
     if camera_size is not None:
         check_aspect(size, camera_size, model)
-        network = CameraNet(network, camera_size, size)  # type: ignore[arg-type]
+        network = CameraNet(network, camera_size, size)
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     with part_file(path) as unfinished:
         try:
             with quiet(), torch.no_grad():
                 _torch_to_onnx(
-                    network.eval(), example, unfinished, name, any_batch=batch is None, opset=opset
+                    network.eval(),
+                    example,
+                    unfinished,
+                    [name, *outputs],
+                    any_batch=batch is None,
+                    opset=opset,
                 )
         except RuntimeError as error:  # base class of the exporter's errors
             reason = (str(error).splitlines() or [""])[0]
@@ -158,11 +168,11 @@ def check_aspect(size: tuple[int, int], camera_size: tuple[int, int], model: "De
 
 
 def _torch_to_onnx(
-    network: "nn.Module", example: "Tensor", path: Path, name: str, *, any_batch: bool, opset: int
+    network: "nn.Module", example: "Tensor", path: Path, ports: list[str], *, any_batch: bool, opset: int
 ) -> None:
     import torch
 
-    names: dict[str, Any] = {"input_names": [name], "output_names": ["depth"], "opset_version": opset}
+    names: dict[str, Any] = {"input_names": ports[:1], "output_names": ports[1:], "opset_version": opset}
     if opset == NEWEST_OPSET:
         shapes = ({0: torch.export.Dim("batch", min=1, max=4096)},) if any_batch else None
         torch.onnx.export(
@@ -170,7 +180,7 @@ def _torch_to_onnx(
             dynamic_shapes=shapes, **names,
         )  # fmt: skip
     else:
-        axes = {name: {0: "batch"}, "depth": {0: "batch"}} if any_batch else None
+        axes = {port: {0: "batch"} for port in ports} if any_batch else None
         torch.onnx.export(network, (example,), str(path), dynamo=False, dynamic_axes=axes, **names)
 
 

@@ -43,14 +43,14 @@ def fold(model: DepthNet) -> DepthNet:
 
 
 class _Unblock(nn.Module):
-    """Changes nothing: ``(B, 1, h, w) -> (B, 1, h, w)``.
+    """Changes nothing: ``(B, C, h, w) -> (B, C, h, w)``.
 
     ONNX Runtime keeps channels in blocks of 16 until an operation does not support blocks. A raw map has one
-    channel, so resizing it in blocks would take 16 times the work.
+    or two channels, so resizing it in blocks would take 16 or 8 times the work.
     """
 
     def forward(self, raw: Tensor) -> Tensor:
-        return raw.squeeze(1).unsqueeze(1)
+        return raw.squeeze(1).unsqueeze(1) if raw.shape[1] == 1 else raw.unsqueeze(1).squeeze(1)
 
 
 def _fold_numbered(part: nn.Module) -> None:

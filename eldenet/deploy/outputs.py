@@ -16,13 +16,15 @@ from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import back_project, check_intrinsics
 from eldenet.system.disk import disk_errors
 from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
-from eldenet.visualization import photo_beside_depth, visible_range, write_picture
+from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
+from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import GracefulStop
 
-ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply"}
+ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply", "sigma": "_sigma.png"}
+SIGMA_PICTURE = "_sigma_color.png"
 UNFINISHED = ".unfinished.json"  # in the folder of results that are not complete
 BITS_PER_PIXEL = 4  # of a video: depth's colors stay as they are
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
@@ -35,13 +37,14 @@ class Results:
 
     Attributes:
         folder: of all results.
-        formats: some of "depth", "color", "ply".
+        formats: some of "depth", "color", "ply", "sigma".
         intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds and 3D boxes.
         depth_range: (near, far) of the colors [m]; None: each picture's own.
         overwrite: replace files of the same name.
         images: pictures or frames written so far.
         skipped: reasons why pictures could not be read.
         too_far: pixels beyond 65.535 m, which the depth files cannot hold.
+        unsure: pixels that a picture shows in gray, and ``pixels`` all of them.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
@@ -57,17 +60,20 @@ class Results:
     images: int = 0
     skipped: list[str] = field(default_factory=list)
     too_far: int = 0
+    unsure: int = 0
+    pixels: int = 0
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
     settings: dict[str, Any] | None = None
-    also: Callable[[str, np.ndarray, np.ndarray, float | None], None] | None = None
+    also: Callable[[str, np.ndarray, Any, float | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Files of the picture or video ``name``; the folder of a video's frames stands for its files."""
         if is_video:
             files = [self.folder / f"{name}_depth.mp4"] if "color" in self.formats else []
             return files + [self.folder / name] * bool(set(self.formats) - {"color"})
-        return [self.folder / f"{name}{ENDING[kind]}" for kind in self.formats]
+        endings = [ENDING[kind] for kind in self.formats] + [SIGMA_PICTURE] * ("sigma" in self.formats)
+        return [self.folder / f"{name}{ending}" for ending in endings]
 
     @property
     def goes_on(self) -> bool:
@@ -111,13 +117,14 @@ class Results:
         self,
         name: str,
         photo: np.ndarray,
-        depth: np.ndarray,
+        depth: np.ndarray | DepthEstimate,
         formats: Sequence[str],
         *,
         time: float | None = None,
     ) -> None:
         """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
+        Of an estimate with sigma, the picture in color is gray where it is unsure.
         ``time`` is when a video's frame was taken [s], from any zero.
 
         Raises:
@@ -125,7 +132,8 @@ class Results:
         """
         if not self.images:
             self.begin()
-        height, width = depth.shape
+        estimate = as_estimate(depth)
+        height, width = estimate.depth.shape
         self.size = self.size or (height, width)
         if self.intrinsics is not None:
             if self.size != (height, width):
@@ -136,14 +144,23 @@ class Results:
             check_intrinsics(self.intrinsics, self.size)
         file = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
         if "ply" in formats and self.intrinsics is not None:
-            write_ply(file["ply"], back_project(depth, self.intrinsics), photo)
+            write_ply(file["ply"], back_project(estimate.depth, self.intrinsics), photo)
         if "depth" in formats:
-            steps = to_millimeters(depth)
-            self.too_far += int(((steps == 0) & (depth > 1)).sum())
+            steps = to_millimeters(estimate.depth)
+            self.too_far += int(((steps == 0) & (estimate.depth > 1)).sum())
             write_picture(file["depth"], steps)
         if "color" in formats:
-            near, far = self.depth_range or visible_range(depth)
-            write_picture(file["color"], photo_beside_depth(photo, depth, near, far))
+            near, far = self.depth_range or visible_range(estimate.depth)
+            write_picture(
+                file["color"], photo_beside_depth(photo, estimate.depth, near, far, unsure=estimate.unsure)
+            )
+        if "sigma" in formats:
+            write_picture(file["sigma"], to_millimeters(estimate.sigma))
+            beside = photo_beside_sigma(photo, estimate.depth, estimate.sigma)
+            write_picture(self.folder / f"{name}{SIGMA_PICTURE}", beside)
+        if estimate.sigma is not None:
+            self.unsure += int(estimate.unsure.sum())
+            self.pixels += estimate.depth.size
         if self.also is not None:
             self.also(name, photo, depth, time)
         self.images += 1
@@ -158,6 +175,9 @@ class Results:
         log.say(
             f"{ended}{what}: {written} in {self.folder} ({rate:.1f} images/s, reading and writing included)"
         )
+        if self.pixels:
+            share = 100 * self.unsure / self.pixels
+            log.say(f"sigma is above {100 * UNSURE:.0f} % of the depth in {share:.1f} % of the pixels: gray")
         if self.skipped:
             log.say(f"skipped {len(self.skipped)}:")
             for line in self.skipped:

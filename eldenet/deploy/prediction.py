@@ -17,9 +17,12 @@ from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
+from eldenet.uncertainty import NO_SIGMA
 
 if TYPE_CHECKING:
     from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.deploy.runtimes import Runtime
+    from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
     from eldenet.system.signals import GracefulStop
@@ -124,8 +127,11 @@ class Timed:
         self.predictor, self.lens = predictor, lens
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
-    def __call__(self, frame: np.ndarray, path: Path | None = None) -> np.ndarray:
-        """Depth ``(H, W)`` [m] of a frame; ``path`` is of the photo, whose EXIF may know the lens."""
+    def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:
+        """Depth ``(H, W)`` [m] of a frame, with its sigma if the network knows one.
+
+        ``path`` is of the photo, whose EXIF may know the lens.
+        """
         focal = self.lens.focal_of((frame.shape[0], frame.shape[1]), path)
         camera = None if focal is None else (focal, focal, 0.0, 0.0)  # the network uses fx alone
         start = time.perf_counter()
@@ -168,18 +174,29 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
     if runtimes.is_exported(checkpoint):
         network = runtimes.load(checkpoint, setup.engine, threads=resources.threads, device=resources.device)
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
-        predictor = DepthPredictor(network, size, max_side=max_side, steady=steady)
+        predictor = DepthPredictor(
+            network, size, max_side=max_side, steady=steady, uncertainty=knows_sigma(setup, network)
+        )
     else:
         model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
         packaged = checkpoint in eldenet.list_weights()
         log.say(f"weights: {checkpoint}" + (" of the package (yours: checkpoint=...)" if packaged else ""))
         if setup.engine in ("auto", "torch"):
-            predictor = DepthPredictor(model, size, max_side=max_side, device=resources.device, steady=steady)
+            predictor = DepthPredictor(
+                model,
+                size,
+                max_side=max_side,
+                device=resources.device,
+                steady=steady,
+                uncertainty=knows_sigma(setup, model),
+            )
         else:
             network = runtimes.load(
                 model, setup.engine, threads=resources.threads, device=resources.device, size=size
             )
-            predictor = DepthPredictor(network, size, max_side=max_side, steady=steady)
+            predictor = DepthPredictor(
+                network, size, max_side=max_side, steady=steady, uncertainty=knows_sigma(setup, network)
+            )
     if checkpoint in eldenet.list_models():
         log.say(untrained_note(checkpoint))
     elif predictor.input_size is None:
@@ -188,6 +205,17 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
             f"(longer side at most {max_side} px): if the depth looks wrong, give input_size=[h,w]"
         )
     return predictor
+
+
+def knows_sigma(setup: PredictionSetup, network: "DepthNet | Runtime") -> bool:
+    """Return whether the network knows its sigma, which the pictures then show.
+
+    Raises:
+        ValueError: it knows none, and ``formats`` asks for it.
+    """
+    if "sigma" in setup.results.formats and network.distribution is None:
+        raise ValueError(f"formats has sigma: {NO_SIGMA}")
+    return network.distribution is not None
 
 
 def predict_pictures(

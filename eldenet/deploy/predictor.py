@@ -5,7 +5,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import BORDER_COLOR, fit_into, focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.resources import full_fp32
+from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
 if TYPE_CHECKING:
     import torch
@@ -53,9 +54,11 @@ class DepthPredictor:
         max_side: longest side of frames without ``input_size`` [px].
         device: of a model; None: the CPU. A runtime has its own.
         steady: whether the frames are those of a video, whose depth must not flicker.
+        uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
-        ValueError: a size is invalid or not the one that a file was exported for, or a runtime gets a device.
+        ValueError: ``uncertainty`` of a network that knows no sigma, a size is invalid or not the one that a
+            file was exported for, or a runtime gets a device.
     """
 
     def __init__(
@@ -66,7 +69,11 @@ class DepthPredictor:
         max_side: int = MAX_SIDE,
         device: "str | torch.device | None" = None,
         steady: bool = True,
+        uncertainty: bool = False,
     ) -> None:
+        if uncertainty and model.distribution is None:
+            raise ValueError(f"uncertainty=True: {NO_SIGMA}")
+        self.uncertainty = uncertainty
         if input_size is None and isinstance(model, Runtime):
             input_size = model.info.get("input_size")
         elif input_size is None:
@@ -123,8 +130,8 @@ class DepthPredictor:
         *,
         intrinsics: "Sequence[float] | np.ndarray | None" = None,
         fov: float | None = None,
-    ) -> np.ndarray:
-        """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m].
+    ) -> Any:
+        """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m]; with ``uncertainty``, and its sigma.
 
         Args:
             frame: of the camera.
@@ -139,7 +146,8 @@ class DepthPredictor:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
         size = (frame.shape[0], frame.shape[1])
         focal = focal_length(intrinsics, fov, size[1])
-        picture, depth, scale = self._depth(frame)
+        picture, (depth, *sigma), scale = self._maps(frame)
+        spread = [each / depth for each in sigma]  # it stays what it is where depth changes
         if not np.isfinite(depth).all():
             raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
         if self.steady:
@@ -150,10 +158,12 @@ class DepthPredictor:
             elif not self._said:
                 self._said = True
                 logging.getLogger("eldenet").warning(NO_FOCAL)
-        return depth if depth.shape == size else enlarged(depth, size)
+        if depth.shape != size:
+            depth, *spread = (enlarged(each, size) for each in (depth, *spread))
+        return DepthEstimate(depth, depth * spread[0], self.model.distribution) if spread else depth
 
-    def _depth(self, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """The frame and its depth at the network's own size, and that size in widths of the frame."""
+    def _maps(self, frame: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], float]:
+        """The frame, its depth and sigma at the network's own size, and that size in widths of the frame."""
         height, width = frame.shape[:2]
         camera = self.model.camera_size if isinstance(self.model, Runtime) else None
         size = camera or self.size_for(height, width)
@@ -167,15 +177,17 @@ class DepthPredictor:
         if isinstance(self.model, Runtime):
             if camera is not None and self.model.fixed_size is not None:
                 seen *= self.model.fixed_size[1] / camera[1]
-            depth = self.model(image[None] if camera else as_image(image))[0, 0]
+            given = image[None] if camera else as_image(image)
+            estimate: Any = self.model.predict(given) if self.uncertainty else [self.model(given)]
+            maps = [each[0, 0] for each in estimate[: 1 + self.uncertainty]]
         else:
             import torch
 
             with torch.inference_mode():
-                depth = (
-                    self.model(torch.from_numpy(as_image(image)).to(self.device))[0, 0].float().cpu().numpy()
-                )
-        return picture, depth[top:bottom, left:right], seen
+                tensor = torch.from_numpy(as_image(image)).to(self.device)
+                found: Any = self.model.predict(tensor) if self.uncertainty else [self.model(tensor)]
+                maps = [each[0, 0].float().cpu().numpy() for each in found[: 1 + self.uncertainty]]
+        return picture, [each[top:bottom, left:right] for each in maps], seen
 
     def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
         """The filter of this thread's video; another camera (frame size and fx) begins another video."""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
+    from eldenet.results.score import ScoreSetup
     from eldenet.system.resources import Resources
 
 
@@ -36,6 +37,7 @@ class EvaluationSetup:
         precision: of an exported file.
         resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
         batch_size: images at once.
+        calibrated: folder for the network with the temperature that these frames choose; None: none is.
         trusted_modules: packages whose classes a foreign ``config.json`` may name.
         settings: the resolved settings, which ``run.json`` stores.
     """
@@ -53,6 +55,7 @@ class EvaluationSetup:
     precision: str | None
     resources: Mapping[str, Any]
     batch_size: int
+    calibrated: Path | None
     trusted_modules: Sequence[str]
     settings: Mapping[str, Any]
 
@@ -96,6 +99,8 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
         measure=_measure,
         training_frames=setup.training_frames,
     )
+    if setup.calibrated is not None:
+        calibrate(setup.calibrated, scoring, model, log)
     record = score_and_record(scoring, model, log)
     closing_table(log, record)
     return record
@@ -118,6 +123,30 @@ def open_checkpoint(setup: EvaluationSetup, resources: "Resources") -> "DepthNet
     if (setup.engine, setup.precision) != ("auto", None):
         raise ValueError("engine and precision are for exported files (python -m eldenet.export)")
     return eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
+
+
+def calibrate(folder: Path, scoring: "ScoreSetup", model: "DepthNet | RuntimeNetwork", log: "RunLog") -> None:
+    """Fit the temperature of the network's sigma on the frames to score; save the network into ``folder``.
+
+    Raises:
+        ValueError: the network is an exported file, or knows no sigma.
+    """
+    from eldenet.evaluation.calibration import fit_temperature
+    from eldenet.model import DepthNet
+
+    if not isinstance(model, DepthNet):
+        raise ValueError(
+            "calibrated=: a temperature is stored in a model; give its folder, then export it again"
+        )
+    frames = scoring.make_split(scoring.split, scoring.protocol, score=True)
+    model.to(scoring.resources.device)
+    temperature = fit_temperature(model, frames, scoring.protocol, batch_size=scoring.batch_size)
+    source = f"{scoring.data}/{scoring.split} {frames.split_hash}"
+    model.save_pretrained(folder, info={"temperature_from": source})
+    log.say(
+        f"sigma times {temperature:.3f}, by {len(frames)} frames of {source}: written to {folder}. The table "
+        "below is of these very frames: score others"
+    )
 
 
 def chosen_size(

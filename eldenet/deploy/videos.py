@@ -8,6 +8,7 @@ import numpy as np
 
 from eldenet.deploy.outputs import Results, in_time, open_video
 from eldenet.deploy.stream import DepthStream, without_password
+from eldenet.uncertainty import as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range
 
 if TYPE_CHECKING:
@@ -53,8 +54,9 @@ def predict_video(
             for _, photo, depth, taken in stream:
                 results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
                 if "color" in results.formats:
-                    span = results.depth_range or _follow(span, visible_range(depth))
-                    add(photo_beside_depth(photo, depth, *span), taken)
+                    shown_depth = as_estimate(depth)
+                    span = results.depth_range or _follow(span, visible_range(shown_depth.depth))
+                    add(photo_beside_depth(photo, shown_depth.depth, *span, unsure=shown_depth.unsure), taken)
                 lost = f", {stream.dropped} dropped" if stream.drop else ""
                 bar.advance(1, f"now {stream.fps:.0f} frames/s{lost}")
                 if results.images == frames or stop:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,6 +17,9 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import in_meters
 from eldenet.model import eval_mode
 
+if TYPE_CHECKING:
+    from eldenet.evaluation.uncertainty_metrics import UncertaintyScores
+
 PER_IMAGE_HEADER = ("name", *METRICS)
 
 
@@ -28,11 +31,13 @@ class Evaluation:
         metrics: by name, with ``images`` and ``pixels``.
         rows: ``(name, *metrics)`` per image, in the data set's order.
         classes: errors by semantic class, see :meth:`~.metrics.DepthMetrics.by_class`; empty without labels.
+        uncertainty: measures of the network's sigma, whose means are in ``metrics`` too; None: it knows none.
     """
 
     metrics: dict[str, float]
     rows: list[tuple[Any, ...]]
     classes: dict[str, dict[str, float]] = field(default_factory=dict)
+    uncertainty: "UncertaintyScores | None" = None
 
 
 @torch.inference_mode()
@@ -47,6 +52,18 @@ def predict_depth(
     if flip == "mean":
         prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
     return in_meters(prediction, focal, getattr(model, "canonical_px", None))
+
+
+@torch.inference_mode()
+def predict_spread(
+    model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
+) -> tuple[Tensor, Tensor]:
+    """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
+    depth, spread = model(image, with_spread=True)
+    if flip == "mean":
+        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True)]
+        depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
+    return in_meters(depth, focal, getattr(model, "canonical_px", None)), spread
 
 
 def evaluate(
@@ -66,7 +83,8 @@ def evaluate(
 
     Args:
         model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m], canonical depth if it has
-            ``canonical_px``; its mode is kept.
+            ``canonical_px``; its mode is kept. If it has a ``distribution``, ``model(image,
+            with_spread=True)`` also gives the standard deviation of ln depth, which is scored too.
         dataset: built for evaluation (depth in its own resolution).
         protocol: the rules.
         device: where the model is.
@@ -80,35 +98,49 @@ def evaluate(
             or a prediction is NaN.
     """
     from eldenet.evaluation.metrics import DepthMetrics  # torchmetrics takes seconds to load
+    from eldenet.evaluation.uncertainty_metrics import UncertaintyMeter
 
     protocol.check_ground_truth(dataset.ground_truth)
     rank, processes = shard
     loader = evaluation_loader(dataset, batch_size, workers=workers, rank=rank, processes=processes)
     metrics = DepthMetrics(protocol, sync=processes > 1, classes=dataset.class_names).to(device)
+    distribution = getattr(model, "distribution", None)
+    meter = None if distribution is None else UncertaintyMeter(distribution)
     rows: list[tuple[Any, ...]] = []
     with eval_mode(model):
         for batch in chain.from_iterable(loader):
             image = batch["image"].to(device, memory_format=torch.channels_last)
             focal = batch["intrinsics"][:, 0, 0].to(device)
-            prediction = predict_depth(model, image, focal, flip=protocol.flip)
+            depth, mask = batch["depth"].to(device), batch["mask"].to(device)
+            if meter is None:
+                prediction = predict_depth(model, image, focal, flip=protocol.flip)
+            else:
+                prediction, spread = predict_spread(model, image, focal, flip=protocol.flip)
+                valid = protocol.valid_mask(depth, mask)
+                aligned = protocol.align(prediction.float(), depth, valid)
+                spread = protocol.resize_to_gt(spread.float(), depth.shape[-2:])
+                meter.update(batch["name"], aligned, depth, spread, valid)
             labels = batch["labels"].to(device) if "labels" in batch else None
-            metrics.update(prediction, batch["depth"].to(device), batch["mask"].to(device), labels)
+            metrics.update(prediction, depth, mask, labels)
             values = metrics.rows.cpu().tolist()
             rows += [(name, *row) for name, row in zip(batch["name"], values, strict=True)]
             if advance is not None:
                 advance(len(image))
     if processes > 1:
         rows = _gather_rows(rows)
+        if meter is not None:
+            meter.images = _gather_rows(meter.images)
     found = metrics.compute()
     if not found["pixels"]:
         raise ValueError(
             f"no pixel of {len(dataset)} frames has a known depth that protocol {protocol.name} counts "
             f"({protocol.min_depth:g} to {protocol.max_depth:g} m): nothing can be scored"
         )
-    return Evaluation(found, rows, metrics.by_class())
+    scores = None if meter is None else meter.compute()
+    return Evaluation(found | (scores.metrics if scores else {}), rows, metrics.by_class(), scores)
 
 
-def _gather_rows(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+def _gather_rows(rows: list[Any]) -> list[Any]:
     """Rows of all processes in the data set's order: frame ``i`` went to process ``i % processes``."""
     from accelerate.utils import gather_object
 

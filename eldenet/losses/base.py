@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.system.checks import one_of
+from eldenet.uncertainty import NO_SIGMA
 
 Autocast = Callable[[], AbstractContextManager[Any]]
 """Returns a mixed-precision context, as ``Accelerator.autocast`` does."""
@@ -64,9 +65,11 @@ class WeightedTerm(nn.Module):
 
     Attributes:
         needs_depth: whether it counts only pixels whose depth is known.
+        needs_spread: whether it learns from the network's own uncertainty, see :meth:`WeightedSum.forward`.
     """
 
     needs_depth = True
+    needs_spread = False
 
     def __init__(
         self, loss: Loss, weight: float = 1.0, space: str = "meters", applies_to: str = "metric"
@@ -145,6 +148,11 @@ class WeightedSum(nn.Module):
         """Whether it teaches nothing where no depth is known."""
         return all(term.needs_depth for term in self.terms.values() if term.weight)
 
+    @property
+    def needs_spread(self) -> bool:
+        """Whether a term learns from the network's own uncertainty."""
+        return any(term.needs_spread for term in self.terms.values())
+
     def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
         """Prepare every term before the first step, see :meth:`WeightedTerm.setup`."""
         for term in self.terms.values():
@@ -158,14 +166,16 @@ class WeightedSum(nn.Module):
         image: Tensor | None = None,
         focal: Tensor | None = None,
         relative: Tensor | None = None,
+        spread: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
 
         ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
         ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
+        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it knows one.
 
         Raises:
-            ValueError: the maps differ in shape, or the mask is not bool.
+            ValueError: the maps differ in shape, the mask is not bool, or a term needs a spread.
         """
         if prediction.shape != target.shape or target.shape != mask.shape:
             raise ValueError(
@@ -177,8 +187,17 @@ class WeightedSum(nn.Module):
         is_relative = mask.new_zeros(len(mask)) if relative is None else relative
         is_relative = is_relative.view(-1, 1, 1, 1)
         masks = {"metric": mask & ~is_relative, "relative": mask & is_relative}
+        if self.needs_spread and spread is None:
+            raise ValueError(NO_SIGMA)
         values = {
-            name: term(prediction, target, masks[term.applies_to], image, focal)
+            name: term(
+                prediction,
+                target,
+                masks[term.applies_to],
+                image,
+                focal,
+                **({"spread": spread} if term.needs_spread else {}),
+            )
             for name, term in self.terms.items()
         }
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()

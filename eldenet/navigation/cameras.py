@@ -18,7 +18,9 @@ from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
+from eldenet.uncertainty import as_estimate
 
+CAUTION = 0.8  # of the interval whose low end is how near things may be
 MIN_PIXELS = 20  # of an object in the simulator's detections
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
@@ -38,10 +40,14 @@ class Camera:
     Each column's range is the nearest one in the depth map. With a lifter, the near face of the box around a
     detected object replaces it, unless the depth map shows something well in front of the face.
 
+    A network that knows its sigma also says how near things may be: the low end of each pixel's interval of
+    ``CAUTION``. The robot drives as slowly as that asks for, and forgets remembered obstacles only up to
+    there.
+
     Args:
         predictor: frame ``(H, W, 3)`` uint8 RGB -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.deploy.predictor.DepthPredictor`; None: the renderer's own depth, as from a
-            perfect network.
+            :class:`eldenet.deploy.predictor.DepthPredictor`, or an estimate with sigma; None: the renderer's
+            own depth, as from a perfect network.
         lifter: from detections and depth to boxes; None: ranges from depth only.
         detector: finds objects in a frame; None: the simulator gives the box of each object with enough
             pixels, like an ideal detector.
@@ -58,7 +64,7 @@ class Camera:
 
     def __init__(
         self,
-        predictor: Callable[[np.ndarray], np.ndarray] | None = None,
+        predictor: Callable[[np.ndarray], Any] | None = None,
         lifter: BoxLifter | None = None,
         detector: Detector | None = None,
         *,
@@ -95,20 +101,24 @@ class CameraInstance:
         sensor = self.sensor
         self.photo = self.view.photo(self.world.pose, self.world.time, int(self.rng.integers(2**31)))
         frame = self.photo.image
-        depth = self.photo.depth if sensor.predictor is None else sensor.predictor(frame)
+        estimate = as_estimate(self.photo.depth if sensor.predictor is None else sensor.predictor(frame))
+        depth, cautious = estimate.depth, None
         ranges = depth_to_ranges(depth, self.view.intrinsics)
+        if estimate.sigma is not None:
+            low = estimate.interval(CAUTION)[0]
+            cautious = depth_to_ranges(depth, self.view.intrinsics, low=low)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
-            return Observation(ranges, fed_by, frame, depth)
+            return Observation(ranges, fed_by, frame, depth, cautious=cautious)
         if sensor.detector is None:
             detections = simulated_detections(self.photo, self.world.arena)
         else:
             detections = sensor.detector(frame)
-        boxes = sensor.lifter(depth, detections, self.camera)
+        boxes = sensor.lifter(estimate, detections, self.camera)
         faces = near_faces(boxes, detections, self.camera)
         by_box = (faces < ROBOT.far) & (ranges > faces * (1 - IN_FRONT))
         fed_by[by_box] = FED_BY.index("box")
-        return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes)
+        return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
 
 
 def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
@@ -146,8 +156,11 @@ def footprints(boxes: Boxes3D) -> np.ndarray:
     return np.stack([z, -x, np.pi / 2 + yaw, length / 2, width / 2], axis=1)
 
 
-def depth_network(source: str | None) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None."""
+def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
+    """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None.
+
+    One that knows its sigma gives it too.
+    """
     if source is None:
         return None
     import torch
@@ -155,7 +168,8 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], np.ndarray] | No
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
 
-    return DepthPredictor(runtimes.load(source, threads=torch.get_num_threads()), steady=False)
+    network = runtimes.load(source, threads=torch.get_num_threads())
+    return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 
 
 def camera(

@@ -134,9 +134,9 @@ class Episodes:
 
     def senses(self) -> Senses:
         """Ranges of the last scans, with odometry and goals as of now."""
-        ranges = np.stack(
-            [observation.ranges for observation in self.observations if observation is not None]
-        )
+        scans = [observation for observation in self.observations if observation is not None]
+        ranges = np.stack([scan.ranges for scan in scans])
+        cautious = [scan.cautious for scan in scans if scan.cautious is not None]
         odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
         if self.settings.goal == "fixes":
             localizers = [localizer for localizer in self._localizers if localizer is not None]
@@ -144,7 +144,7 @@ class Episodes:
             goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(localizers)])
         else:
             goals = self._goals_from(odometry if self.settings.goal == "odometry" else self.poses)
-        return Senses(ranges, odometry, goals)
+        return Senses(ranges, odometry, goals, np.stack(cautious) if cautious else None)
 
     def sense(self, slots: Sequence[int] | None = None) -> Senses:
         """Scan in all slots, or in some of them, and return the senses of all."""

@@ -39,16 +39,24 @@ class Senses(NamedTuple):
         ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
         odometry: ``(N, 3)`` x, y [m], heading [rad] of the wheels, which drift.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
+        cautious: ``(N, columns)`` [m] how near things may be, where a camera's network knows its sigma;
+            None: as ``ranges`` says.
     """
 
     ranges: np.ndarray
     odometry: np.ndarray
     goal: np.ndarray
+    cautious: np.ndarray | None = None
+
+    def of(self, robots: np.ndarray) -> "Senses":
+        """The senses of some robots."""
+        return Senses(*(None if values is None else values[robots] for values in self))  # type: ignore[arg-type]
 
     @property
     def fault(self) -> str | None:
         """Which of them are not finite, None if all are: nobody may steer by such senses."""
-        wrong = [name for name, values in self._asdict().items() if not np.isfinite(values).all()]
+        known = {name: values for name, values in self._asdict().items() if values is not None}
+        wrong = [name for name, values in known.items() if not np.isfinite(values).all()]
         return f"{' and '.join(wrong)} not finite" if wrong else None
 
 
@@ -140,13 +148,14 @@ class Observer:
             ValueError: a sense of these robots is not finite; nothing was remembered.
         """
         who = np.arange(self.robots) if robots is None else robots
-        ranges, odometry, goal = seen = Senses(*(values[who] for values in senses))
+        ranges, odometry, goal, cautious = seen = senses.of(who)
         if seen.fault:
             raise ValueError(f"{seen.fault}: stop the robot until they are")
         distance, bearing = goal.T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
-        self.speeds[who] = self._speeds(distance, nearest.min(axis=1))
-        self.memory.add(who, ranges, odometry)
+        cautious = ranges if cautious is None else np.minimum(cautious, ranges)
+        self.speeds[who] = self._speeds(distance, cautious.min(axis=1))
+        self.memory.add(who, ranges, odometry, cautious)
         columns = [
             np.sqrt(nearest / ROBOT.far),
             np.minimum(distance / 20.0, 1.0)[:, None],

@@ -53,13 +53,17 @@ class Memory:
             if self._walkers:
                 self._walkers[number] = Walkers()
 
-    def add(self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray) -> None:
+    def add(
+        self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray, cautious: np.ndarray | None = None
+    ) -> None:
         """Store scans in place of the oldest ones or the last odd one, and forget points they see through.
 
         Args:
             who: numbers of the scanning robots ``(K,)``.
             ranges: of these robots ``(K, columns)`` [m].
             odometry: of these robots ``(K, 3)``.
+            cautious: how near things may be ``(K, columns)`` [m]: up to there a scan sees through points;
+                None: as far as ``ranges``.
         """
         yaw = odometry[:, 2]
         cameras = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
@@ -68,7 +72,7 @@ class Memory:
             [cameras[:, :1] + ranges * np.cos(angles), cameras[:, 1:] + ranges * np.sin(angles)], axis=2
         )
         if self.seen_through:
-            self._forget_seen_through(who, ranges, cameras, yaw)
+            self._forget_seen_through(who, ranges if cautious is None else cautious, cameras, yaw)
         for row, robot in enumerate(who) if self._walkers else ():
             self._follow(int(robot), frame[row], ranges[row], cameras[row])
         frame[ranges >= ROBOT.far] = _NOWHERE

@@ -12,7 +12,11 @@ _BEYOND = 100.0  # stands for infinite [m]
 
 
 def depth_to_ranges(
-    depth: np.ndarray, intrinsics: np.ndarray, *, camera_height: float = ROBOT.camera_height
+    depth: np.ndarray,
+    intrinsics: np.ndarray,
+    *,
+    camera_height: float = ROBOT.camera_height,
+    low: np.ndarray | None = None,
 ) -> np.ndarray:
     """Nearest range in each column of the field of view ``(columns,)`` [m], right to left.
 
@@ -28,6 +32,8 @@ def depth_to_ranges(
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(3, 3)`` of the depth map [px].
         camera_height: of the optical center above the floor [m].
+        low: ``(H, W)`` [m], for how near things may be: ``depth`` decides which pixels are obstacles, ``low``
+            how far they are.
 
     Raises:
         ValueError: the camera's field of view is too small, its pixels are too few for the columns, or its
@@ -46,7 +52,8 @@ def depth_to_ranges(
         depth = _standing_on_the_floor(depth, known, down, camera_height)
     above_floor = camera_height - down * depth
     counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
-    ranges = np.where(counts, depth * np.sqrt(1 + right * right), np.inf)
+    away = depth if low is None else np.minimum(low, depth)
+    ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     out = np.full(ROBOT.columns, ROBOT.far)
     for number in range(ROBOT.columns):
         values = ranges[:, column == number]

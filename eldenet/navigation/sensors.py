@@ -29,6 +29,7 @@ class Observation(NamedTuple):
         image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
         depth: ``(H, W)`` [m], if there is a network.
         boxes: in the level camera frame, if there is a detector.
+        cautious: ``(columns,)`` [m] how near things may be, if the network knows its sigma.
     """
 
     ranges: np.ndarray
@@ -36,6 +37,7 @@ class Observation(NamedTuple):
     image: np.ndarray | None = None
     depth: np.ndarray | None = None
     boxes: Boxes3D | None = None
+    cautious: np.ndarray | None = None
 
     @property
     def sectors(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,11 +30,12 @@ def box_results(
     depth_seconds: Collection[float] = (),
     *,
     is_video: bool = False,
-) -> Iterator[Callable[[str, np.ndarray, np.ndarray, float | None], None]]:
+) -> Iterator[Callable[[str, np.ndarray, Any, float | None], None]]:
     """Yield a function that writes the boxes of an image: ``(name, image, depth, time)``.
 
     An image gets ``<name>_boxes.png`` and ``<name>_boxes.txt``; a video gets ``<name>_boxes.mp4`` and a text
-    file per frame. At the end, the log shows the median time of each stage. The times [s] of the frames set
+    file per frame. Where the depth has a sigma, ``<name>_distances.csv`` has the interval of each distance.
+    At the end, the log shows the median time of each stage. The times [s] of the frames set
     speeds and how long the video shows each frame, whatever frames were dropped in between.
 
     Args:
@@ -55,7 +56,7 @@ def box_results(
     last: float | None = None
     reach: float | None = None
 
-    def write(name: str, image: np.ndarray, depth: np.ndarray, taken: float | None) -> None:
+    def write(name: str, image: np.ndarray, depth: Any, taken: float | None) -> None:
         nonlocal show, last, reach
         rate = results.frames_per_second
         interval = 1 / rate if taken is None or last is None else max(taken - last, MIN_INTERVAL)
@@ -74,6 +75,7 @@ def box_results(
             reach = needed if reach is None else max(reach + (needed - reach) / REACH_FRAMES, needed / 2)
             show(scene.picture(reach), taken)
         scene.write_kitti(results.folder / f"{name}_boxes.txt")
+        scene.write_intervals(results.folder / f"{name}_distances.csv")
 
     with ExitStack() as stack:
         yield write

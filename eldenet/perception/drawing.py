@@ -39,7 +39,7 @@ def draw_boxes(
         boxes: in the camera's level frame.
         camera: of the image.
         front: shade the front face of all boxes, or of those chosen ``(N,)``: for boxes whose front is known.
-        labels: write class and distance [m] above each box.
+        labels: write class and distance [m] above each box, with its interval if it has one.
     """
     picture = np.ascontiguousarray(image).copy()
     thick = max(1, round(image.shape[0] / 300))
@@ -62,6 +62,8 @@ def draw_boxes(
             pixels = _pixels(edges.reshape(-1, 3), camera)
             box = boxes[int(index)]
             text = f"{box.name} {box.distance:.1f} m"
+            if box.interval is not None:
+                text += " ({:.1f}-{:.1f})".format(*box.interval)
             if boxes.track_id is not None:
                 text = f"#{boxes.track_id[index]} {text}"
             _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), color)

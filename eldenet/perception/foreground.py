@@ -10,12 +10,14 @@ from eldenet.boxes import ArrayRows, Detections2D
 from eldenet.geometry import PinholeCamera, to_corner
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior
+from eldenet.uncertainty import DepthEstimate
 
 POINTS = 80  # per object
 _MAX_PIXELS = 400  # per box that are examined
 _BORDER = 2.0  # [px]: the image border cuts a box that comes closer to it
 _QUANTILES = (0.5, 0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
 _TOUCH = 3.0  # [px]: boxes this close may hide one another
+_LEAST_SPREAD = 0.02  # sigma / depth below which pixels weigh the same
 _MIN_REMAINDER = 0.12  # share of a box outside nearer boxes from which it is taken alone
 
 
@@ -26,7 +28,8 @@ class Foreground(ArrayRows):
     Attributes:
         direction: ``(N, P, 3)`` ``H [j, i, 1]^T``: the level point of a pixel is ``depth * direction + t``.
         depth: ``(N, P)`` [m].
-        weight: ``(N, P)`` 1.0, or 0.0 for padding.
+        weight: ``(N, P)`` above 0, or 0.0 for padding; 1.0 in the mean of an object's pixels, more for those
+            whose depth is more certain.
     """
 
     direction: np.ndarray
@@ -56,7 +59,7 @@ class Foreground(ArrayRows):
 
 
 def gather(
-    depth: np.ndarray,
+    estimate: DepthEstimate,
     detections: Detections2D,
     camera: PinholeCamera,
     ground: GroundPlane | None,
@@ -69,7 +72,7 @@ def gather(
     """Choose the pixels of every object.
 
     Args:
-        depth: ``(H, W)`` [m]; 0, negative or not finite is unknown.
+        estimate: depth ``(H, W)`` [m]; 0, negative or not finite is unknown. With sigma, pixels weigh by it.
         detections: the objects.
         camera: of the image.
         ground: leave out its points; None: keep all.
@@ -79,6 +82,7 @@ def gather(
         occlusion_mask: leave out pixels in nearer boxes.
         depth_sigma: ``(N,)`` relative depth error of each object.
     """
+    depth, spread = estimate.depth, estimate.spread
     size = (depth.shape[0], depth.shape[1])
     nearer = nearer_boxes(detections.xyxy) if occlusion_mask else np.zeros((len(detections),) * 2, bool)
     expected = expected_depth(detections, camera, priors, trusted_edges(detections, size)[0])
@@ -112,6 +116,9 @@ def gather(
         direction[index, : len(found)] = rays[found]
         chosen_depth[index, : len(found)] = pixel_depth[found]
         weight[index, : len(found)] = 1.0
+        if spread is not None and len(found):
+            certain = np.clip(spread[rows[found], columns[found]], _LEAST_SPREAD, None) ** -2.0
+            weight[index, : len(found)] = certain / certain.mean()
     return Foreground(direction, chosen_depth, weight)
 
 

@@ -14,9 +14,12 @@ from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
 from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
 from eldenet.perception.solvers import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.system.checks import one_of
+from eldenet.uncertainty import DepthEstimate, as_estimate
 
 Method = Literal["refine", "lshape", "paper", "no_depth"]
 METHODS = get_args(Method)
+DISTANCE_LEVEL = 0.9  # of a box's distance interval
+SIGMA_RANGE = (0.01, 0.5)  # of an object, relative
 SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
 _MAX_MEDIAN_DEPTH = 500.0  # [m]: beyond, the depth is probably in millimeters
 
@@ -49,7 +52,8 @@ class BoxLifter:
             of objects whose shorter side is ``LARGE_SIDE`` pixels or more.
         small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
             Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
-            all.
+            all. Both are for depth without sigma: where the network knows its sigma, that of an object is the
+            median of its pixels.
         occlusion_mask: leave out pixels in nearer boxes.
 
     Raises:
@@ -79,17 +83,24 @@ class BoxLifter:
         self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
         self.occlusion_mask = occlusion_mask
 
-    def __call__(self, depth: np.ndarray, detections: Detections2D, camera: PinholeCamera) -> Boxes3D:
+    def __call__(
+        self, depth: np.ndarray | DepthEstimate, detections: Detections2D, camera: PinholeCamera
+    ) -> Boxes3D:
         """Lift all objects of one image.
 
+        With sigma, certain pixels weigh more, and ``quality`` has ``distance_low`` and ``distance_high`` [m],
+        the interval of ``DISTANCE_LEVEL`` of each box's distance.
+
         Args:
-            depth: ``(H, W)`` [m]; 0, negative and not finite are unknown.
+            depth: ``(H, W)`` [m]; 0, negative and not finite are unknown. Or depth with its sigma.
             detections: in pixels of the depth map.
             camera: of the image.
 
         Raises:
             ValueError: the depth is not a map, or the detections or their masks do not fit it.
         """
+        estimate = as_estimate(depth)
+        depth = np.asarray(estimate.depth)
         if depth.ndim != 2:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")
         height, width = depth.shape
@@ -112,9 +123,15 @@ class BoxLifter:
         plane = self.ground if isinstance(self.ground, GroundPlane) else nominal
         if self.ground == "fit" and self.method in ("refine", "lshape"):
             plane = fit_ground(depth, camera) or nominal
-        sigma = sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma)
+        if estimate.sigma is None:
+            sigma, whole = (
+                sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma),
+                self.depth_sigma,
+            )
+        else:
+            sigma, whole = sigma_in_boxes(estimate.spread, detections.xyxy), float(np.median(estimate.spread))
         foreground = gather(
-            depth,
+            estimate,
             detections,
             camera,
             plane,
@@ -127,9 +144,7 @@ class BoxLifter:
             foreground = foreground.without_points()
         trusted, hidden = trusted_edges(detections, (height, width))
         other = nominal if plane is not None and plane.fitted else None
-        evidence = ObjectEvidence(
-            foreground, detections, camera, priors, plane, other, trusted, sigma, self.depth_sigma
-        )
+        evidence = ObjectEvidence(foreground, detections, camera, priors, plane, other, trusted, sigma, whole)
         raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(evidence)
         raw = _use_fallbacks(raw, evidence, self.method)
         quality = {
@@ -140,6 +155,12 @@ class BoxLifter:
             "occluded": hidden,
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
+        if estimate.distribution is not None:
+            distance = np.hypot(raw.center[:, 0], raw.center[:, 2])
+            interval = DepthEstimate(distance, distance * sigma, estimate.distribution).interval(
+                DISTANCE_LEVEL
+            )
+            quality |= dict(zip(("distance_low", "distance_high"), interval, strict=True))
         return Boxes3D(
             raw.center, raw.size, wrap_half(raw.yaw), detections.score, detections.label, detections.names,
             quality, detections.track_id,
@@ -163,6 +184,19 @@ def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.nda
     side = np.minimum(xyxy[:, 2] - xyxy[:, 0], xyxy[:, 3] - xyxy[:, 1])
     share = np.log(LARGE_SIDE / np.clip(side, SMALL_SIDE / 2, LARGE_SIDE)) / np.log(LARGE_SIDE / SMALL_SIDE)
     return np.asarray(np.minimum(large * ((small or large) / large) ** share, 0.5 if small else 1.0))
+
+
+def sigma_in_boxes(spread: np.ndarray, xyxy: np.ndarray) -> np.ndarray:
+    """Relative depth error ``(N,)`` of objects: the median of ``spread (H, W)`` in the middle of each 2D box.
+
+    The errors of one object's pixels are nearly the same error, so it does not shrink with their number.
+    """
+    height, width = spread.shape
+    quarter = (xyxy[:, 2:] - xyxy[:, :2]) / 4
+    low = np.clip(np.floor(xyxy[:, :2] + quarter), 0, (width - 1, height - 1)).astype(int)
+    high = np.maximum(np.ceil(xyxy[:, 2:] - quarter).astype(int), low + 1)
+    parts = [spread[y1:y2, x1:x2] for (x1, y1), (x2, y2) in zip(low, high, strict=True)]
+    return np.clip([float(np.median(part)) for part in parts], *SIGMA_RANGE)
 
 
 def _use_fallbacks(raw: RawBoxes, evidence: ObjectEvidence, method: str) -> RawBoxes:

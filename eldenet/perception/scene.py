@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.boxes import Boxes3D, Detections2D
+from eldenet.boxes import Box3D, Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, check_intrinsics
 from eldenet.perception.detectors import Detector, check_frame
@@ -16,6 +16,8 @@ from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
 from eldenet.perception.lifter import BoxLifter
 from eldenet.perception.tracking import BoxTracker
+from eldenet.system.files import write_rows
+from eldenet.uncertainty import DepthEstimate, as_estimate
 
 STAGES = ("depth", "detect", "lift", "track")
 
@@ -73,6 +75,17 @@ class Scene:
         seen = np.isfinite(xyxy).all(1)
         write_labels(Path(path), to_labels(self.boxes.select(seen), xyxy[seen], self.camera.rotation))
 
+    def write_intervals(self, path: str | Path) -> None:
+        """Write each box's distance and its interval [m] as CSV, if the depth had a sigma."""
+        rows = [(box.name, box.score, box.distance, *box.interval) for box in self.each if box.interval]
+        if "distance_low" in self.boxes.quality:
+            write_rows(Path(path), ("class", "score", "distance", "low", "high"), rows)
+
+    @property
+    def each(self) -> list[Box3D]:
+        """The boxes one by one."""
+        return [self.boxes[index] for index in range(len(self.boxes))]
+
     def log_to_rerun(self, path: str = "world") -> None:
         """Send the scene to a rerun viewer (``pip install rerun-sdk``); call ``rerun.init`` before."""
         import rerun as rr
@@ -100,7 +113,8 @@ class Perception:
 
     Args:
         depth_model: image ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
-            :class:`eldenet.deploy.predictor.DepthPredictor`; None: every call gives the depth.
+            :class:`eldenet.deploy.predictor.DepthPredictor`, with or without sigma; None: every call gives
+            the depth.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
         camera: of the images.
@@ -109,7 +123,7 @@ class Perception:
 
     def __init__(
         self,
-        depth_model: Callable[[np.ndarray], np.ndarray] | None,
+        depth_model: Callable[[np.ndarray], Any] | None,
         detector: Detector,
         lifter: BoxLifter,
         camera: PinholeCamera,
@@ -121,13 +135,13 @@ class Perception:
         self.camera, self.tracker = camera, tracker
 
     def __call__(
-        self, image: np.ndarray, *, depth: np.ndarray | None = None, seconds: float = 1 / 30
+        self, image: np.ndarray, *, depth: np.ndarray | DepthEstimate | None = None, seconds: float = 1 / 30
     ) -> Scene:
         """Perceive one image.
 
         Args:
             image: ``(H, W, 3)`` uint8 RGB.
-            depth: ``(H, W)`` [m], if already known; else the depth model predicts it.
+            depth: ``(H, W)`` [m] with or without sigma, if already known; else the depth model predicts it.
             seconds: since the previous image, for the tracker.
 
         Raises:
@@ -141,16 +155,17 @@ class Perception:
                 raise ValueError("Perception has no depth model: give depth=")
             depth = self.depth_model(image)
         clock.append(time.perf_counter())
-        if depth.shape != image.shape[:2]:
+        estimate = as_estimate(depth)
+        if estimate.depth.shape != image.shape[:2]:
             raise ValueError(
-                f"depth of {depth.shape}, but an image of {image.shape[:2]}: give both in one size"
+                f"depth of {estimate.depth.shape}, but an image of {image.shape[:2]}: give both in one size"
             )
         detections = self.detector(image)
         clock.append(time.perf_counter())
-        boxes = self.lifter(depth, detections, self.camera)
+        boxes = self.lifter(estimate, detections, self.camera)
         clock.append(time.perf_counter())
         if self.tracker is not None:
             boxes = self.tracker(boxes, seconds)
         clock.append(time.perf_counter())
         spans = dict(zip(STAGES, np.diff(clock).tolist(), strict=True))
-        return Scene(image, depth, detections, boxes, self.camera, spans)
+        return Scene(image, estimate.depth, detections, boxes, self.camera, spans)

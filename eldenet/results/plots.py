@@ -32,7 +32,7 @@ def pyplot_for_files() -> Any:
     return pyplot
 
 
-def _save(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
     """Write the same bytes for the same runs."""
     with part_file(path) as unfinished:
         figure.savefig(unfinished, dpi=120, metadata={"Software": None})
@@ -70,7 +70,7 @@ def pareto_plot(
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
     name_points(axes, {name: [(x, y)] for rows in blocks.values() for name, x, y in rows}, colors)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def name_points(
@@ -150,7 +150,7 @@ def differences_plot(
         axis.set_title(block, fontsize=9)
         axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: images alone", fontsize=8)
     figure.tight_layout()
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:
@@ -191,4 +191,4 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     for axis in axes[1]:
         axis.set_xlabel("epoch")
     figure.tight_layout()
-    _save(figure, path)
+    save_figure(figure, path)

@@ -12,10 +12,12 @@ from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, sample_rows
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.uncertainty_metrics import PROTOCOL
 from eldenet.model import DepthNet
 from eldenet.results.fingerprints import fingerprints
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, environment
+from eldenet.results.uncertainty_plots import write_uncertainty
 from eldenet.system.files import write_json, write_rows
 from eldenet.system.resources import Resources
 
@@ -63,6 +65,9 @@ def score_and_record(
 ) -> dict[str, Any]:
     """Evaluate, measure the cost; write ``run.json``, ``per_image.csv`` and ``predictions.png``.
 
+    Of a network that knows its sigma also ``uncertainty.csv``, ``sparsification.png`` and
+    ``reliability.png``.
+
     Args:
         setup: what is scored and how.
         model: a :class:`~eldenet.model.DepthNet`, or an exported file as a module.
@@ -79,6 +84,8 @@ def score_and_record(
     train_set = _training_set(setup, dataset, log)
     result = _score(setup, model, dataset, f"evaluating on {setup.split}", log)
     write_rows(setup.folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
+    if result.uncertainty is not None:
+        write_uncertainty(setup.folder, result.uncertainty)
     log.picture("predictions", step, sample_rows(model, dataset, setup.protocol))
     log.close()
     size = dataset[0]["image"].shape[-2:]
@@ -94,6 +101,7 @@ def score_and_record(
         "skipped": skipped | {setup.split: dataset.skipped},
         "protocol": setup.protocol.as_dict(),
         "metrics": result.metrics,
+        "uncertainty_protocol": PROTOCOL.as_dict() if result.uncertainty else None,
         "errors_by_class": result.classes or None,
         "constant_predictor": _constant_score(setup, train_set, dataset, log),
         "normalization": _normalization(model),

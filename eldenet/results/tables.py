@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from eldenet.evaluation.metric_names import CLASS_METRICS, LOWER_IS_BETTER, UNITS
+from eldenet.evaluation.metric_names import CLASS_METRICS, LOWER_IS_BETTER, UNCERTAINTY_METRICS, UNITS
 from eldenet.results.run_record import RUN_FILE
 from eldenet.system import escaping
 
@@ -20,6 +20,10 @@ WORDS = {
     "mse": "MSE",
     "silog": "SILog",
     "ssim": "SSIM",
+    "ause_abs_rel": "AUSE AbsRel",
+    "ause_rmse": "AUSE RMSE",
+    "abs_rel_sure80": "AbsRel of sure 80 %",
+    "nll": "NLL",
 } | {f"delta{power}": f"δ{power}" for power in (1, 2, 3)}
 
 
@@ -49,6 +53,8 @@ def heading(name: str, run: Mapping[str, Any]) -> str:
         return costs[name]
     unit = f" [{UNITS[name].replace('^2', '²')}]" if name in UNITS else ""
     unit = "" if run["protocol"].get("inverse_scale") else unit
+    if name.startswith("coverage"):  # neither more nor less is better
+        return f"in {name.removeprefix('coverage')} %"
     return f"{WORDS.get(name, name)}{unit} {'↓' if name in LOWER_IS_BETTER else '↑'}"
 
 
@@ -124,6 +130,13 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         if run[group] is not None
     ]
     log.table(protocol_line(run), names, rows)
+    if "nll" in run["metrics"]:
+        log.table(
+            f"sigma, protocol {run['uncertainty_protocol']['name']}: AUSE, AbsRel without the least certain "
+            "fifth of each image, coverage of intervals, likelihood of ln depth",
+            [heading(name, run) for name in UNCERTAINTY_METRICS],
+            [[number(name, run["metrics"][name]) for name in UNCERTAINTY_METRICS]],
+        )
     classes = run.get("errors_by_class") or {}
     if classes:
         rows = [

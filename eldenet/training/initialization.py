@@ -1,6 +1,9 @@
 """The network that a training starts from: seeded weights, or those of another training."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+import torch
 
 import eldenet
 from eldenet.results.fingerprints import differences
@@ -8,6 +11,8 @@ from eldenet.system.resources import seed_everything
 from eldenet.training.normalization import keep_normalization
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
     from eldenet.training.setup import TrainingSetup
@@ -51,6 +56,8 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
         for name, value in start.state_dict().items()
         if name in own and own[name].shape == value.shape
     }
+    if model.head.channels > start.head.channels:
+        fitting |= _beside_new_channels(own, start.state_dict(), start.head.channels)
     share = sum(value.numel() for value in fitting.values()) / sum(value.numel() for value in own.values())
     if share < LEAST_SHARE:
         raise ValueError(
@@ -65,3 +72,17 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
         log.say(line)
     if found := differences(model.config, start.config, ignored=frozenset({"mean", "std"})):
         log.say(f"weights: from a network with other settings; here {', '.join(found)}")
+
+
+def _beside_new_channels(
+    own: Mapping[str, "Tensor"], start: Mapping[str, "Tensor"], channels: int
+) -> "dict[str, Tensor]":
+    """Tensors that have more channels than in ``start``: its ``channels`` first, then the own ones."""
+    return {
+        name: torch.cat([value, own[name][channels:]])
+        for name, value in start.items()
+        if name in own
+        and value.shape[:1] == (channels,)
+        and own[name].shape[1:] == value.shape[1:]
+        and len(own[name]) > channels
+    }

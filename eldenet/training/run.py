@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
     from eldenet.evaluation.protocol import EvalProtocol
     from eldenet.losses.base import WeightedSum
+    from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
     from eldenet.training.checkpoint import Progress
@@ -59,7 +60,7 @@ def _train(setup: TrainingSetup) -> float:
     from eldenet.training.initialization import initial_model
 
     trainer, loss = setup.make_trainer(), make_loss(setup)
-    initial_model(setup, RunLog(setup.folder, quiet=True))
+    refuse_untrained_sigma(initial_model(setup, RunLog(setup.folder, quiet=True)), loss)
     with watched_processes(resources, setup.process_timeout):
         progress, skipped = _fit(setup, trainer, loss, resources, log, checkpoint)
         trainer.accelerator.wait_for_everyone()
@@ -152,6 +153,17 @@ def make_loss(setup: TrainingSetup) -> "WeightedSum":
             "or remove teacher="
         )
     return loss
+
+
+def refuse_untrained_sigma(model: "DepthNet", loss: "WeightedSum") -> None:
+    """Raise ValueError if no term of the loss trains the head's sigma, or one does and it has none."""
+    if loss.needs_spread == (model.distribution is not None):
+        return
+    raise ValueError(
+        "model/head=uncertain learns its sigma from a likelihood: use loss=ssim_nll, or another head"
+        if model.distribution is not None
+        else "this loss trains a sigma, and the head knows none: use model/head=uncertain, or another loss"
+    )
 
 
 def make_splits(

@@ -194,8 +194,12 @@ class Trainer:
         Returns:
             The detached loss terms by name, ``total`` first.
         """
+        spread = None
         with self.accelerator.autocast():
-            prediction = self.model(batch["image"])
+            if self.loss.needs_spread:
+                prediction, spread = self.model(batch["image"], with_spread=True)
+            else:
+                prediction = self.model(batch["image"])
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
         canonical_px = self.bare_model.canonical_px
         if canonical_px is not None and self.loss_camera == "canonical":
@@ -204,7 +208,7 @@ class Trainer:
         else:
             prediction = in_meters(prediction, focal, canonical_px)
         relative = batch.get("relative")
-        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal, relative)
+        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             average_gradients(self.loss, self.accelerator)  # DDP averages the model's

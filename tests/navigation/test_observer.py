@@ -182,3 +182,34 @@ def test_odometry_drifts_with_the_given_deviations():
     exact = Odometry(Drift(0.0, 0.0), np.random.default_rng(0), (1.0, 2.0, 0.5))
     exact.move((1.0, 2.0, 0.5), (1.3, 2.2, 0.9))
     assert exact.pose == pytest.approx((1.3, 2.2, 0.9))
+
+
+def test_a_doubtful_near_reading_slows():
+    """Ranges are the same; one says that things may be nearer."""
+    speeds = []
+    for nearest in (None, 0.9, 0.5):
+        observer = Observer()
+        ranges = np.full((1, ROBOT.columns), 1.2)
+        cautious = None if nearest is None else np.full_like(ranges, nearest)
+        observer.observe(senses(ranges)._replace(cautious=cautious))
+        speeds.append(observer.commands(np.array([2]))[0, 0])
+    assert speeds[0] > speeds[1] > speeds[2]
+
+
+def test_a_doubtful_far_reading_does_not_free():
+    """A remembered obstacle at 1 m stays where the view beyond it is in doubt, and goes where it is not."""
+    remembered = {}
+    for trusted in (True, False):
+        observer = Observer(memory=60, seen_through=2)
+        observer.observe(senses(np.full((1, ROBOT.columns), 1.0)))
+        cautious = np.full((1, ROBOT.columns), ROBOT.far if trusted else 0.9)
+        for _ in range(4):
+            observer.observe(senses()._replace(cautious=cautious))
+        remembered[trusted] = len(observer.memory.near(np.zeros((1, 3)))[0])
+    assert remembered[True] == 0
+    assert remembered[False] > 20
+
+
+def test_a_cautious_range_that_is_not_finite_is_refused():
+    with pytest.raises(ValueError, match="cautious not finite: stop the robot"):
+        Observer().observe(senses()._replace(cautious=np.full((1, ROBOT.columns), np.nan)))

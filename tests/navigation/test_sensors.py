@@ -14,6 +14,7 @@ from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.navigation.cameras import (
+    CAUTION,
     Camera,
     CameraInstance,
     camera,
@@ -40,6 +41,7 @@ from eldenet.simulation.arena_view import ArenaView
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
 from eldenet.simulation.robot import ROBOT
+from eldenet.uncertainty import DepthEstimate
 
 BOX = Obstacle("box", 3.0, 0.4, 0.3, (0.4, 0.3), 1.0)
 PILLAR = Obstacle("cylinder", 2.5, -0.9, 0.0, (0.25, 0.25), 1.2)
@@ -285,3 +287,16 @@ def test_a_missed_segment_is_replaced_by_its_farther_neighbor(put_in):
         assert (out >= ranges).all()
         outcomes.append(out[12] > 3)
     assert np.mean(outcomes) == pytest.approx(0.2, abs=0.04)
+
+
+def test_sigma_says_how_near_things_may_be():
+    exact = instance_of(Camera()).scan()
+    assert exact.cautious is None
+    photo = instance_of(Camera()).view.photo((0.0, 0.0, 0.0), 0.0, 0)
+    doubtful = Camera(lambda _: DepthEstimate(photo.depth, 0.2 * photo.depth, "laplace"))
+    scan = instance_of(doubtful).scan()
+    seen = scan.ranges < ROBOT.far
+    assert seen.any()
+    low, _ = DepthEstimate(scan.ranges, 0.2 * scan.ranges, "laplace").interval(CAUTION)
+    np.testing.assert_allclose(scan.cautious[seen], np.maximum(low[seen], ROBOT.near), rtol=1e-6)
+    assert (scan.cautious[~seen] == ROBOT.far).all()  # the floor stays the floor

@@ -12,6 +12,7 @@ from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import METHODS, BoxLifter
 from eldenet.perception.matching_metrics import compare
 from eldenet.perception.priors import PRIORS
+from eldenet.uncertainty import DepthEstimate, deviations
 
 
 def test_refine_finds_most_boxes_and_beats_the_other_methods(views):
@@ -290,3 +291,46 @@ def test_depth_in_millimeters_warns():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     with pytest.warns(UserWarning, match="millimeters"):
         BoxLifter()(depth * 1000, detection(xyxy), CAMERA)
+
+
+def test_sigma_sets_the_interval_of_a_distance():
+    depth, xyxy = block((0.0, 0.85, 12.0))
+    found = {}
+    for share in (0.05, 0.2):
+        estimate = DepthEstimate(depth, share * depth, "laplace")
+        found[share] = BoxLifter(ground=flat_ground(1.6))(estimate, detection(xyxy), CAMERA)[0]
+    for share, box in found.items():
+        factor = np.exp(deviations("laplace", 0.9) * share)
+        assert box.interval == pytest.approx((box.distance / factor, box.distance * factor))
+    assert BoxLifter()(depth, detection(xyxy), CAMERA)[0].interval is None
+
+
+def test_intervals_of_distances_hold_their_share_of_objects():
+    """The depth of each object is wrong by one factor, drawn from the distribution that sigma states."""
+    center, spread, rng = (0.0, 0.85, 12.0), 0.15, np.random.default_rng(0)
+    depth, xyxy = block(center)
+    inside = []
+    for error in rng.laplace(0, spread / np.sqrt(2), 60):
+        wrong = depth * np.exp(error)
+        estimate = DepthEstimate(wrong, spread * wrong, "laplace")
+        box = BoxLifter("lshape", ground=flat_ground(1.6))(estimate, detection(xyxy), CAMERA)[0]
+        low, high = box.interval
+        inside.append(low <= np.hypot(center[0], center[2]) <= high)
+    assert 0.8 <= np.mean(inside) <= 1.0
+
+
+def test_certain_pixels_weigh_more():
+    """The left half of the block shows a wrong depth, and sigma knows it."""
+    depth, xyxy = block((0.0, 0.85, 10.0))
+    wrong, spread = depth.copy(), np.full(depth.shape, 0.03)
+    left = np.zeros(depth.shape, bool)
+    left[:, : int(xyxy[[0, 2]].mean())] = True
+    wrong[left] *= 1.1
+    errors = []
+    for doubt in (0.03, 0.3):
+        sigma = np.where(left, doubt, spread) * wrong
+        boxes = BoxLifter(ground=flat_ground(1.6))(
+            DepthEstimate(wrong, sigma, "laplace"), detection(xyxy), CAMERA
+        )
+        errors.append(abs(boxes[0].center[2] - 10.0))
+    assert errors[1] < errors[0]

@@ -3,6 +3,7 @@
 ``depth = eldenet.runtimes.load("eldenet.onnx", "openvino", "bf16", threads=2)(images)``
 """
 
+import json
 import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -81,7 +82,7 @@ def load(
     size = size or size_of_frames(model.info)
     name = str(model.info.get("model_name", "unnamed"))
     metadata = (
-        {"model": name} | canonical_camera(model)
+        {"model": name, "distribution": json.dumps(model.distribution)} | canonical_camera(model)
         if size is None
         else describe(model, name, (int(size[0]), int(size[1])))
     )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from eldenet.deploy.files import metadata_value
+from eldenet.uncertainty import DepthEstimate
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -17,7 +18,8 @@ class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
     Where it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
-    with fx in pixels of the image that the network sees.
+    with fx in pixels of the image that the network sees. One with a ``distribution`` also knows its sigma,
+    see :meth:`predict`.
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
     Several threads may call one runtime: each gets the depth of its own images.
@@ -59,6 +61,12 @@ class Runtime:
         return None if focal is None else float(focal) * float(width)
 
     @property
+    def distribution(self) -> str | None:
+        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: it knows no sigma."""
+        found: str | None = metadata_value(self.metadata, "distribution")
+        return found
+
+    @property
     def camera_size(self) -> tuple[int, int] | None:
         """``(height, width)`` of the frames that it takes [px], or None."""
         return self._sizes("camera_size")
@@ -80,6 +88,10 @@ class Runtime:
 
     def run(self, images: np.ndarray) -> np.ndarray:
         """Run arrays that :meth:`__call__` has checked."""
+        return self.run_maps(images)[0]
+
+    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+        """Depth of checked arrays, and sigma if the network knows one."""
         raise NotImplementedError
 
     def prepared(self, images: np.ndarray) -> Any:
@@ -103,6 +115,22 @@ class Runtime:
         Raises:
             ValueError: this network takes images of another shape or type.
         """
+        depth = self.run(self._checked(images))
+        if isinstance(images, np.ndarray):
+            return depth
+        import torch
+
+        return torch.from_numpy(depth).to(images.device)
+
+    def predict(self, images: np.ndarray) -> DepthEstimate:
+        """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network knows none.
+
+        Raises:
+            ValueError: this network takes images of another shape or type.
+        """
+        return DepthEstimate(*self.run_maps(self._checked(images)), distribution=self.distribution)
+
+    def _checked(self, images: "np.ndarray | Tensor") -> np.ndarray:
         given = images if isinstance(images, np.ndarray) else images.detach().cpu().numpy()
         wanted, channels = (np.uint8, 3) if self.takes_frames else (np.float32, 1)
         if given.ndim != 4 or given.shape[channels] != 3 or given.dtype != wanted:
@@ -110,12 +138,7 @@ class Runtime:
                 f"images are {given.shape} {given.dtype}; this network takes "
                 + ("(B, H, W, 3) uint8 RGB frames" if self.takes_frames else "(B, 3, H, W) float32 in [0, 1]")
             )
-        depth = self.run(np.ascontiguousarray(given))
-        if isinstance(images, np.ndarray):
-            return depth
-        import torch
-
-        return torch.from_numpy(depth).to(images.device)
+        return np.ascontiguousarray(given)
 
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:

@@ -1,6 +1,7 @@
 """An exported file as a torch module, to score it and to measure its cost."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -8,6 +9,7 @@ from torch import Tensor, nn
 
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.evaluation.cost import CostReport, median_ms, peak_memory_mb, percentile_ms, time_interleaved
+from eldenet.uncertainty import NO_SIGMA
 
 
 class RuntimeNetwork(nn.Module):
@@ -23,9 +25,10 @@ class RuntimeNetwork(nn.Module):
             raise ValueError("this file takes camera frames: to score the network, export it without camera=")
         self.network = network
         self.info, self.canonical_px = network.info, network.canonical_px
+        self.distribution = network.distribution
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Depth [m] on the image's device."""
+    def forward(self, image: Tensor, *, with_spread: bool = False) -> Any:
+        """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth."""
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
                 f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
@@ -33,11 +36,20 @@ class RuntimeNetwork(nn.Module):
             )
         batch = self.network.fixed_batch
         if batch is None:
-            return self.network(image.float())
+            return self._run(image.float(), with_spread)
         if len(image) > batch:
             raise ValueError(f"this file takes {batch} images at once: give batch_size={batch}")
         filled = torch.cat([image, image[-1:].expand(batch - len(image), -1, -1, -1)])  # the last of a set
-        return self.network(filled.float())[: len(image)]
+        found = self._run(filled.float(), with_spread)
+        return tuple(each[: len(image)] for each in found) if with_spread else found[: len(image)]
+
+    def _run(self, image: Tensor, with_spread: bool) -> Any:
+        if not with_spread:
+            return self.network(image)
+        depth, sigma, _ = self.network.predict(image.cpu().numpy())
+        if sigma is None:
+            raise ValueError(NO_SIGMA)
+        return tuple(torch.from_numpy(each).to(image.device) for each in (depth, sigma / depth))
 
 
 def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:

@@ -72,10 +72,10 @@ class OnnxRuntime(Runtime):
         batch = self.session.get_inputs()[0].shape[0]
         return batch if isinstance(batch, int) else None
 
-    def run(self, images: np.ndarray) -> np.ndarray:
+    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
         """Run arrays."""
         try:
-            return self.session.run(None, {self.input: images})[0]
+            return list(self.session.run(None, {self.input: images}))
         except Exception as error:
             if "Got invalid dimensions" not in str(error):
                 raise ValueError(f"ONNX Runtime cannot run {self.path}: {error}") from error

@@ -74,7 +74,7 @@ class OpenvinoRuntime(Runtime):
         batch = self.compiled.input(0).partial_shape[0]
         return int(batch.get_length()) if batch.is_static else None
 
-    def run(self, images: np.ndarray) -> np.ndarray:
+    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
         """Run arrays."""
         from openvino import PartialShape
 
@@ -82,4 +82,5 @@ class OpenvinoRuntime(Runtime):
         if not expected.compatible(PartialShape(list(images.shape))):
             raise ValueError(f"images are {images.shape}, this file takes {expected}: export another")
         with self._one_at_a_time:  # until the copy is made: the request reuses the memory
-            return self.request.infer([images], share_inputs=True, share_outputs=True)[0].copy()
+            found = self.request.infer([images], share_inputs=True, share_outputs=True)
+            return [found[number].copy() for number in range(len(self.compiled.outputs))]

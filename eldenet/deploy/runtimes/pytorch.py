@@ -73,15 +73,22 @@ class TorchRuntime(Runtime):
         return torch.from_numpy(images).to(self.target).contiguous(memory_format=self.layout)
 
     @torch.no_grad()
-    def run_prepared(self, images: Tensor) -> Tensor:
-        """Run a tensor."""
+    def run_prepared(self, images: Tensor, **options: bool) -> Any:
+        """Run a tensor; ``options`` are those of the network."""
         if self.target.type == "cpu" and torch.get_num_threads() != self.threads:
             torch.set_num_threads(self.threads)
-        return self.network(images)
+        return self.network(images, **options)
 
     def run(self, images: np.ndarray) -> np.ndarray:
         """Run arrays."""
         return self.run_prepared(self.prepared(images)).cpu().numpy()
+
+    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+        """Run arrays."""
+        if self.distribution is None:
+            return [self.run(images)]
+        depth, spread = self.run_prepared(self.prepared(images), with_spread=True)
+        return [depth.cpu().numpy(), (depth * spread).cpu().numpy()]
 
     def synchronize(self) -> None:
         """Wait for the GPU."""
