@@ -1,5 +1,7 @@
 """Heads turn a network's raw map into meters within a range of their own."""
 
+from typing import Any, Self
+
 import torch
 from torch import Tensor, nn
 
@@ -28,6 +30,12 @@ class Head(Configurable, nn.Module):
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
         raise NotImplementedError
+
+    def rescaled(self, factor: float) -> Self:
+        """Return a head of the same kind whose depth is ``factor`` times this one's; so is its range."""
+        settings: dict[str, Any] = {name: value for name, value in self.config.items() if name != "_target_"}
+        settings |= {name: settings[name] * factor for name in ("min_depth", "max_depth")}
+        return type(self)(**settings)
 
     def forward(self, raw: Tensor) -> Tensor:
         """Same as :meth:`to_meters`."""
@@ -84,6 +92,10 @@ class ScaledHead(Head):
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real number to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)
+
+    def rescaled(self, factor: float) -> Self:
+        """Return a head whose depth, range and scale are ``factor`` times this one's."""
+        return type(self)(self.scale * factor, self.min_depth * factor, self.max_depth * factor)
 
 
 def in_meters(depth: Tensor, focal: float | Tensor | None, canonical_px: float | None) -> Tensor:

@@ -167,11 +167,20 @@ def photo_beside_depth(photo: np.ndarray, depth: np.ndarray, near: float, far: f
     Small photos are enlarged by a whole factor to ``SMALLEST_HEIGHT`` or more. Height and width are even, as
     video codecs need.
     """
-    known = np.isfinite(depth) & (depth > 0)
+    return photo_beside_depths(photo, [depth], near, far)
+
+
+def photo_beside_depths(
+    photo: np.ndarray, depths: Sequence[np.ndarray], near: float, far: float
+) -> np.ndarray:
+    """Same as :func:`photo_beside_depth` for several depth maps ``(H, W)`` [m], with one scale."""
     factor = -(-SMALLEST_HEIGHT // photo.shape[0])
-    photo, colors = _enlarged(photo, factor), _enlarged(color_depth(depth, near, far, known), factor)
-    gap = _blank(photo.shape[0], 4)
-    row = np.concatenate([photo, gap, colors, gap, depth_scale(near, far, photo.shape[0])], axis=1)
+    panels = [photo] + [color_depth(depth, near, far, np.isfinite(depth) & (depth > 0)) for depth in depths]
+    panels = [_enlarged(panel, factor) for panel in panels]
+    height = panels[0].shape[0]
+    gap = _blank(height, 4)
+    pieces = [piece for panel in [*panels, depth_scale(near, far, height)] for piece in (panel, gap)]
+    row = np.concatenate(pieces[:-1], axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
