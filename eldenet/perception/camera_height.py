@@ -30,7 +30,7 @@ MOST_SPREAD = 0.2  # median difference between a frame's log scale and the media
 HELD_OUT, BLOCKS, GAP = 0.3, 10, 2  # share, blocks of time, frames left out beside one
 FLOOR_TOLERANCE = (0.03, 0.012)  # [m], and per meter of distance: as in fit_ground
 SHOWN = 3  # frames of the picture
-TITLES = ("image", "before", "after", "")
+TITLES = ("image", "before", "after")
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def calibrate(setup: CalibrationSetup) -> bool:
                 shown.append((resize_image(photo, size), resize_depth(depth, size)))
             bar.advance(1)
     values = np.array(logs)
-    refuse_unsure(values, setup.camera_pitch is not None)
+    refuse_unsure(values, known_pitch=setup.camera_pitch is not None)
     held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
     fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
     scale = float(np.exp(np.nanmedian(values[fitted])))
@@ -176,21 +176,25 @@ def floor_pixels(
     return rows[inside], columns[inside]
 
 
-def refuse_unsure(values: np.ndarray, known_pitch: bool) -> None:
-    """Raise ValueError if the log scales of all frames say too little: few floors, or they contradict."""
+def refuse_unsure(values: np.ndarray, *, known_pitch: bool) -> None:
+    """Raise ValueError if the log scales of all frames say too little: few floors, or they contradict.
+
+    Where the pitch is fitted in each frame, its error can move all heights to one side, which held-out frames
+    cannot show. Heights that differ from frame to frame betray it.
+    """
     floors = values[np.isfinite(values)]
     if len(floors) < max(LEAST_FLOORS, LEAST_SHARE * len(values)):
         raise ValueError(
-            f"{len(floors)} of {len(values)} frames show a floor: {LEAST_FLOORS} frames and {LEAST_SHARE:.0%} of "
-            "all are needed, because the error of the depth differs from image to image. Tilt the camera down, "
-            "or record depth frames"
+            f"{len(floors)} of {len(values)} frames show a floor: {LEAST_FLOORS} frames and "
+            f"{LEAST_SHARE:.0%} of all are needed, because the error of the depth differs from image to "
+            "image. Tilt the camera down, or record depth frames"
         )
     spread = float(np.median(np.abs(floors - np.median(floors))))
-    if spread > MOST_SPREAD:
-        hint = "" if known_pitch else "give camera_pitch= if it is fixed, or "
+    if spread > MOST_SPREAD and not known_pitch:
         raise ValueError(
             f"the floors of single frames disagree by {np.expm1(spread):.0%} (median), at most "
-            f"{np.expm1(MOST_SPREAD):.0%} can be trusted: {hint}record depth frames"
+            f"{np.expm1(MOST_SPREAD):.0%} can be trusted: give camera_pitch= if it is fixed, or record depth "
+            "frames"
         )
 
 

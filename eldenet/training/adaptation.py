@@ -38,7 +38,7 @@ LEAST_PIXELS = 50  # of known depth, for a frame to count
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
 METRICS = ("abs_rel", "rmse", "delta1")  # of the table; the first one decides
 PICTURE_WIDTH = 320  # [px] of a panel
-TITLES = ("image", "truth", "before", "after", "")
+TITLES = ("image", "truth", "before", "after")
 
 
 @dataclass(frozen=True)
@@ -152,9 +152,9 @@ def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
     if len(known) + len(held_out) < LEAST_FRAMES or len(held_out) < LEAST_HELD_OUT:
         raise ValueError(
             f"{len(known)} training frames know the depth of {LEAST_PIXELS} pixels or more, {len(held_out)} "
-            f"frames are held out: {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed, some hundred "
-            "are better. A few known distances do not calibrate a camera, because the error of the depth "
-            "differs from image to image. Record more frames, or give camera_height= with source="
+            f"frames are held out; {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. A few "
+            "known distances do not calibrate a camera, because the error of the depth differs from image to "
+            "image. Record some hundred frames, or give camera_height= with source="
         )
     return known
 
@@ -177,7 +177,7 @@ def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
 
 
 def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, seconds: float) -> int:
-    """Return how many epochs fit into ``seconds``; where not one does, ``frames`` keeps a share of its frames."""
+    """Return how many epochs fit into ``seconds``; where not one does, ``frames`` keeps a share of them."""
     twin = copy.deepcopy(model).train()
     device = next(twin.parameters()).device
     batch = min(8, len(frames))
