@@ -29,6 +29,8 @@ LEAST_SHARE = 0.3  # of all frames
 MOST_SPREAD = 0.2  # median difference between a frame's log scale and the median of all
 HELD_OUT, BLOCKS, GAP = 0.3, 10, 2  # share, blocks of time, frames left out beside one
 FLOOR_TOLERANCE = (0.03, 0.012)  # [m], and per meter of distance: as in fit_ground
+CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
+MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
 SHOWN = 3  # frames of the picture
 TITLES = ("image", "before", "after")
 
@@ -142,7 +144,8 @@ def log_scale(depth: np.ndarray, camera: PinholeCamera, height: float, *, known_
     """Return the logarithm of the factor that puts the floor ``height`` [m] below; NaN without a floor.
 
     Of a camera with known pitch, the floor's true depth is known at each of its pixels, and the factor is the
-    median ratio. Else the plane's own height decides, which shares the errors of its tilt.
+    median ratio; a level surface with more below it is no floor. Else the plane's own height decides, which
+    shares the errors of its tilt.
 
     Args:
         depth: predicted ``(H, W)`` [m].
@@ -155,12 +158,23 @@ def log_scale(depth: np.ndarray, camera: PinholeCamera, height: float, *, known_
         return float("nan")
     if not known_pitch:
         return float(np.log(height / plane.offset))
+    if hides_a_floor(depth, camera, plane):
+        return float("nan")
     rows, columns = floor_pixels(depth, camera, plane)
     slope = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ camera.homography[1]
     below = slope > 0.02  # well below the horizon
     if not below.any():
         return float("nan")
     return float(np.median(np.log(height / slope[below] / depth[rows[below], columns[below]])))
+
+
+def hides_a_floor(depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane) -> bool:
+    """Return whether much of ``depth (H, W)`` [m] lies clearly below ``plane``: a table or a bed."""
+    rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
+    distance = depth.ravel()
+    height = plane.height_above(camera.back_project(columns, rows, distance))
+    margin = CLEARLY_BELOW * plane.offset + FLOOR_TOLERANCE[0] + FLOOR_TOLERANCE[1] * distance
+    return bool((height < -margin).mean() > MOST_BELOW)
 
 
 def floor_pixels(

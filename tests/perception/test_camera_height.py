@@ -38,6 +38,12 @@ def test_a_wall_gives_no_scale():
     assert np.isnan(log_scale(np.full(SIZE, 2.0), level_camera(CAMERA, None), 0.8, known_pitch=False))
 
 
+def test_a_table_is_not_taken_for_the_floor():
+    depth = floor(0.8, 0.3)
+    depth[:, 12:52] = floor(0.4, 0.3)[:, 12:52]
+    assert np.isnan(log_scale(depth, level_camera(CAMERA, 0.3), 0.8, known_pitch=True))
+
+
 def test_few_floors_and_floors_that_contradict_are_refused():
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match=r"12 of 100 frames show a floor"):
