@@ -1,5 +1,7 @@
 """Heads turn a network's raw map into meters within a range of their own."""
 
+from typing import Any, Self
+
 import torch
 from torch import Tensor, nn
 
@@ -45,6 +47,12 @@ class Head(Configurable, nn.Module):
             ValueError: the head knows none.
         """
         raise ValueError(NO_SIGMA)
+
+    def rescaled(self, factor: float) -> Self:
+        """Return a head of the same kind whose depth is ``factor`` times this one's; so is its range."""
+        settings: dict[str, Any] = {name: value for name, value in self.config.items() if name != "_target_"}
+        settings |= {name: settings[name] * factor for name in ("min_depth", "max_depth")}
+        return type(self)(**settings)
 
     def forward(self, raw: Tensor) -> Tensor:
         """Same as :meth:`to_meters`."""
@@ -102,6 +110,10 @@ class ScaledHead(Head):
         """Map any real number to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)
 
+    def rescaled(self, factor: float) -> Self:
+        """Return a head whose depth, range and scale are ``factor`` times this one's."""
+        return type(self)(self.scale * factor, self.min_depth * factor, self.max_depth * factor)
+
 
 class UncertainHead(Head):
     """Depth by another head, and how far it may be off: a second raw channel is the scale of the error.
@@ -150,6 +162,13 @@ class UncertainHead(Head):
         """Second channel of ``(B, 2, H, W)`` -> standard deviation of ln depth ``(B, 1, H, W)``."""
         ratio = self.max_spread / self.min_spread
         return self.temperature * self.min_spread * ratio ** raw[:, 1:].sigmoid()
+
+    def rescaled(self, factor: float) -> Self:
+        """Return a head whose depth and range are ``factor`` times this one's; the spread is relative."""
+        limits = {"min_spread": self.min_spread, "max_spread": self.max_spread}
+        head = type(self)(self.depth.rescaled(factor), distribution=str(self.distribution), **limits)
+        head.temperature.copy_(self.temperature)
+        return head
 
 
 def add_channels(network: nn.Module, count: int) -> None:

@@ -158,6 +158,17 @@ class DepthNet(Configurable, nn.Module):
         depth, spread = self(image, focal, with_spread=True)
         return DepthEstimate(depth, depth * spread, self.distribution)
 
+    def rescale(self, factor: float) -> None:
+        """Make all depth ``factor`` times as large, from now on: the head's range moves along.
+
+        Raises:
+            ValueError: ``factor`` is not above 0.
+        """
+        if not factor > 0:
+            raise ValueError(f"factor={factor}: give a number above 0")
+        self.head = self.head.rescaled(factor)
+        self.config["head"] = self.head.config
+
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
         """Write ``config.json`` and ``model.safetensors`` into ``folder``; the config has digests of both.
 

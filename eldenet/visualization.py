@@ -176,7 +176,15 @@ def photo_beside_depth(
     colors = color_depth(depth, near, far, known)
     if unsure is not None:
         colors[unsure & known] = UNSURE_COLOR
-    return _beside(photo, colors, lambda height: depth_scale(near, far, height))
+    return _beside(photo, [colors], lambda height: depth_scale(near, far, height))
+
+
+def photo_beside_depths(
+    photo: np.ndarray, depths: Sequence[np.ndarray], near: float, far: float
+) -> np.ndarray:
+    """Same as :func:`photo_beside_depth` for several depth maps ``(H, W)`` [m], with one scale."""
+    panels = [color_depth(depth, near, far, np.isfinite(depth) & (depth > 0)) for depth in depths]
+    return _beside(photo, panels, lambda height: depth_scale(near, far, height))
 
 
 def photo_beside_sigma(photo: np.ndarray, depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -186,7 +194,7 @@ def photo_beside_sigma(photo: np.ndarray, depth: np.ndarray, sigma: np.ndarray) 
     """
     colors = color_share(100 * sigma / depth)
     scale = (0.0, LARGEST_SIGMA)
-    return _beside(photo, colors, lambda height: depth_scale(*scale, height, unit="%", color=color_share))
+    return _beside(photo, [colors], lambda height: depth_scale(*scale, height, unit="%", color=color_share))
 
 
 def color_share(percent: np.ndarray, *_range: float) -> np.ndarray:
@@ -194,12 +202,15 @@ def color_share(percent: np.ndarray, *_range: float) -> np.ndarray:
     return _colors(percent / LARGEST_SIGMA, cv2.COLORMAP_INFERNO, None)
 
 
-def _beside(photo: np.ndarray, colors: np.ndarray, scale: Callable[[int], np.ndarray]) -> np.ndarray:
-    """Photo, colors ``(H, W, 3)`` and the scale of their height in one picture of even sides."""
+def _beside(
+    photo: np.ndarray, panels: Sequence[np.ndarray], scale: Callable[[int], np.ndarray]
+) -> np.ndarray:
+    """Photo, panels ``(H, W, 3)`` and the scale of their height in one picture of even sides."""
     factor = -(-SMALLEST_HEIGHT // photo.shape[0])
-    photo, colors = _enlarged(photo, factor), _enlarged(colors, factor)
-    gap = _blank(photo.shape[0], 4)
-    row = np.concatenate([photo, gap, colors, gap, scale(photo.shape[0])], axis=1)
+    pieces = [_enlarged(panel, factor) for panel in (photo, *panels)]
+    height = pieces[0].shape[0]
+    gap = _blank(height, 4)
+    row = np.concatenate([piece for panel in pieces for piece in (panel, gap)] + [scale(height)], axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 

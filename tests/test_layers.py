@@ -38,7 +38,7 @@ navigation
 config
 zoo
 cli
-train evaluate predict export benchmark report study check_data train_detector navigate
+train adapt evaluate predict export benchmark report study check_data train_detector navigate
 """
 FLOOR_OF = {name: floor for floor, line in enumerate(ORDER.split("\n")) for name in line.split()}
 COMMANDS = ORDER.split("\n")[-2].split()

@@ -89,7 +89,7 @@ class FolderDataset(FileDataset):
         if split != "all" and val_names is not None:
             names = _named(names, val_names, wanted=split == "val")
         elif split != "all":
-            val, left_out = _val_blocks(len(names), val_fraction, blocks, gap, split_seed)
+            val, left_out = val_blocks(len(names), val_fraction, blocks, gap, split_seed)
             chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
             names = [names[i] for i in chosen]
         super().__init__(folder, names, [pairs[name] for name in names], **options)
@@ -166,8 +166,19 @@ def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
-    """Frames for validation, and frames beside them that belong to neither part."""
+def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
+    """Return the numbers of frames for validation, and of those beside them that belong to neither part.
+
+    Args:
+        count: of all frames, in the order of time.
+        fraction: share of the blocks for validation.
+        blocks: into which the frames are cut.
+        gap: frames left out on each side of a validation block.
+        seed: decides which blocks are for validation.
+
+    Raises:
+        ValueError: the settings are out of range, or there is one frame.
+    """
     if not 0.0 < fraction < 1.0 or blocks < 2 or gap < 0:
         raise ValueError(
             f"val_fraction={fraction}, blocks={blocks}, gap={gap}: give a fraction between 0 and 1, at least "

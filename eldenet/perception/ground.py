@@ -42,10 +42,13 @@ def flat_ground(camera_height: float) -> GroundPlane:
     return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=0.02)
 
 
-def fit_ground(depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
+def fit_ground(
+    depth: np.ndarray, camera: PinholeCamera, *, max_slope: float = MAX_SLOPE
+) -> GroundPlane | None:
     """Fit the ground to a depth map ``(H, W)`` [m] (0 or NaN: unknown): RANSAC, then least squares.
 
-    Return None if no nearly level plane below the camera holds a tenth of the lower half of the image.
+    Return None if no plane below the camera, tilted by at most ``max_slope`` [rad] in the level frame, holds
+    a tenth of the lower half of the image.
     """
     rng = np.random.default_rng(0)
     rows, columns = _known_pixels(depth, rng)
@@ -62,7 +65,7 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
     tolerance = 0.03 + 0.012 * distance  # depth errors grow with depth
     inliers = np.abs(normals @ points.T - offsets[:, None]) < tolerance
     votes = (inliers / (1.0 + 0.05 * distance)).sum(1)  # near points say more about the height
-    votes[(length < 1e-9) | (normals[:, 1] < np.cos(MAX_SLOPE)) | (offsets <= 0)] = -1
+    votes[(length < 1e-9) | (normals[:, 1] < np.cos(max_slope)) | (offsets <= 0)] = -1
     best = int(np.argmax(votes))
     if votes[best] <= 0:
         return None
@@ -77,7 +80,7 @@ def fit_ground(depth: np.ndarray, camera: PinholeCamera) -> GroundPlane | None:
         scale = 1 / np.sqrt(1 + a * a + b * b)
         normal, offset = np.array([-a, 1.0, -b]) * scale, float(c * scale)
         inside = np.abs(points @ normal - offset) < tolerance
-    if normal[1] < np.cos(MAX_SLOPE) or offset <= 0 or inside.mean() < 0.1:
+    if normal[1] < np.cos(max_slope) or offset <= 0 or inside.mean() < 0.1:
         return None
     return GroundPlane(normal, offset, fitted=True)
 

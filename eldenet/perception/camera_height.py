@@ -1,0 +1,228 @@
+"""The scale of weights for a camera whose height above a visible floor is known."""
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import eldenet
+from eldenet.data.folder import val_blocks
+from eldenet.data.io import read_image
+from eldenet.deploy.prediction import Source
+from eldenet.deploy.predictor import DepthPredictor, for_camera
+from eldenet.deploy.video_files import VideoFile
+from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
+from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground
+from eldenet.results.before_after import compare, say_changes
+from eldenet.results.run_log import RunLog
+from eldenet.system.files import write_rows
+from eldenet.system.resources import choose_resources
+from eldenet.training.adaptation import PICTURE_WIDTH, finish
+from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
+
+FREE_SLOPE = 0.7  # [rad]: of a floor before a camera in a hand, whose pitch is not known
+LEAST_FLOORS = 20  # frames with a floor
+LEAST_SHARE = 0.3  # of all frames
+MOST_SPREAD = 0.2  # median difference between a frame's log scale and the median of all
+HELD_OUT, BLOCKS, GAP = 0.3, 10, 2  # share, blocks of time, frames left out beside one
+FLOOR_TOLERANCE = (0.03, 0.012)  # [m], and per meter of distance: as in fit_ground
+CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
+MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
+SHOWN = 3  # frames of the picture
+TITLES = ("image", "before", "after")
+
+
+@dataclass(frozen=True)
+class CalibrationSetup:
+    """What ``python -m eldenet.adapt camera_height=...`` fits; ``config.build_calibration`` makes it.
+
+    Attributes:
+        folder: of the run.
+        weights: to start from.
+        source: pictures in the order of time, or a video.
+        intrinsics: ``(fx, fy, cx, cy)`` of its pictures [px].
+        camera_height: of the optical center above the floor [m].
+        camera_pitch: below the horizon [rad]; None: fitted in each frame.
+        frames: used at most, evenly chosen.
+        seed: decides which blocks are held out.
+        resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
+        trusted_modules: packages whose classes the weights' ``config.json`` may name.
+        settings: resolved, which ``run.json`` stores.
+    """
+
+    folder: Path
+    weights: str
+    source: Source
+    intrinsics: Sequence[float]
+    camera_height: float
+    camera_pitch: float | None
+    frames: int
+    seed: int
+    resources: Mapping[str, Any]
+    trusted_modules: Sequence[str]
+    settings: Mapping[str, Any]
+
+
+def calibrate(setup: CalibrationSetup) -> bool:
+    """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
+
+    Raises:
+        ValueError: too few frames show a floor, or the floors contradict each other.
+    """
+    resources = choose_resources(**setup.resources)
+    start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
+    camera = level_camera(setup.intrinsics, setup.camera_pitch)
+    predictor = DepthPredictor(start, device=resources.device, steady=False)
+    predict = for_camera(predictor, camera.intrinsics)
+    names: list[str] = []
+    logs: list[float] = []
+    shown: list[tuple[np.ndarray, np.ndarray]] = []
+    log = RunLog(setup.folder)
+    pictures, total = frames_of(setup.source, setup.frames)
+    with log.bar("floors", total) as bar:
+        for name, photo in pictures:
+            check_intrinsics(camera.intrinsics, photo.shape[:2])
+            depth = predict(photo)
+            names.append(name)
+            logs.append(
+                log_scale(depth, camera, setup.camera_height, known_pitch=setup.camera_pitch is not None)
+            )
+            if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
+                size = (round(photo.shape[0] * PICTURE_WIDTH / photo.shape[1]), PICTURE_WIDTH)
+                shown.append((resize_image(photo, size), resize_depth(depth, size)))
+            bar.advance(1)
+    values = np.array(logs)
+    refuse_unsure(values, known_pitch=setup.camera_pitch is not None)
+    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
+    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
+    scale = float(np.exp(np.nanmedian(values[fitted])))
+    before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
+    change = compare("scale_error", [names[i] for i in held], before.tolist(), after.tolist())
+    say_changes(log, f"{setup.weights}: floors of {change.frames} held-out frames", {"scale_error": change})
+    found = int(np.isfinite(values).sum())
+    log.say(f"{found} of {len(values)} frames show the floor; depth times {scale:.3f}")
+    model = copy.deepcopy(start)
+    model.rescale(scale)
+    rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
+    write_rows(setup.folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
+    draw(setup.folder / "before_after.png", shown, scale)
+    facts = {"scale": scale, "frames": len(values), "frames_with_floor": found}
+    finish(setup, log, model if change.is_better else start, {"scale_error": change}, facts)
+    return change.is_better
+
+
+def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray]], int]:
+    """Return name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames, and their number."""
+    if not source.is_video:
+        paths = [Path(path) for path in source.names]
+        chosen = [paths[i] for i in _even(len(paths), most)]
+        return ((path.name, read_image(path, upright=True)) for path in chosen), len(chosen)
+    (path,) = source.names
+    video = VideoFile(Path(path))
+    wanted = set(_even(video.announced or most, most))
+    numbered = enumerate(frame for frame, _ in video.frames())
+    return ((f"{number:06d}", frame) for number, frame in numbered if number in wanted), len(wanted)
+
+
+def _even(count: int, most: int) -> list[int]:
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
+
+
+def level_camera(intrinsics: Sequence[float], pitch: float | None) -> PinholeCamera:
+    """Return the camera, in a level frame if its ``pitch`` below the horizon [rad] is known."""
+    matrix = pinhole(*intrinsics)
+    if pitch is None:
+        return PinholeCamera(matrix)
+    c, s = np.cos(pitch), np.sin(pitch)
+    return PinholeCamera(matrix, np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]))
+
+
+def log_scale(depth: np.ndarray, camera: PinholeCamera, height: float, *, known_pitch: bool) -> float:
+    """Return the logarithm of the factor that puts the floor ``height`` [m] below; NaN without a floor.
+
+    Of a camera with known pitch, the floor's true depth is known at each of its pixels, and the factor is the
+    median ratio; a level surface with more below it is no floor. Else the plane's own height decides, which
+    shares the errors of its tilt.
+
+    Args:
+        depth: predicted ``(H, W)`` [m].
+        camera: in the level frame if its pitch is known.
+        height: of the camera above the floor [m].
+        known_pitch: whether the camera is in the level frame.
+    """
+    plane = fit_ground(depth, camera, max_slope=MAX_SLOPE if known_pitch else FREE_SLOPE)
+    if plane is None:
+        return float("nan")
+    if not known_pitch:
+        return float(np.log(height / plane.offset))
+    if hides_a_floor(depth, camera, plane):
+        return float("nan")
+    rows, columns = floor_pixels(depth, camera, plane)
+    slope = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ camera.homography[1]
+    below = slope > 0.02  # well below the horizon
+    if not below.any():
+        return float("nan")
+    return float(np.median(np.log(height / slope[below] / depth[rows[below], columns[below]])))
+
+
+def hides_a_floor(depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane) -> bool:
+    """Return whether much of ``depth (H, W)`` [m] lies clearly below ``plane``: a table or a bed."""
+    rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
+    distance = depth.ravel()
+    height = plane.height_above(camera.back_project(columns, rows, distance))
+    margin = CLEARLY_BELOW * plane.offset + FLOOR_TOLERANCE[0] + FLOOR_TOLERANCE[1] * distance
+    return bool((height < -margin).mean() > MOST_BELOW)
+
+
+def floor_pixels(
+    depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the pixels of the lower half that lie on ``plane``."""
+    top = depth.shape[0] // 2
+    rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
+    rows, columns = rows[top * depth.shape[1] :], columns[top * depth.shape[1] :]
+    distance = depth[rows, columns]
+    near = FLOOR_TOLERANCE[0] + FLOOR_TOLERANCE[1] * distance
+    inside = np.abs(plane.height_above(camera.back_project(columns, rows, distance))) < near
+    return rows[inside], columns[inside]
+
+
+def refuse_unsure(values: np.ndarray, *, known_pitch: bool) -> None:
+    """Raise ValueError if the log scales of all frames say too little: few floors, or they contradict.
+
+    Where the pitch is fitted in each frame, its error can move all heights to one side, which held-out frames
+    cannot show. Heights that differ from frame to frame betray it.
+    """
+    floors = values[np.isfinite(values)]
+    if len(floors) < max(LEAST_FLOORS, LEAST_SHARE * len(values)):
+        raise ValueError(
+            f"{len(floors)} of {len(values)} frames show a floor: {LEAST_FLOORS} frames and "
+            f"{LEAST_SHARE:.0%} of all are needed, because the error of the depth differs from image to "
+            "image. Tilt the camera down, or record depth frames"
+        )
+    spread = float(np.median(np.abs(floors - np.median(floors))))
+    if spread > MOST_SPREAD and not known_pitch:
+        raise ValueError(
+            f"the floors of single frames disagree by {np.expm1(spread):.0%} (median), at most "
+            f"{np.expm1(MOST_SPREAD):.0%} can be trusted: give camera_pitch= if it is fixed, or record depth "
+            "frames"
+        )
+
+
+def resize_depth(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Depth ``(H, W)`` [m] at another ``(height, width)``, for a picture."""
+    import cv2
+
+    return np.asarray(cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def draw(path: Path, frames: Sequence[tuple[np.ndarray, np.ndarray]], scale: float) -> None:
+    """Draw photos with their depth before and after, and a scale in meters."""
+    rows = []
+    for photo, depth in frames:
+        near, far = visible_range(np.stack([depth, depth * scale]))
+        rows.append(photo_beside_depths(photo, [depth, depth * scale], near, far))
+    write_picture(path, stack_rows(rows, TITLES))

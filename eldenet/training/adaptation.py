@@ -1,0 +1,284 @@
+"""Weights for the user's own camera and place, tuned on depth frames of any sensor.
+
+The frames are cut into blocks of time. Some blocks are held out, and what is not better there is not kept.
+"""
+
+import copy
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+import eldenet
+from eldenet.data.loaders import collate
+from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
+from eldenet.geometry import resize_image, size_of_aspect
+from eldenet.model import DepthNet, eval_mode, size_of_frames
+from eldenet.results.before_after import Change, compare, say_changes
+from eldenet.results.fingerprints import fingerprint
+from eldenet.results.run_log import RunLog
+from eldenet.results.run_record import RUN_FILE, environment
+from eldenet.system.files import write_json, write_rows
+from eldenet.system.resources import choose_resources
+from eldenet.training.trainer import Trainer, TrainingData
+from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
+
+if TYPE_CHECKING:
+    from eldenet.data.base import DepthDataset
+    from eldenet.evaluation.protocol import EvalProtocol
+    from eldenet.losses.base import WeightedSum
+    from eldenet.system.resources import Resources
+
+LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
+LEAST_PIXELS = 50  # of known depth, for a frame to count
+COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
+METRICS = ("abs_rel", "rmse", "delta1")  # of the table; the first one decides
+PICTURE_WIDTH = 320  # [px] of a panel
+TITLES = ("image", "truth", "before", "after")
+
+
+@dataclass(frozen=True)
+class AdaptationSetup:
+    """What ``python -m eldenet.adapt`` tunes on depth frames; ``config.build_adaptation`` makes it.
+
+    Attributes:
+        folder: of the run.
+        weights: to start from: packaged weights, run folder, saved model or Hub id.
+        minutes: that the whole command may take, about.
+        seed: of order and augmentation.
+        protocol: by which held-out frames are scored.
+        make_split: ``(split, protocol, input_size, canonical_focal, augment)`` -> frames.
+        make_loss: builds what is minimized.
+        make_trainer: keywords that replace the trainer's own -> the trainer.
+        epochs: passes over the frames where time suffices.
+        resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
+        trusted_modules: packages whose classes the weights' ``config.json`` may name.
+        settings: resolved, which ``run.json`` stores.
+    """
+
+    folder: Path
+    weights: str
+    minutes: float
+    seed: int
+    protocol: "EvalProtocol"
+    make_split: Callable[..., "DepthDataset"]
+    make_loss: Callable[[], "WeightedSum"]
+    make_trainer: Callable[..., Trainer]
+    epochs: int
+    resources: Mapping[str, Any]
+    trusted_modules: Sequence[str]
+    settings: Mapping[str, Any]
+
+
+def adapt(setup: AdaptationSetup) -> bool:
+    """Tune, compare with the start on held-out frames, keep the better one; return whether it is the new one.
+
+    Writes ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
+
+    Raises:
+        ValueError: there are too few frames with depth, or the settings do not fit.
+    """
+    started = time.monotonic()
+    resources = choose_resources(**setup.resources)
+    log = RunLog(setup.folder)
+    start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
+    size, train_set, plain_set, held_out = make_frames(setup, start)
+    known = refuse_few(plain_set, held_out)
+    log.say(
+        f"{setup.weights} sees {len(train_set)} frames at {size[0]} x {size[1]}; {len(held_out)} frames in "
+        "blocks of time of their own are held out"
+    )
+    if start.canonical_px is not None and plain_set[0]["intrinsics"][0, 0] <= 0:
+        log.say("note: without intrinsics the canonical camera is assumed, now and in each later prediction")
+    start.to(resources.device)
+    before = _score(start, held_out, setup, resources)
+    model = copy.deepcopy(start)
+    scale = fit_scale(model, [plain_set[index] for index in known])
+    model.rescale(scale)
+    loss = setup.make_loss()
+    left = 60 * setup.minutes - (time.monotonic() - started)
+    epochs = affordable_epochs(model, train_set, setup, left)
+    log.say(f"depth of the start times {scale:.2f}, then {epochs} epochs of training")
+    setup.make_trainer(epochs=epochs, evaluate_every=epochs).fit(
+        model,
+        loss,
+        TrainingData(train_set, held_out, setup.protocol),
+        setup.folder / "training",
+        resources,
+        info={"input_size": list(size)},
+    )
+    model = DepthNet.from_pretrained(
+        setup.folder / "training" / "model", trusted_modules=setup.trusted_modules
+    ).to(resources.device)
+    after = _score(model, held_out, setup, resources)
+    changes = _changes(before, after)
+    kept = changes[METRICS[0]].is_better
+    say_changes(log, f"{setup.weights}, {len(held_out)} frames held out in blocks of time", changes)
+    facts = {"scale": scale, "epochs": epochs, "training_frames": len(train_set), "input_size": list(size)}
+    write_held_out(setup.folder, before, after)
+    _draw(setup.folder / "before_after.png", held_out, start, model)
+    finish(setup, log, model if kept else start, changes, facts | {"seconds": time.monotonic() - started})
+    return kept
+
+
+def make_frames(
+    setup: AdaptationSetup, model: DepthNet
+) -> tuple[tuple[int, int], "DepthDataset", "DepthDataset", "DepthDataset"]:
+    """Return the size that the network sees [px], training frames, the same as they are, held-out frames."""
+    camera = model.config.get("canonical_focal")
+    first = setup.make_split("val", setup.protocol, None, camera).load_frame(0).image.shape
+    stretch = float(model.info.get("stretch") or 1.0)
+    seen = size_of_frames(model.info)
+    aspect = (first[0], first[1] * stretch)
+    size = (first[0], first[1]) if seen is None else size_of_aspect((seen[0], seen[1]), aspect)
+    train_set = setup.make_split("train", setup.protocol, size, camera, augment=True)
+    plain_set = setup.make_split("train", setup.protocol, size, camera)
+    plain_set.cache = "none"  # each frame is read once
+    return size, train_set, plain_set, setup.make_split("val", setup.protocol, size, camera)
+
+
+def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
+    """Return the numbers of frames with enough known depth, of at most ``COUNTED`` evenly chosen ones.
+
+    Raises:
+        ValueError: they are too few to calibrate a camera.
+    """
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), COUNTED)).round().astype(int))
+    known = [int(i) for i in chosen if int((frames.load_frame(int(i)).depth > 0).sum()) >= LEAST_PIXELS]
+    if len(known) + len(held_out) < LEAST_FRAMES or len(held_out) < LEAST_HELD_OUT:
+        raise ValueError(
+            f"{len(known)} training frames know the depth of {LEAST_PIXELS} pixels or more, {len(held_out)} "
+            f"frames are held out; {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. A few "
+            "known distances do not calibrate a camera, because the error of the depth differs from image to "
+            "image. Record some hundred frames, or give camera_height= with source="
+        )
+    return known
+
+
+@torch.inference_mode()
+def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
+    """Return the factor that the depth of ``samples`` lacks: the median of their medians' ratios."""
+    device = next(model.parameters()).device
+    ratios = []
+    with eval_mode(model):
+        for sample in samples:
+            predicted = predict_depth(
+                model, sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)
+            )
+            depth, mask = sample["depth"], sample["mask"]
+            guess = torch.nn.functional.interpolate(predicted.cpu(), depth.shape[-2:], mode="bilinear")[0]
+            if mask.any():
+                ratios.append(float((depth[mask].median() / guess[mask].median()).log()))
+    return float(np.exp(np.median(ratios)))
+
+
+def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, seconds: float) -> int:
+    """Return how many epochs fit into ``seconds``; where not one does, ``frames`` keeps a share of them."""
+    twin = copy.deepcopy(model).train()
+    device = next(twin.parameters()).device
+    batch = min(8, len(frames))
+    for _ in range(2):  # the first one warms up
+        started = time.monotonic()
+        images: Any = collate([frames[index] for index in range(batch)])["image"]
+        twin(images.to(device)).mean().backward()
+        took = (time.monotonic() - started) / batch
+    draws = max(1, int(0.8 * seconds / (1.5 * took)))  # the loss, the optimizer and the scores take time
+    if draws < len(frames):
+        frames.draw_subset(max(1, draws), setup.seed)
+    return max(1, min(setup.epochs, draws // len(frames)))
+
+
+def finish(
+    setup: "AdaptationSetup | Any",
+    log: RunLog,
+    model: DepthNet,
+    changes: Mapping[str, Change],
+    facts: Mapping[str, Any],
+) -> None:
+    """Write ``model/`` and ``run.json``, and say whether the change was kept.
+
+    Args:
+        setup: has ``folder``, ``weights`` and ``settings``.
+        log: what the person sees.
+        model: what is kept.
+        changes: metric -> its change on held-out frames; the first one decided.
+        facts: what was done, for ``run.json``.
+    """
+    deciding = next(iter(changes.values()))
+    kept = deciding.is_better
+    told = {name: vars(change) for name, change in changes.items()}
+    info = {"adapted_from": setup.weights, "held_out": told} if kept else {}
+    model.save_pretrained(setup.folder / "model", info=info)
+    record = {
+        "weights": setup.weights,
+        "weights_sha256": fingerprint(setup.weights),
+        "kept": kept,
+        "held_out": told,
+        **facts,
+        "config": dict(setup.settings),
+        **environment(),
+    }
+    write_json(setup.folder / RUN_FILE, record)
+    if kept:
+        log.say("kept: the held-out frames are better, and the interval excludes 0")
+    else:
+        log.say(
+            f"not kept: the held-out frames are not surely better, so {setup.folder / 'model'} holds the "
+            f"weights of {setup.weights} as they were"
+        )
+    log.say(f"written to {setup.folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
+    log.close()
+
+
+def write_held_out(folder: Path, before: Sequence[Sequence[Any]], after: Sequence[Sequence[Any]]) -> None:
+    """Write ``held_out.csv``: each frame's metrics before and after."""
+    header = ["name", *(f"{name}_{when}" for when in ("before", "after") for name in PER_IMAGE_HEADER[1:])]
+    write_rows(
+        folder / "held_out.csv", header, [[*old, *new[1:]] for old, new in zip(before, after, strict=True)]
+    )
+
+
+def _score(
+    model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, resources: "Resources"
+) -> list[tuple[Any, ...]]:
+    return evaluate(model, frames, setup.protocol, device=resources.device, workers=resources.workers).rows
+
+
+def _changes(before: list[tuple[Any, ...]], after: list[tuple[Any, ...]]) -> dict[str, Change]:
+    names = [str(row[0]) for row in before]
+    columns = {metric: PER_IMAGE_HEADER.index(metric) for metric in METRICS}
+    return {
+        metric: compare(metric, names, [row[c] for row in before], [row[c] for row in after])
+        for metric, c in columns.items()
+    }
+
+
+@torch.inference_mode()
+def _draw(path: Path, frames: "DepthDataset", before: DepthNet, after: DepthNet) -> None:
+    """Draw three held-out frames: image, truth, before, after, with a scale in meters."""
+    device = next(after.parameters()).device
+    rows = []
+    for index in np.unique(np.linspace(0, len(frames) - 1, 3).round().astype(int)):
+        frame, sample = frames.load_frame(int(index)), frames[int(index)]
+        height, width = frame.image.shape[:2]
+        size = (round(height * PICTURE_WIDTH / width), PICTURE_WIDTH)
+        truth = _nearest(sample["depth"][0].numpy(), size)
+        image, focal = sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)
+        maps = []
+        for model in (before, after):
+            with eval_mode(model):
+                maps.append(_nearest(predict_depth(model, image, focal)[0, 0].cpu().numpy(), size))
+        rows.append(
+            photo_beside_depths(resize_image(frame.image, size), [truth, *maps], *visible_range(truth))
+        )
+    write_picture(path, stack_rows(rows, TITLES))
+
+
+def _nearest(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    import cv2
+
+    return np.asarray(cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))

@@ -1,0 +1,117 @@
+"""Weights adapt to a camera on held-out evidence alone."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import eldenet
+from eldenet.config import build_adaptation, compose
+from eldenet.data.folder import FolderDataset
+from eldenet.training.adaptation import adapt, affordable_epochs, fit_scale
+
+SIZE = (24, 32)
+
+
+def place(root: Path, count: int = 48, *, factor: float = 3.0, known: int | None = None) -> Path:
+    """Write frames whose depth is ``factor`` times the start's own, known at ``known`` pixels or all."""
+    model = eldenet.load(start(root / "start"))
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        image = cv2.resize(rng.integers(0, 255, (4, 5, 3), np.uint8), SIZE[::-1])
+        seen = torch.from_numpy(image[..., ::-1].copy()).permute(2, 0, 1)[None].float() / 255
+        with torch.inference_mode():
+            depth = factor * model(seen)[0, 0].numpy()
+        if known is not None:
+            hidden = np.ones(depth.size, bool)
+            hidden[:known] = False
+            depth = np.where(hidden.reshape(depth.shape), 0, depth)
+        for part, picture in (("images", image), ("depths", np.rint(depth * 1000).astype(np.uint16))):
+            (root / part).mkdir(exist_ok=True)
+            cv2.imwrite(str(root / part / f"{number:03d}.png"), picture)
+    return root
+
+
+def start(folder: Path) -> Path:
+    """Save a small network that predicts about 1 m."""
+    torch.manual_seed(0)
+    model = eldenet.load("eldenet_s", overrides=["model.head.max_depth=2"])
+    model.info = {"input_size": list(SIZE)}
+    return model.save_pretrained(folder)
+
+
+def setup(root: Path, *overrides: str):
+    given = [f"data.root={root}", f"weights={root / 'start'}", "runtime.threads=1", "runtime.workers=0"]
+    config = compose("adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=1", *overrides])
+    return build_adaptation(config, root / "run")
+
+
+def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
+    assert adapt(setup(place(tmp_path)))
+    record = json.loads((tmp_path / "run/run.json").read_text())
+    assert record["kept"]
+    assert record["scale"] == pytest.approx(3, rel=0.05)
+    assert record["held_out"]["abs_rel"]["high"] < 0
+    kept, trained = (eldenet.load(tmp_path / name).state_dict() for name in ("run", "run/training"))
+    assert all(torch.equal(kept[name], trained[name]) for name in trained)
+    for name in ("before_after.png", "held_out.csv", "model/config.json"):
+        assert (tmp_path / "run" / name).is_file()
+    said = capsys.readouterr().out
+    assert "kept" in said
+    assert max(map(len, [line for line in said.splitlines() if line[:1] in "┏┃│└"])) <= 80
+
+
+def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
+    place(tmp_path, factor=1.0)
+    assert not adapt(setup(tmp_path))
+    assert "not kept" in capsys.readouterr().out
+    kept, old = (eldenet.load(tmp_path / name).state_dict() for name in ("run", "start"))
+    assert all(torch.equal(kept[name], old[name]) for name in old)
+
+
+@pytest.mark.parametrize(("count", "known"), [(20, None), (48, 10)])
+def test_few_frames_and_few_points_are_refused_with_the_reason(tmp_path, count, known):
+    place(tmp_path, count, known=known)
+    with pytest.raises(
+        ValueError, match=r"few known distances do not calibrate .* differs from image to image"
+    ):
+        adapt(setup(tmp_path))
+    assert not (tmp_path / "run/model").exists()
+
+
+def test_no_frame_is_both_learned_and_held_out(tmp_path):
+    made = setup(place(tmp_path))
+    train, held = (made.make_split(s, made.protocol, SIZE, None) for s in ("train", "val"))
+    numbers = sorted(int(name) for name in held.names)
+    assert numbers
+    assert {int(name) + step for name in train.names for step in (-1, 0, 1)}.isdisjoint(numbers)
+
+
+def test_the_time_limits_the_training(tmp_path):
+    made = setup(place(tmp_path), "trainer.epochs=40")
+    model = eldenet.load(tmp_path / "start")
+    frames = made.make_split("train", made.protocol, SIZE, None)
+    whole = len(frames)
+    assert affordable_epochs(model, frames, made, seconds=1e6) == 40
+    assert len(frames) == whole
+    assert affordable_epochs(model, frames, made, seconds=1e-3) == 1
+    assert len(frames) < whole
+
+
+def test_a_rescaled_network_keeps_its_factor_when_saved(tmp_path):
+    model = eldenet.load(start(tmp_path / "start"))
+    image = torch.rand(2, 3, *SIZE)
+    with torch.inference_mode():
+        expected = 1.7 * model(image)
+        model.rescale(1.7)
+        model.save_pretrained(tmp_path / "new")
+        torch.testing.assert_close(eldenet.load(tmp_path / "new")(image), expected)
+
+
+def test_the_scale_is_the_median_over_frames(tmp_path):
+    frames = FolderDataset(place(tmp_path, 9, factor=0.5), max_depth=10.0)
+    model = eldenet.load(tmp_path / "start")
+    assert fit_scale(model, [frames[i] for i in range(9)]) == pytest.approx(0.5, rel=0.01)
