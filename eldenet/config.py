@@ -129,6 +129,13 @@ def _test_part(test_root: str | None, root: str | None) -> str:
     return "val" if len(places) == 1 else "all"
 
 
+@resolver("sweep_folder")
+def _sweep_folder(overrides: Sequence[str], default: str) -> str:
+    """``${sweep_folder:overrides,default}``: the folder that ``output=`` names, of a sweep's runs."""
+    given = [word.partition("=")[2] for word in overrides if word.startswith(("output=", "run_dir="))]
+    return given[-1].strip("'\"") if given else default
+
+
 @resolver("canonical_near")
 def _canonical_near(depth: float, canonical_focal: float | None) -> float:
     """``${canonical_near:depth,canonical_focal}``: canonical ``depth`` [m] of the longest lens."""
@@ -228,7 +235,7 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
     from eldenet.training.setup import TrainingSetup
 
     check_arguments(TrainingSetup, {name: config[name] for name in ("seed", "process_timeout")})
-    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
     return TrainingSetup(
         folder=folder,
         name=config.model_name,
@@ -259,7 +266,7 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     _split_node(config, config.split)
     from eldenet.deploy.scoring import EvaluationSetup
 
-    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
     return EvaluationSetup(
         folder=folder,
         checkpoint=str(config.checkpoint),
@@ -419,12 +426,12 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
         ValueError: the folder holds another run already, or libreyolo is missing.
     """
     if (folder / "train").exists() and not config.resume:
-        raise ValueError(f"run_dir={folder} holds a training already: give another run_dir, or resume=true")
+        raise ValueError(f"output={folder} holds a training already: give another output, or resume=true")
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.perception.libreyolo_detector import YoloTraining
     from eldenet.simulation.street_views import NAMES
 
-    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
     resources = choose_resources(**settings["runtime"])
     return DetectorTrainingSetup(
         folder=folder,

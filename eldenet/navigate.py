@@ -15,8 +15,14 @@ if TYPE_CHECKING:
 MODES = ("record", "evaluate", "analyze_failures", "fit_noise", "train")
 
 
+def main() -> None:
+    """Run ``python -m eldenet.navigate``."""
+    check_mode(sys.argv[1:])
+    run()
+
+
 @entry_point("navigate")
-def main(config: "DictConfig", folder: Path) -> None:
+def run(config: "DictConfig", folder: Path) -> None:
     """Run the mode that the config was composed for; results go to ``folder``."""
     setup = build_navigation(config, folder)
     from eldenet.navigation.modes import run_mode
@@ -36,5 +42,4 @@ def check_mode(words: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    check_mode(sys.argv[1:])
     main()

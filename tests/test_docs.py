@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from eldenet.cli.commands import COMMANDS as ELDENET
 from eldenet.config import compose, config_folder
 from eldenet.data import array_files
 from eldenet.simulation.robot import ROBOT
@@ -35,12 +36,14 @@ def typed(pattern: str, pages: list[Path]) -> list[str]:
     return sorted(found)
 
 
-COMMANDS = typed(r"-m (eldenet\.\w+[^`\n|]*)", [*PAGES, *sorted(config_folder().rglob("*.yaml"))])
+TYPED_IN = [*PAGES, *sorted(config_folder().rglob("*.yaml"))]
+COMMANDS = typed(r"-m (eldenet\.\w+[^`\n|]*)", TYPED_IN)
+COMMANDS += typed(rf"(?:^|[`\n]|# )(eldenet (?:{'|'.join(ELDENET)})\b[^`\n|]*)", TYPED_IN)
 
 
 @pytest.mark.parametrize("line", COMMANDS, ids=lambda line: line[-60:])
 def test_every_documented_command_has_settings_that_exist(line):
-    name, *arguments = shlex.split(line)
+    name, *arguments = shlex.split(re.sub("^eldenet ", "eldenet.", line))
     sweep = "-m" in arguments
     overrides = []
     for argument in arguments:
@@ -52,7 +55,7 @@ def test_every_documented_command_has_settings_that_exist(line):
             continue  # need the [cluster] extra
         key, _, value = argument.partition("=")
         overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
-    assert compose(name.removeprefix("eldenet."), overrides) is not None
+    assert compose(name.removeprefix("eldenet.").replace("-", "_"), overrides) is not None
 
 
 def test_documented_scripts_options_and_extras_exist():

@@ -21,6 +21,8 @@ from eldenet.cli.help import advice, help_template
 from eldenet.config import USER_ERRORS, config_folder, resolver
 from eldenet.system.disk import disk_line, is_full
 
+QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
+
 
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
     """Make ``main(config, run_folder)`` a command with Hydra's command line.
@@ -52,6 +54,9 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(config_name, about))
             words = sys.argv[1:]
+            if stderr.isatty() and not any(word in QUIET for word in words):
+                stderr.write(f"eldenet {config_name} starts ...\r")  # at once: the imports take seconds
+                stderr.flush()
             decorated = hydra.main(
                 version_base="1.3", config_path=str(config_folder()), config_name=config_name
             )
@@ -89,11 +94,8 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
     sweep = hydra_config.mode == RunMode.MULTIRUN
     threading.excepthook = _thread_failed
     try:
-        if sweep and any(word.startswith("run_dir=") for word in hydra_config.overrides.task):
-            raise ValueError(
-                "run_dir is the folder of a single run: give a sweep's as hydra.sweep.dir=..., and the name "
-                "of each job in it as hydra.sweep.subdir=..."
-            )
+        if {"output", "run_dir"} <= given_settings().keys():
+            raise ValueError("output and run_dir are the same setting: give output alone")
         return main(config, folder)
     except (MissingMandatoryValue, *USER_ERRORS) as error:
         if isinstance(error, BrokenPipeError):
@@ -113,7 +115,8 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         _print_error(line)
         raise SystemExit(1) from None
     finally:
-        if not sweep and "run_dir" not in given_settings() and folder != Path.cwd():
+        named = {"output", "run_dir"} & given_settings().keys()
+        if not (sweep or named) and folder != Path.cwd():
             with suppress(OSError):
                 folder.rmdir()  # Hydra made it; a mistake leaves it empty
 

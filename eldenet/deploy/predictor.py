@@ -43,8 +43,8 @@ class DepthPredictor:
     view of its training camera. Several threads may call one predictor.
 
     In a loop over a video, depth is steady: each frame is mixed with the frames before it, see
-    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted alone. Each
-    thread has a video of its own. ``steady=False`` predicts every frame alone.
+    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted alone.
+    Each thread has a video of its own. ``steady=False`` predicts every frame alone.
 
     Args:
         model: put into eval mode and moved to ``device``; or a network under another runtime

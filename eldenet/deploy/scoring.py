@@ -76,7 +76,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
 
     if (setup.folder / "checkpoints").is_dir():
         raise ValueError(
-            f"run_dir={setup.folder} holds a training, whose run.json this would replace: give another"
+            f"output={setup.folder} holds a training, whose run.json this would replace: give another"
         )
     resources = choose_resources(**setup.resources)
     model = open_checkpoint(setup, resources)

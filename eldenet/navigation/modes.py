@@ -161,7 +161,7 @@ def refuse_to_replace(folder: Path, mode: str) -> None:
     stored = read_record(folder / RUN_FILE)
     before = stored.get("mode", "evaluate" if "driver" in stored else "another command")
     if before != mode:
-        raise ValueError(f"run_dir={folder} holds results of {before}: give another run_dir")
+        raise ValueError(f"output={folder} holds results of {before}: give another output")
 
 
 def write_record(setup: ModeSetup, sensor: Sensor, policy: Policy | None, found: Mapping[str, Any]) -> None:

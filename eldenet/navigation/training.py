@@ -101,13 +101,13 @@ def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any
     """Load the checkpoint in ``folder`` into the learner and return the training's note."""
     note: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
     if note["settings"] != json.loads(json.dumps(fresh["settings"])):
-        raise ValueError(f"run_dir={folder} has a training with other settings: give another run_dir")
+        raise ValueError(f"output={folder} has a training with other settings: give another output")
     learner.restore(folder / CHECKPOINT)
     if not learner.finished and note["version"] != fresh["version"]:
         raise ValueError(
-            f"run_dir={folder} has a training that version {note['version']} started and that stopped at "
+            f"output={folder} has a training that version {note['version']} started and that stopped at "
             f"step {learner.num_timesteps:,} of {learner.settings.total_timesteps:,}; this is version "
-            f"{fresh['version']}: give another run_dir, or finish it with the eldenet that started it"
+            f"{fresh['version']}: give another output, or finish it with the eldenet that started it"
         )
     return note | {"legs": [leg for leg in note["legs"] if leg["steps"] <= learner.num_timesteps]}
 

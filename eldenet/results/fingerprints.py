@@ -21,7 +21,7 @@ KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a
 # where a run lies, its name and the resources that it used: none of them changes a result
 NOT_COMPARED = frozenset(
     (
-        *("run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache"),
+        *("output", "run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache"),
         *("threads", "workers", "device", "process_timeout"),
     )
 )

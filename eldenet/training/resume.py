@@ -58,8 +58,8 @@ def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
         held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (setup.folder / file).exists()]
         if held:
             raise ValueError(
-                f"run_dir={setup.folder} holds another run already ({held[0]}): resume it (ckpt_path=auto), "
-                "give another run_dir, or remove that folder"
+                f"output={setup.folder} holds another run already ({held[0]}): resume it (ckpt_path=auto), "
+                "give another output, or remove that folder"
             )
         return checkpoint
     begun = setup.folder / "config.yaml"

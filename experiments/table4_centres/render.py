@@ -3,7 +3,7 @@
 python experiments/table4_centres/render.py runs/streets 1800
 python experiments/table4_centres/render.py runs/halls 1800 hall
 python -m eldenet.train data=folder data.root=runs/streets data.encoding=kitti data.max_depth=80 \
-    'data.input_size=[96,312]' model/head=log loss=l1 loss.terms.l1.space=log run_dir=runs/streets-depth
+    'data.input_size=[96,312]' model/head=log loss=l1 loss.terms.l1.space=log output=runs/streets-depth
 """
 
 import sys

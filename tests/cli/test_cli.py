@@ -200,13 +200,10 @@ def test_evaluate_scores_exported_files(trained, run_command):
 
 
 def test_a_sweep_continues_after_a_failed_job(run_command, tmp_path):
-    finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "hydra.sweep.dir=sweep")
+    finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "output=sweep")
     assert finished.returncode == 1
     assert "error: monitor='wrong'" in finished.stderr
     assert (tmp_path / "sweep" / "1" / "run.json").is_file()
-    finished = run_command("train", "-m", *TINY, "seed=0,1", "run_dir=mine")
-    assert finished.returncode == 1
-    assert "hydra.sweep.dir" in finished.stderr
 
 
 def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):

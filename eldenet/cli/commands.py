@@ -1,0 +1,113 @@
+"""The command ``eldenet``: the list of commands, their start, and shell completion.
+
+Nothing heavy is imported here, so the list appears at once.
+"""
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+#: Command -> what it does. ``check-data`` is the module ``eldenet.check_data``.
+COMMANDS = {
+    "train": "train a network and score its best epoch",
+    "evaluate": "score a checkpoint on a data set, under a protocol",
+    "predict": "depth of a picture, a folder of pictures, a video or a camera",
+    "export": "write a network as a file for ONNX Runtime or OpenVINO",
+    "benchmark": "latency and memory of networks, sizes, runtimes and precisions",
+    "report": "tables of finished runs: Markdown, CSV and LaTeX",
+    "study": "train the missing runs of a study",
+    "check-data": "is a data set complete, and does it hold what its config says?",
+    "navigate": "drive a simulated robot by depth; evaluate or train its driver",
+    "train-detector": "train a 2D detector on rendered streets",
+}
+SHELLS = ("bash", "zsh")
+# Hydra completes the settings of a command: it reads COMP_LINE and drops its first word
+_COMPLETION = """\
+_eldenet() {
+    local word="${COMP_WORDS[COMP_CWORD]}" line="${COMP_LINE:0:$COMP_POINT}"
+    if [ "$COMP_CWORD" -le 1 ]; then
+        COMPREPLY=($(compgen -W "NAMES completion" -- "$word"))
+    else
+        line="${line#*[[:space:]]}"
+        COMPREPLY=($(COMP_LINE="$line" eldenet "${COMP_WORDS[1]}" -sc query=bash 2>/dev/null))
+        COMPREPLY=($(compgen -W "${COMPREPLY[*]}" -- "$word"))
+    fi
+    [[ "${#COMPREPLY[@]}" != 1 || "$COMPREPLY" == *[=./] ]] || COMPREPLY="$COMPREPLY "
+}
+COMP_WORDBREAKS="${COMP_WORDBREAKS//=}"
+complete -o nospace -o default -F _eldenet eldenet
+"""
+_ZSH = "autoload -Uz +X compinit && compinit\nautoload -Uz +X bashcompinit && bashcompinit\n"
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run ``eldenet <command> <settings>``, which is ``python -m eldenet.<command> <settings>``.
+
+    Args:
+        words: of the command line; None: those of this process.
+    """
+    first, *rest = (sys.argv[1:] if words is None else list(words)) or ["--help"]
+    name = first.replace("_", "-")
+    if first in ("-h", "--help", "help"):
+        _print(command_list())
+    elif first == "--version":
+        import eldenet
+
+        _print(f"eldenet {eldenet.__version__}")
+    elif name == "completion":
+        _print(completion(rest[0] if rest else ""))
+    elif name in COMMANDS:
+        _start(name, rest)
+    else:
+        _fail(unknown(first))
+
+
+def command_list() -> str:
+    """Return the commands with a line each, within 80 columns."""
+    lines = [f"  {name:15} {text}" for name, text in COMMANDS.items()]
+    return "\n".join(
+        [
+            "eldenet <command> [setting=value ...]",
+            "",
+            *lines,
+            f"  {'completion':15} script that completes commands and settings: bash, zsh",
+            "",
+            "eldenet <command> --help shows its settings and --cfg job their values.",
+            "python -m eldenet.<command>, with _ for -, is the same.",
+        ]
+    )
+
+
+def completion(shell: str) -> str:
+    """Return the script that makes a shell complete commands and their settings."""
+    if shell not in SHELLS:
+        _fail('give bash or zsh, as in ~/.bashrc: eval "$(eldenet completion bash)"')
+    script = _COMPLETION.replace("NAMES", " ".join(COMMANDS))
+    return (_ZSH if shell == "zsh" else "") + script.rstrip()
+
+
+def unknown(word: str) -> str:
+    """Return the line for a command that does not exist."""
+    nearest = difflib.get_close_matches(word.replace("_", "-"), COMMANDS, 1)
+    return f"there is no command {word}: " + (
+        f"is {nearest[0]} meant?" if nearest else f"choose one of {', '.join(COMMANDS)}"
+    )
+
+
+def _start(name: str, words: Sequence[str]) -> None:
+    """Run a command as ``python -m`` does."""
+    sys.argv = [f"eldenet {name}", *words]
+    if not ({"", os.getcwd()} & set(sys.path) or sys.flags.safe_path):
+        sys.path.insert(0, os.getcwd())  # so that settings may name code that lies here
+    importlib.import_module(f"eldenet.{name.replace('-', '_')}").main()
+
+
+def _print(text: str) -> None:
+    print(text)  # noqa: T201
+
+
+def _fail(line: str) -> None:
+    print(f"error: {line}", file=sys.stderr)  # noqa: T201
+    raise SystemExit(1)
