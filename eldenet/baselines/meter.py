@@ -236,7 +236,8 @@ def load_published(network: METER, path: str | Path) -> None:
     Convention: inputs and outputs of the published networks (measured, the repository does not state them):
     NYU: ImageNet's normalization, 256 x 192 images, centimeters: ``ScaledHead(0.01)``;
     KITTI: no normalization (``mean=(0, 0, 0), std=(1, 1, 1)``), 636 x 192 images, decimeters:
-    ``ScaledHead(0.1, max_depth=80)``.
+    ``ScaledHead(0.1, max_depth=80)``. At a width of 636 METER's own code pads a skip with a column of zeros
+    on the left, where this one crops the map (:class:`UpBlock`): 640 gives the same function.
 
     Args:
         network: a network of the file's size (only XXS is published).

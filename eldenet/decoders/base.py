@@ -50,6 +50,19 @@ class Decoder(Configurable, nn.Module):
         return raw[..., : -(-height * finest // self.stride), : -(-width * finest // self.stride)]
 
 
+def kernel_conv(in_channels: int, out_channels: int, kernel: Sequence[int]) -> list[nn.Module]:
+    """Return a convolution of ``kernel`` (height, width) that keeps the size, and batch normalization.
+
+    An even kernel needs one more row or column of padding at the bottom or right.
+    """
+    height, width = kernel
+    return [
+        nn.ZeroPad2d(((width - 1) // 2, width // 2, (height - 1) // 2, height // 2)),
+        nn.Conv2d(in_channels, out_channels, (height, width), bias=False),
+        nn.BatchNorm2d(out_channels),
+    ]
+
+
 def crop_or_pad(x: Tensor, like: Tensor) -> Tensor:
     """Crop or pad ``x`` to the height and width of ``like``: odd sizes leave up-sampled maps a pixel off."""
     missing_rows, missing_cols = like.shape[-2] - x.shape[-2], like.shape[-1] - x.shape[-1]

@@ -1,11 +1,11 @@
-"""The paper's decoder read literally: one kernel shape per encoder stage, concatenated at one size."""
+"""A reading of the paper's decoder: one kernel shape per encoder stage, concatenated at one size."""
 
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
-from eldenet.decoders.base import Decoder, crop_or_pad
+from eldenet.decoders.base import Decoder, crop_or_pad, kernel_conv
 from eldenet.types import FeatureInfo
 
 # For strides 2, 4, 8 and 32: with a 224 x 224 input, maps of 112, 56, 28 and 7 (the paper, section 3.2).
@@ -49,18 +49,12 @@ class MultiKernelDecoder(Decoder):
         self.strides = [*strides[: len(kernels) - 1], strides[-1]]
         self.stride = strides[0]
         self.branches = nn.ModuleList()
-        for stride, (height, width) in zip(self.strides, kernels, strict=True):
+        for stride, kernel in zip(self.strides, kernels, strict=True):
             enlarge = stride // self.stride
             scale = min(enlarge, max_shuffle)
-            # an even kernel needs one more row or column of padding at the bottom or right
-            padding = ((width - 1) // 2, width // 2, (height - 1) // 2, height // 2)
             self.branches.append(
                 nn.Sequential(
-                    nn.ZeroPad2d(padding),
-                    nn.Conv2d(
-                        self.channels_at[stride], branch_channels * scale**2, (height, width), bias=False
-                    ),
-                    nn.BatchNorm2d(branch_channels * scale**2),
+                    *kernel_conv(self.channels_at[stride], branch_channels * scale**2, kernel),
                     nn.ReLU(inplace=True),
                     nn.PixelShuffle(scale),
                     nn.Upsample(scale_factor=enlarge // scale, mode="bilinear")

@@ -76,7 +76,8 @@ class UpConvDecoder(Decoder):
     12,396,720 parameters.
 
     Convention: where the image is no multiple of the deepest stride, rows and columns beyond the image are
-    cropped; sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228).
+    cropped; sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228). It also
+    aligns the corners in that resize, and starts from a variance of 2 / (25 x output channels).
 
     Args:
         feature_info: of the backbone; only the deepest feature is used.

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 # torch's "nearest" would shift the map by up to half a pixel
 _MODES: dict[str, dict[str, Any]] = {
     "bilinear": {"mode": "bilinear", "align_corners": False},
+    "bilinear_corners": {"mode": "bilinear", "align_corners": True},
     "nearest": {"mode": "nearest-exact"},
 }
 _CHOICES = {
@@ -20,7 +21,7 @@ _CHOICES = {
     "frame_anchor": ("center", "bottom"),
     "interpolation": tuple(_MODES),
     "average": ("image", "pixel"),
-    "scale": ("metric", "median"),
+    "scale": ("metric", "median", "affine_depth", "affine_disparity"),
     "flip": ("none", "mean"),
 }
 _PIXELS = {"crop": 4, "size": 2, "frame_box": 4, "frame_crop": 2, "frame_size": 2}  # how many each takes
@@ -50,10 +51,12 @@ class EvalProtocol:
             to whole pixels, for frames of several sizes.
         size: the ground truth's ``(height, width)`` [px] that ``crop`` refers to; another size is an error.
         interpolation: how a prediction is resized to the ground truth's size: "bilinear" (corners not
-            aligned) or "nearest" (to the pixels' centers).
+            aligned), "bilinear_corners" (corners aligned) or "nearest" (to the pixels' centers).
         clamp: clamp the prediction into ``[min_depth, max_depth]`` before scoring.
         average: "image": a metric per image, then the mean over images; "pixel": all pixels pooled.
-        scale: "metric": as predicted; "median": each prediction times median(truth) / median(prediction).
+        scale: "metric": as predicted. All others align each prediction to its own ground truth, over the
+            valid pixels: "median" by the factor median(truth) / median(prediction); "affine_depth" by the
+            factor and shift of the least squared error in depth; "affine_disparity" by those in 1 / depth.
         flip: "mean": predictions of the image and of its mirror image are averaged before scoring.
         inverse_scale: score ``inverse_scale / depth`` (pure numbers) instead of depth [m]; None: score depth.
     """
@@ -214,6 +217,12 @@ class EvalProtocol:
         prediction = self.resize_to_gt(prediction, depth.shape[-2:])
         if self.scale == "median":
             prediction = prediction * _median_ratio(prediction, depth, valid)
+        elif self.scale == "affine_depth":
+            prediction = _fitted(prediction, depth, valid)
+        elif self.scale == "affine_disparity":
+            # as MiDaS's evaluation: a disparity at or below 1 / max_depth is the farthest depth
+            disparity = _fitted(1 / prediction.clamp(min=self.min_depth), 1 / depth, valid)
+            prediction = 1 / disparity.clamp(min=1 / self.max_depth)
         if not prediction[valid].isfinite().all():  # before the clamp, which would hide infinity
             raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
@@ -237,6 +246,19 @@ def _median_ratio(prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Te
         for guess, truth, known in zip(prediction, depth, valid, strict=True)
     ]
     return torch.stack(ratios).view(-1, 1, 1, 1)
+
+
+def _fitted(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> "Tensor":
+    """Return factor x prediction + shift, with each image's least squared error over its valid pixels."""
+    fitted = prediction.clone()
+    for image, target, known, result in zip(prediction, truth, valid, fitted, strict=True):
+        if known.any():
+            x, y = image[known].double(), target[known].double()
+            spread = (x - x.mean()).square().sum()
+            # a constant prediction becomes the mean
+            factor = ((x - x.mean()) * (y - y.mean())).sum() / spread if spread > 0 else spread
+            result.copy_(factor * (image.double() - x.mean()) + y.mean())
+    return fitted
 
 
 def _median(values: "Tensor") -> "Tensor":

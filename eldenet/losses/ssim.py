@@ -38,8 +38,9 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     The values equal those of ``kornia.metrics.ssim``. The blur is two matrix products, because CPUs are
     slowest at one-channel 11 x 11 convolutions: training spent most of its time in them.
 
-    Convention: Gaussian window with sigma 1.5, borders reflected, population (not sample) covariance, as
-    scikit-image's ``structural_similarity(gaussian_weights=True, use_sample_covariance=False)``.
+    Convention: Gaussian window with sigma 1.5, population (not sample) covariance, and kornia's borders, which
+    are reflected without repeating the edge. scikit-image's ``structural_similarity(gaussian_weights=True,
+    use_sample_covariance=False)`` repeats it: the same values but within half a window of the border.
 
     Raises:
         ValueError: a map is no larger than the window's radius, which reflection needs.

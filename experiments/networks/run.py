@@ -32,7 +32,7 @@ PAPERS = {
 }
 # The tables of docs/networks.md
 SECTIONS = {
-    "ELDE-Net": ("eldenet_s", "eldenet_fast", "eldenet", "eldenet_l"),
+    "ELDE-Net": ("eldenet_s", "eldenet_fast", "eldenet_paper", "eldenet", "eldenet_l"),
     "FastDepth and GuideDepth": ("fastdepth", "guidedepth_s", "guidedepth"),
     "Lite-Mono": ("lite_mono_tiny", "lite_mono_small", "lite_mono", "lite_mono_8m"),
     "METER": ("meter_xxs", "meter_xs", "meter_s"),

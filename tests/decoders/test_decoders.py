@@ -17,7 +17,7 @@ from eldenet.configurable import build
 from eldenet.decoders.base import Decoder
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.fastdepth import FastDepthDecoder
-from eldenet.decoders.multi_kernel import MultiKernelDecoder
+from eldenet.decoders.multi_kernel import KERNELS, MultiKernelDecoder
 from eldenet.decoders.upconv import UpConv2d, UpConvDecoder
 from eldenet.model import EncoderDecoder
 from eldenet.types import FeatureInfo
@@ -118,6 +118,10 @@ def test_the_order_of_the_features_does_not_matter(decoder: Callable[..., Decode
         ({"fusion": "none"}, {32}),
         ({"lateral_strides": [16, 4]}, {4, 16, 32}),
         ({"modules": 3}, {4, 8, 16, 32}),
+        ({"fusion": "concat"}, {2, 4, 8, 16, 32}),
+        ({"kernels": KERNELS}, {2, 4, 8, 32}),
+        ({"kernels": KERNELS[2:], "fusion": "concat"}, {2, 32}),
+        ({"kernels": KERNELS, "modules": 3}, {4, 8, 16, 32}),
     ],
 )
 def test_fast_upconv_uses_the_features_it_is_told_to(options: dict, used: set[int]) -> None:
@@ -129,7 +133,16 @@ def test_fast_upconv_uses_the_features_it_is_told_to(options: dict, used: set[in
     assert {info.stride for info, gradient in pairs if gradient is not None and gradient.any()} == used
 
 
-FUSED = [{}, {"fusion": "none"}, {"lateral_strides": [16]}]
+def test_a_concatenation_block_keeps_the_channels_of_its_module() -> None:
+    added, joined = (FastUpConvDecoder(INFO, fusion=fusion) for fusion in ("add", "concat"))
+    for stride, block in joined.merge.items():
+        out = added.lateral[stride][0].out_channels
+        assert (block.conv.in_channels, block.conv.out_channels) == (2 * out, out)
+    assert set(joined.merge) == set(added.lateral)
+    assert set(added.state_dict()) < set(joined.state_dict())
+
+
+FUSED = [{}, {"fusion": "none"}, {"fusion": "concat"}, {"lateral_strides": [16]}, {"kernels": KERNELS[2:]}]
 
 
 @pytest.mark.parametrize(
@@ -167,7 +180,7 @@ def test_a_shallow_backbone_gives_a_finer_raw_map(make: type[Decoder], stride: i
     assert shallow(features(64, 96, INFO[:4])).shape == (2, 1, 64 // stride, 96 // stride)
 
 
-def test_multi_kernel_is_what_the_paper_describes() -> None:
+def test_multi_kernel_is_a_reading_of_the_paper() -> None:
     decoder = MultiKernelDecoder(PPLCNet(0.5).feature_info)
     assert decoder.strides == [2, 4, 8, 32]  # 112, 56, 28 and 7 of 224: the 14 x 14 stage is skipped
     assert [tuple(branch[1].kernel_size) for branch in decoder.branches] == [(3, 3), (3, 2), (2, 3), (2, 2)]
@@ -208,7 +221,10 @@ def test_fastdepths_upconv_gives_the_same_output_in_its_fast_form() -> None:
         (lambda: FastDepthDecoder(INFO, operator="deconv"), "nnconv5_dw, nnconv5, upconv"),
         (lambda: FastUpConvDecoder(INFO[:3]), "modules=4: .* stride 8; choose 1 to 3"),
         (lambda: FastUpConvDecoder(INFO[:3], modules=0), "modules=0: .* stride 8; choose 1 to 3"),
-        (lambda: FastUpConvDecoder(INFO, fusion="concat"), "fusion='concat': choose one of add, none"),
+        (lambda: FastUpConvDecoder(INFO, fusion="cat"), "fusion='cat': choose one of add, concat, none"),
+        (lambda: FastUpConvDecoder(INFO, kernels=KERNELS, fusion="none"), "give neither .* fusion=none"),
+        (lambda: FastUpConvDecoder(INFO, kernels=KERNELS, lateral_strides=[2]), "give neither"),
+        (lambda: FastUpConvDecoder(INFO, kernels=KERNELS[:1]), "give 2 to 5"),
         (lambda: FastUpConvDecoder(INFO, modules=3, lateral_strides=[2]), r"strides \[16, 8, 4\]"),
         (lambda: FastUpConvDecoder(INFO, lateral_strides=[32]), r"strides \[16, 8, 4, 2\]"),
         (lambda: MultiKernelDecoder(INFO[:3]), "one feature per kernel is needed, the backbone has 3"),
