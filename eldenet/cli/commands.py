@@ -12,6 +12,7 @@ from collections.abc import Sequence
 #: Command -> what it does. ``check-data`` is the module ``eldenet.check_data``.
 COMMANDS = {
     "train": "train a network and score its best epoch",
+    "adapt": "tune trained weights to your own camera and place",
     "evaluate": "score a checkpoint on a data set, under a protocol",
     "predict": "depth of a picture, a folder of pictures, a video or a camera",
     "export": "write a network as a file for ONNX Runtime or OpenVINO",

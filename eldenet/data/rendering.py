@@ -130,9 +130,9 @@ def render_missing(
                 bar.advance(VIEWS)
             return
         job = {"folder": str(folder), "name": generator.name, "renderer": generator.renderer, "split": split}
-        job |= {"focal": generator.focal}
+        options = {"size": size, "focal": generator.focal}
         shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
-        _render_in_processes([{**job, "size": size, "scenes": list(share)} for share in shares], bar.advance)
+        _render_in_processes([{**job, **options, "scenes": list(share)} for share in shares], bar.advance)
 
 
 def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable[[int], None]) -> None:

@@ -65,9 +65,7 @@ def render_room(
     return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
 
 
-def draw_intrinsics(
-    draw: Draw, size: tuple[int, int], focal: tuple[float, float] = KINECT
-) -> np.ndarray:
+def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float] = KINECT) -> np.ndarray:
     """Draw a camera with nearly square pixels and fx in a range [widths]."""
     height, width = size
     fx = width * draw.uniform(*focal)
