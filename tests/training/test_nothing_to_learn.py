@@ -102,7 +102,7 @@ def test_a_network_worse_than_a_constant_map_is_said() -> None:
 def test_a_rate_that_is_far_too_high_is_said_in_one_line(tmp_path: Path, capsys) -> None:
     layouts.folder(tmp_path / "data", count=10)
     words = ["data=folder", f"data.root={tmp_path / 'data'}", "model=eldenet_s", "data.input_size=[32,64]"]
-    words += ["optimizer.lr=1e3", "trainer.epochs=2", "trainer.batch_size=4", "runtime.workers=0"]
+    words += ["optimizer.lr=1e3", "trainer.epochs=2", "model_name=small", "runtime.workers=0"]
     folder = tmp_path / "run"
     train(build_training(compose("train", [*words, "runtime.threads=1", f"run_dir={folder}"]), folder))
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning")]
