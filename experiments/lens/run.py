@@ -60,9 +60,11 @@ class Row(NamedTuple):
     whole: np.ndarray
 
 
-def frames_of(place: str, count: int | None) -> tuple[EvalProtocol, list[Frame]]:
+def frames_of(place: str, count: int | None, part: str = "val") -> tuple[EvalProtocol, list[Frame]]:
     """Return the rules of a place and up to ``count`` of its frames, spread over all."""
-    given = ["data=nyu_labelled"] if place == "nyu" else ["data=folder", "data.root=."]
+    given = (
+        ["data=nyu_labelled", f"data.val.split={part}"] if place == "nyu" else ["data=folder", "data.root=."]
+    )
     config = compose("train", given)
     protocol = build_protocol(config)
     if place == "nyu":
@@ -235,13 +237,15 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("weights", nargs="+", help="run folders or packaged weights, one per seed")
     options.add_argument("--frames", type=int, help="frames per place; all unless given")
+    options.add_argument("--part", default="val", help="of NYU: val, or dev to choose a recipe on")
+    options.add_argument("--places", nargs="+", default=PLACES, help="some of the places")
     options.add_argument("--output", type=Path, default=HERE / "results", help="without an ending")
     given = options.parse_args()
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     rows: list[Row] = []
-    for place in PLACES:
-        protocol, frames = frames_of(place, given.frames)
+    for place in given.places:
+        protocol, frames = frames_of(place, given.frames, given.part)
         for source in given.weights:
             rows += score(source, place, protocol, frames)
         print("\n".join(table([row for row in rows if row.place == place])), flush=True)
@@ -252,7 +256,7 @@ def main() -> None:
     lines = [
         f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}, {where['date']}; "
         f"{', '.join(Path(source).name for source in given.weights)}, {known}; frames: "
-        f"{', '.join(f'{place} {count}' for place, count in counts.items())}.",
+        f"{', '.join(f'{place} {count}' for place, count in counts.items())} (NYU's part {given.part}).",
         "",
         *table(rows),
         "",
