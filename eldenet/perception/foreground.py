@@ -82,7 +82,9 @@ def gather(
         occlusion_mask: leave out pixels in nearer boxes.
         depth_sigma: ``(N,)`` relative depth error of each object.
     """
-    depth, spread = estimate.depth, estimate.spread
+    depth = estimate.depth
+    with np.errstate(divide="ignore", invalid="ignore"):  # where the depth is unknown
+        spread = estimate.spread
     size = (depth.shape[0], depth.shape[1])
     nearer = nearer_boxes(detections.xyxy) if occlusion_mask else np.zeros((len(detections),) * 2, bool)
     expected = expected_depth(detections, camera, priors, trusted_edges(detections, size)[0])

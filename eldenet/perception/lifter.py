@@ -129,7 +129,10 @@ class BoxLifter:
                 self.depth_sigma,
             )
         else:
-            sigma, whole = sigma_in_boxes(estimate.spread, detections.xyxy), float(np.median(estimate.spread))
+            with np.errstate(divide="ignore", invalid="ignore"):  # where the depth is unknown
+                spread = np.where(depth > 0, estimate.spread, np.nan)
+            whole = float(np.nanmedian(spread)) if (depth > 0).any() else self.depth_sigma
+            sigma = sigma_in_boxes(spread, detections.xyxy, whole)
         foreground = gather(
             estimate,
             detections,
@@ -186,17 +189,19 @@ def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.nda
     return np.asarray(np.minimum(large * ((small or large) / large) ** share, 0.5 if small else 1.0))
 
 
-def sigma_in_boxes(spread: np.ndarray, xyxy: np.ndarray) -> np.ndarray:
+def sigma_in_boxes(spread: np.ndarray, xyxy: np.ndarray, default: float) -> np.ndarray:
     """Relative depth error ``(N,)`` of objects: the median of ``spread (H, W)`` in the middle of each 2D box.
 
-    The errors of one object's pixels are nearly the same error, so it does not shrink with their number.
+    The errors of one object's pixels are nearly the same error, so it does not shrink with their number. NaN
+    is unknown; ``default`` is for a box without a known pixel.
     """
     height, width = spread.shape
     quarter = (xyxy[:, 2:] - xyxy[:, :2]) / 4
     low = np.clip(np.floor(xyxy[:, :2] + quarter), 0, (width - 1, height - 1)).astype(int)
     high = np.maximum(np.ceil(xyxy[:, 2:] - quarter).astype(int), low + 1)
     parts = [spread[y1:y2, x1:x2] for (x1, y1), (x2, y2) in zip(low, high, strict=True)]
-    return np.clip([float(np.median(part)) for part in parts], *SIGMA_RANGE)
+    known = [part[np.isfinite(part)] for part in parts]
+    return np.clip([float(np.median(part)) if part.size else default for part in known], *SIGMA_RANGE)
 
 
 def _use_fallbacks(raw: RawBoxes, evidence: ObjectEvidence, method: str) -> RawBoxes:

@@ -324,7 +324,7 @@ def test_certain_pixels_weigh_more():
     depth, xyxy = block((0.0, 0.85, 10.0))
     wrong, spread = depth.copy(), np.full(depth.shape, 0.03)
     left = np.zeros(depth.shape, bool)
-    left[:, : int(xyxy[[0, 2]].mean())] = True
+    left[:, : int(xyxy.ravel()[[0, 2]].mean())] = True
     wrong[left] *= 1.1
     errors = []
     for doubt in (0.03, 0.3):
