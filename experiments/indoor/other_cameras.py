@@ -16,10 +16,10 @@ import eldenet
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.evaluation.evaluator import evaluate
 
-#: Place -> intrinsics at the pictures' size [px], and an input of 192 rows with the pictures' aspect.
+#: Place -> intrinsics at the pictures' size [px], and the pictures' width / height.
 PLACES = {
-    "hololens_office": ([440.5, 440.4, 239.6, 150.4], [192, 288]),
-    "tum_fr3_cabinet": ([401.6, 404.4, 240.1, 185.7], [192, 256]),
+    "hololens_office": ([440.5, 440.4, 239.6, 150.4], 3 / 2),
+    "tum_fr3_cabinet": ([401.6, 404.4, 240.1, 185.7], 4 / 3),
 }
 
 
@@ -27,7 +27,10 @@ def score(source: str, place: str) -> tuple[float, float, float, float]:
     """Return delta1 and AbsRel unaligned, then delta1 and AbsRel median-aligned."""
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
     lines = [line for line in (root / "pairs.csv").read_text().splitlines() if line.startswith(place)]
-    intrinsics, size = PLACES[place]
+    intrinsics, aspect = PLACES[place]
+    model = eldenet.load(source)
+    rows = model.info["input_size"][0]
+    size = [rows, round(rows * aspect)]
     with tempfile.NamedTemporaryFile("w", suffix=".csv") as table:
         table.write("\n".join(",".join(line.split(",")[:2]) for line in lines))
         table.flush()
@@ -38,7 +41,6 @@ def score(source: str, place: str) -> tuple[float, float, float, float]:
         protocol = build_protocol(config)
         config.data.val.split = "all"
         frames = build_split(config, "val", protocol)
-        model = eldenet.load(source)
         found: list[float] = []
         for scale in ("metric", "median"):
             result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))

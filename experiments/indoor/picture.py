@@ -1,8 +1,8 @@
 """Draws the picture of real rooms in the README: photo, sensor's depth, prediction, scale in meters.
 
-``python experiments/indoor/picture.py eldenet_indoor docs/images/real_rooms.jpg`` draws frames of the HoloLens
-office (deep-video-mvs, MIT) in ``$ELDENET_DATA/other_cameras``, which the packaged weights have not seen. Rows
-lie at 20, 40, 60 and 80 % of all frames ranked by AbsRel, best first; the focal length is given.
+``python experiments/indoor/picture.py eldenet_indoor docs/images/real_rooms.jpg`` draws frames of the
+HoloLens office (deep-video-mvs, MIT) in ``$ELDENET_DATA/other_cameras``, which the packaged weights have not
+seen. Rows lie at 20, 40, 60 and 80 % of all frames ranked by AbsRel, best first; the focal length is given.
 """
 
 import os
