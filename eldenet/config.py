@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,14 @@ def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         return function
 
     return register
+
+
+if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its applications alone
+
+    @resolver("now")
+    def _now(pattern: str) -> str:
+        """``${now:%Y%m%d-%H%M%S}``: the time."""
+        return datetime.now().strftime(pattern)
 
 
 @resolver("test_part")

@@ -224,7 +224,10 @@ class EvalProtocol:
             disparity = _fitted(1 / prediction.clamp(min=self.min_depth), 1 / depth, valid)
             prediction = 1 / disparity.clamp(min=1 / self.max_depth)
         if not prediction[valid].isfinite().all():  # before the clamp, which would hide infinity
-            raise ValueError("the prediction is not finite: NaN or infinity where depth is known")
+            raise ValueError(
+                "the prediction is not finite: NaN or infinity where depth is known, as too large weights "
+                "give it: train again with a lower optimizer.lr or trainer.max_grad_norm=1"
+            )
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 
     def to_metric_space(self, prediction: "Tensor", depth: "Tensor") -> tuple["Tensor", "Tensor"]:

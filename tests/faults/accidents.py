@@ -234,7 +234,7 @@ def two_trainings(folder: Path, number: int) -> list[Outcome]:
 def _two_at_once(folder: Path, run: Path, seed: int) -> Outcome:
     command = [
         *(sys.executable, "-m", "eldenet.train", "data=folder", f"data.root={folder / 'data'}"),
-        *("model=eldenet_s", "model_name=small", f"run_dir={run}", "data.input_size=[32,64]"),
+        *("model=eldenet_s", "model_name=small", f"output={run}", "data.input_size=[32,64]"),
         *("trainer.epochs=3", "trainer.batch_size=4", "runtime.threads=1", "runtime.workers=0"),
         *("runtime.device=cpu", "ckpt_path=auto"),
     ]

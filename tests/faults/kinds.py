@@ -502,7 +502,7 @@ def _read_choice(root: Path) -> Any:
 def _setup(root: Path) -> Any:
     from eldenet.config import build_training, compose
 
-    return build_training(compose("train", ["model_name=small", f"run_dir='{root}'", "ckpt_path=auto"]), root)
+    return build_training(compose("train", ["model_name=small", f"output='{root}'", "ckpt_path=auto"]), root)
 
 
 def _begun_run(root: Path) -> None:

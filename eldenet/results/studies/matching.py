@@ -40,7 +40,7 @@ def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str,
         seed: of the run.
     """
     filled = [text.replace("{runs}", str(runs)).replace("{seed}", str(seed)) for text in shared]
-    return [*filled, f"model_name='{name}'", f"seed={seed}", f"run_dir='{folder}'", "ckpt_path=auto"]
+    return [*filled, f"model_name='{name}'", f"seed={seed}", f"output='{folder}'", "ckpt_path=auto"]
 
 
 def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
