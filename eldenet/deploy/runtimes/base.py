@@ -130,7 +130,10 @@ class Runtime:
         Raises:
             ValueError: this network takes images of another shape or type.
         """
-        return DepthEstimate(*self.run_maps(self._checked(images)), distribution=self.distribution)
+        depth, *sigma = self.run_maps(self._checked(images))
+        if self.distribution is None:
+            return DepthEstimate(depth)
+        return DepthEstimate(depth, sigma[0], self.distribution)
 
     def _checked(self, images: "np.ndarray | Tensor") -> np.ndarray:
         given = images if isinstance(images, np.ndarray) else images.detach().cpu().numpy()
