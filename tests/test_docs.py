@@ -126,6 +126,13 @@ def test_sharing_as_documented(tmp_path, monkeypatch):
     assert (tmp_path / "my-model" / "model.safetensors").is_file()
 
 
+def test_the_snippet_of_uncertainty_runs():
+    (block,) = python_blocks("docs/uncertainty.md")
+    names: dict = {}
+    exec(block, names)
+    assert names["estimate"].sigma.shape == names["low"].shape == (96, 128)
+
+
 def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
     import numpy as np

@@ -21,7 +21,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Bottom up. A module imports from its own package and from the lines above its own, never from its line.
 ORDER = """
-types configurable renames weights
+types configurable renames weights uncertainty
 system layers
 geometry heads
 boxes refinement losses visualization

@@ -115,7 +115,7 @@ def sparsification(error: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
     whole = max(float(error.mean()), 1e-12)
     curves = np.zeros((2, PROTOCOL.steps + 1))
     for row, order in enumerate((uncertainty, error)):
-        total = np.cumsum(error[np.argsort(order, kind="stable")])
+        total = np.cumsum(error[np.argsort(order)])
         curves[row, :-1] = [total[max(n, 1) - 1] / max(n, 1) / whole for n in left]
     return curves
 
