@@ -123,7 +123,13 @@ def calibrated(place: str, block: int, *, pitch: bool) -> list[object]:
     link(mine, source, run / "frames")
     height = CAMERAS[place].height if place in CAMERAS else measured_height(source, mine, camera)
     settings = [f"source={run / 'frames' / 'images'}", f"intrinsics={list(camera)}", f"weights={WEIGHTS}"]
-    settings += [f"camera_height={height}", "runtime.threads=1", "runtime.workers=0", "runtime.device=cpu"]
+    settings += [
+        f"camera_height={height}",
+        "frames=60",
+        "runtime.threads=1",
+        "runtime.workers=0",
+        "runtime.device=cpu",
+    ]
     if pitch:
         settings.append(f"camera_pitch={-np.degrees(CAMERAS[place].pitch)}")
     before = np.median(score(WEIGHTS, source, report, camera)[:, 2])
@@ -179,9 +185,9 @@ def main() -> None:
 def all_heights() -> None:
     """Run what ``camera_height.csv`` lacks."""
     done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(HEIGHT)}
-    for place in (*CAMERAS, *REAL):
+    for pitch, places in ((True, CAMERAS), (False, {**CAMERAS, **REAL})):
         for block in (0, 2):
-            for pitch in (True, False) if place in CAMERAS else (False,):
+            for place in places:
                 if (place, str(block), "given" if pitch else "fitted") not in done:
                     append(HEIGHT, HEIGHT_HEADER, calibrated(place, block, pitch=pitch))
 
