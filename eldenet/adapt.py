@@ -15,15 +15,17 @@ def main(config: "DictConfig", folder: Path) -> None:
     """Tune on depth frames, or fit the scale to the camera's height; write the model into ``folder``."""
     if config.camera_height is None:
         refuse_unread(("source", "frames", "camera_pitch"), "only camera_height= reads it")
+        tuned = build_adaptation(config, folder)
         from eldenet.training.adaptation import adapt
 
-        adapt(build_adaptation(config, folder))
+        adapt(tuned)
     else:
         unread = ("data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "protocol", "minutes")
         refuse_unread(unread, "camera_height fits the scale alone, from source=")
+        scaled = build_calibration(config, folder)
         from eldenet.perception.camera_height import calibrate
 
-        calibrate(build_calibration(config, folder))
+        calibrate(scaled)
 
 
 if __name__ == "__main__":

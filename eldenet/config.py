@@ -374,12 +374,13 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
     if not (isinstance(config.frames, int) and config.frames >= 1):
         raise ValueError(f"frames={config.frames}: give a whole number above 0")
     from eldenet.deploy.prediction import find_source
-    from eldenet.perception.camera_height import CalibrationSetup
 
     settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
     source = find_source(str(config.source), folder, None)
     if source.is_live:
         raise ValueError(f"source={config.source}: give a folder of pictures or a video file, not a camera")
+    from eldenet.perception.camera_height import CalibrationSetup
+
     return CalibrationSetup(
         folder=folder,
         weights=str(config.weights),

@@ -27,7 +27,7 @@ FREE_SLOPE = 0.7  # [rad]: of a floor before a camera in a hand, whose pitch is 
 LEAST_FLOORS = 20  # frames with a floor
 LEAST_SHARE = 0.3  # of all frames
 MOST_SPREAD = 0.2  # median difference between a frame's log scale and the median of all
-HELD_OUT, BLOCKS, GAP = 0.3, 10, 2  # share, blocks of time, frames left out beside one
+HELD_OUT, BLOCKS, GAP = 0.25, 20, 1  # share, blocks of time, frames left out beside one
 FLOOR_TOLERANCE = (0.03, 0.012)  # [m], and per meter of distance: as in fit_ground
 CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
 MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
@@ -100,7 +100,7 @@ def calibrate(setup: CalibrationSetup) -> bool:
     fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
     scale = float(np.exp(np.nanmedian(values[fitted])))
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
-    change = compare("scale_error", [names[i] for i in held], before.tolist(), after.tolist())
+    change = compare("scale_error", before.tolist(), after.tolist())
     say_changes(log, f"{setup.weights}: floors of {change.frames} held-out frames", {"scale_error": change})
     found = int(np.isfinite(values).sum())
     log.say(f"{found} of {len(values)} frames show the floor; depth times {scale:.3f}")

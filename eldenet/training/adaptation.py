@@ -77,7 +77,8 @@ class AdaptationSetup:
 def adapt(setup: AdaptationSetup) -> bool:
     """Tune, compare with the start on held-out frames, keep the better one; return whether it is the new one.
 
-    Writes ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
+    Two candidates are compared with the start: the scale alone, and all weights trained from there. Writes
+    ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
 
     Raises:
         ValueError: there are too few frames with depth, or the settings do not fit.
@@ -99,6 +100,7 @@ def adapt(setup: AdaptationSetup) -> bool:
     model = copy.deepcopy(start)
     scale = fit_scale(model, [plain_set[index] for index in known])
     model.rescale(scale)
+    scaled = copy.deepcopy(model)
     loss = setup.make_loss()
     left = 60 * setup.minutes - (time.monotonic() - started)
     epochs = affordable_epochs(model, train_set, setup, left)
@@ -114,15 +116,29 @@ def adapt(setup: AdaptationSetup) -> bool:
     model = DepthNet.from_pretrained(
         setup.folder / "training" / "model", trusted_modules=setup.trusted_modules
     ).to(resources.device)
-    after = _score(model, held_out, setup, resources)
-    changes = _changes(before, after)
-    kept = changes[METRICS[0]].is_better
-    say_changes(log, f"{setup.weights}, {len(held_out)} frames held out in blocks of time", changes)
-    facts = {"scale": scale, "epochs": epochs, "training_frames": len(train_set), "input_size": list(size)}
-    write_held_out(setup.folder, before, after)
-    _draw(setup.folder / "before_after.png", held_out, start, model)
-    finish(setup, log, model if kept else start, changes, facts | {"seconds": time.monotonic() - started})
+    models = {"all weights": model, "the scale alone": scaled}
+    rows = {name: _score(models[name], held_out, setup, resources) for name in models}
+    changes = {name: _changes(before, rows[name]) for name in models}
+    chosen = best_candidate({name: changes[name][METRICS[0]] for name in models})
+    kept = changes[chosen][METRICS[0]].is_better
+    say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
+    write_held_out(setup.folder, before, rows[chosen])
+    _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
+    facts = {
+        "tuned": chosen,
+        "scale": scale,
+        "epochs": epochs,
+        "training_frames": len(train_set),
+        "input_size": list(size),
+        "seconds": time.monotonic() - started,
+    }
+    finish(setup, log, models[chosen] if kept else start, changes[chosen], facts)
     return kept
+
+
+def best_candidate(changes: Mapping[str, Change]) -> str:
+    """Return the name of the smallest error after, first of those that are surely better."""
+    return min(changes, key=lambda name: (not changes[name].is_better, changes[name].after))
 
 
 def make_frames(
@@ -249,10 +265,9 @@ def _score(
 
 
 def _changes(before: list[tuple[Any, ...]], after: list[tuple[Any, ...]]) -> dict[str, Change]:
-    names = [str(row[0]) for row in before]
     columns = {metric: PER_IMAGE_HEADER.index(metric) for metric in METRICS}
     return {
-        metric: compare(metric, names, [row[c] for row in before], [row[c] for row in after])
+        metric: compare(metric, [row[c] for row in before], [row[c] for row in after])
         for metric, c in columns.items()
     }
 

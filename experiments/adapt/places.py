@@ -5,7 +5,6 @@ another lens and light than any training frame. Real places are those of ``$ELDE
 """
 
 import os
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom
 
 SIZE = (120, 160)  # (height, width) of rendered frames [px]
+NEAREST = 0.4  # [m]: of the view, for a camera to stand there
 ROOMS, STANDS, TURNS = 10, 4, 5  # a place: its rooms, spots in each, frames that turn at each spot
 
 
@@ -49,10 +49,10 @@ CAMERAS = {
     "hand_wide": Camera(1.40, 0.60, -0.30, (1.4, 0.8, 0.4), 0.20),
     "tall_tele": Camera(2.00, 1.10, -0.40, (0.8, 1.0, 1.2), 0.70),
 }
-#: Place of ``other_cameras`` -> fx, fy, cx, cy [px].
+#: Place of ``other_cameras`` -> fx, fy, cx, cy at half its size [px].
 REAL = {
-    "hololens_office": (440.5, 440.4, 239.6, 150.4),
-    "tum_fr3_cabinet": (401.6, 404.4, 240.1, 185.7),
+    "hololens_office": (220.25, 220.2, 119.55, 74.95),
+    "tum_fr3_cabinet": (200.8, 202.2, 119.8, 92.6),
 }
 
 
@@ -77,8 +77,15 @@ def _copy(name: str, folder: Path) -> None:
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
     lines = [line for line in (root / "pairs.csv").read_text().splitlines() if line.startswith(name)]
     for number, (image, depth) in enumerate(sorted(line.split(",")[:2] for line in lines)):
-        shutil.copy(root / image, folder / "images" / f"{number:04d}.jpg")
-        shutil.copy(root / depth, folder / "depths" / f"{number:04d}.png")
+        picture, millimeters = (
+            cv2.imread(str(root / image)),
+            cv2.imread(str(root / depth), cv2.IMREAD_UNCHANGED),
+        )
+        size = (picture.shape[1] // 2, picture.shape[0] // 2)  # a quarter of the pixels, to save time
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / "images" / f"{number:04d}.png"), small)
+        nearest = cv2.resize(millimeters, size, interpolation=cv2.INTER_NEAREST_EXACT)
+        cv2.imwrite(str(folder / "depths" / f"{number:04d}.png"), nearest)
 
 
 def _render(camera: Camera, folder: Path, split: str, number: int) -> None:
@@ -97,7 +104,9 @@ def _render(camera: Camera, folder: Path, split: str, number: int) -> None:
         compiled = CompiledRoom(room)
         rng = np.random.default_rng((number, index))
         for _ in range(STANDS):
-            position, yaw = _stand(compiled, probe, camera, rng)
+            position, yaw, near = _stand(compiled, probe, camera, rng)
+            if near < NEAREST:
+                continue
             for turn in range(TURNS):
                 rotation = camera_rotation(yaw + 0.15 * turn, camera.pitch, rng.normal(0, 0.01))
                 linear, hits = compiled.photograph(ray_camera, position, rotation)
@@ -110,10 +119,10 @@ def _render(camera: Camera, folder: Path, split: str, number: int) -> None:
 
 def _stand(
     compiled: CompiledRoom, probe: RayCamera, camera: Camera, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
-    """Draw where the camera stands and where it looks: outside furniture, the view not blocked."""
+) -> tuple[np.ndarray, float, float]:
+    """Draw where the camera stands, where it looks, and how near the view is: the best of 20 [m]."""
     sx, sy, _ = compiled.room.size
-    best, best_near = (np.array([0.0, 0.0, camera.height]), 0.0), -1.0
+    best = (np.array([0.0, 0.0, camera.height]), 0.0, -1.0)
     for _ in range(20):
         x, y = rng.uniform(-0.5, 0.5, 2) * (sx - 0.6, sy - 0.6)
         yaw = float(np.arctan2(-y, -x) + rng.uniform(-0.7, 0.7)) - 0.3
@@ -128,8 +137,8 @@ def _stand(
             for a in (0.0, 0.6)
         ]
         near = float(np.partition(np.concatenate(depths), 8)[8])
-        if near > best_near:
-            best, best_near = (position, yaw), near
+        if near > best[2]:
+            best = (position, yaw, near)
         if near > 0.7:
             break
     return best

@@ -48,6 +48,9 @@ def run(words: str, folder: Path) -> tuple[subprocess.CompletedProcess[str], set
         "check_data data=folder data.root=/nope",
         "benchmark models=[/nope]",
         "navigate checkpoint=/nope",
+        "adapt data.root=/nope",
+        "adapt data.root=. weights=/nope",
+        "adapt source=/nope camera_height=1 intrinsics=[9,9,5,5]",
     ],
 )
 def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(words: str, tmp_path: Path) -> None:

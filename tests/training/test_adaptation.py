@@ -11,7 +11,8 @@ import torch
 import eldenet
 from eldenet.config import build_adaptation, compose
 from eldenet.data.folder import FolderDataset
-from eldenet.training.adaptation import adapt, affordable_epochs, fit_scale
+from eldenet.results.before_after import Change
+from eldenet.training.adaptation import adapt, affordable_epochs, best_candidate, fit_scale
 
 SIZE = (24, 32)
 
@@ -55,8 +56,10 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert record["kept"]
     assert record["scale"] == pytest.approx(3, rel=0.05)
     assert record["held_out"]["abs_rel"]["high"] < 0
-    kept, trained = (eldenet.load(tmp_path / name).state_dict() for name in ("run", "run/training"))
-    assert all(torch.equal(kept[name], trained[name]) for name in trained)
+    same = "run/training" if record["tuned"] == "all weights" else "start"
+    kept, tuned = (eldenet.load(tmp_path / name) for name in ("run", same))
+    assert all(torch.equal(kept.state_dict()[name], value) for name, value in tuned.state_dict().items())
+    assert kept.head.max_depth == pytest.approx(2 * 3, rel=0.05)
     for name in ("before_after.png", "held_out.csv", "model/config.json"):
         assert (tmp_path / "run" / name).is_file()
     said = capsys.readouterr().out
@@ -88,6 +91,16 @@ def test_no_frame_is_both_learned_and_held_out(tmp_path):
     numbers = sorted(int(name) for name in held.names)
     assert numbers
     assert {int(name) + step for name in train.names for step in (-1, 0, 1)}.isdisjoint(numbers)
+
+
+def test_the_scale_alone_is_kept_where_the_training_is_not_surely_better():
+    def change(after: float, high: float) -> Change:
+        return Change("abs_rel", 0.3, after, after - 0.4, high, 20)
+
+    both = {"all": change(0.2, -0.01), "scale": change(0.25, -0.01)}
+    assert best_candidate(both) == "all"
+    assert best_candidate(both | {"all": change(0.2, 0.01)}) == "scale"
+    assert best_candidate(both | {"scale": change(0.1, -0.01)}) == "scale"
 
 
 def test_the_time_limits_the_training(tmp_path):
