@@ -225,8 +225,8 @@ def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = No
 # --- what commands are built from
 
 
-def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
-    """Return the setup of ``python -m eldenet.train`` in ``folder``."""
+def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
+    """Return the setup of ``python -m eldenet.train`` in ``folder``; ``overrides``: of the command line."""
     check_data_folders(config)
     if not (folder / "run.json").is_file():  # a finished run needs them no more
         check_sources(config, "weights", "teacher")
@@ -254,6 +254,8 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         ckpt_path=config.ckpt_path,
         trusted_modules=_named_modules(settings["model"]),
         settings=settings,
+        overrides=overrides,
+        loggers=[name for name in listed(config.logger) if name == "tensorboard"],
     )
 
 
@@ -331,7 +333,8 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
 
 def _build_trainer(config: DictConfig) -> Any:
     optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
-    return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed)
+    own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
+    return instantiate(config.trainer, **own, loggers=listed(config.logger))
 
 
 def _named_modules(settings: Any) -> list[str]:
@@ -545,8 +548,9 @@ def build_report(config: DictConfig) -> "ReportSetup":
     return ReportSetup(
         runs=listed(config.runs),
         output=Path(config.output),
-        columns=listed(config.columns),
+        columns=None if config.columns is None else listed(config.columns),
         costs=config.costs,
+        names=[str(name) for name in listed(config.names)],
     )
 
 
