@@ -1,5 +1,6 @@
 """The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
 
+import difflib
 import functools
 import logging
 import math
@@ -611,11 +612,14 @@ def check_source(source: str, setting: str = "source") -> None:
             f"{setting}={source} does not exist: python -m eldenet.export writes such files"
         )
     if "/" not in source:
+        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
         raise ValueError(
-            f"unknown model {source!r}: choose one of {', '.join(list_models())}, trained weights "
-            f"({', '.join(list_weights())}), a folder or a Hub id 'owner/name'"
+            f"unknown model {source!r}: "
+            + (f"is {near[0]} meant? Else " if near else "")
+            + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
+            f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
         )
-    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1:
+    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
         raise FileNotFoundError(
             f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
             "saved model"

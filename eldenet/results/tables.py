@@ -25,9 +25,9 @@ WORDS = {
 } | {f"delta{power}": f"δ{power}" for power in (1, 2, 3)}
 
 
-# of a LaTeX table in \\small on a page of 345 pt, in digits of 4.6 pt: the page, the gap beside a column
-PAGE, GAP = 74, 1.3
-TEXT, LONGEST_FIGURE = 15, 40  # a longer cell than the latter is a text, which is wrapped
+# of a LaTeX table in \\small on a page of 345 pt, in digits of 4.6 pt: page, gap beside a column, text
+PAGE, GAP, TEXT = 69, 1.3, 15
+TEXTS = ("protocol", "source")  # columns whose cells are wrapped
 TEXT_COLUMN = r"p{7em}"
 _SIGNED = r"[+-]\d+\.\d+"
 _INTERVAL = re.compile(rf"({_SIGNED}) \[({_SIGNED}), ({_SIGNED})\] ?(.*)")
@@ -183,16 +183,15 @@ def to_latex(
         return " & ".join(escaping.latex(cells[place]) for place in kept) + r" \\"
 
     widths = [max(map(len, cells)) for cells in zip(titles, *rows, strict=True)]
-    shown = [width if width <= LONGEST_FIGURE or place == 0 else TEXT for place, width in enumerate(widths)]
+    wrapped = [place > 0 and (title in TEXTS or widths[place] > 38) for place, title in enumerate(titles)]
+    widths = [TEXT if wrap else width for width, wrap in zip(widths, wrapped, strict=True)]
     kept = list(range(len(titles)))
     if core is not None:
         kept = [0]
         for place in [*core, *(place for place in range(1, len(titles)) if place not in core)]:
-            if sum(shown[other] + GAP for other in [*kept, place]) <= PAGE:
+            if sum(widths[other] + GAP for other in [*kept, place]) <= PAGE:
                 kept = sorted([*kept, place])
-    kinds = "".join(
-        "l" if place == 0 else "r" if widths[place] <= LONGEST_FIGURE else TEXT_COLUMN for place in kept
-    )
+    kinds = "".join("l" if place == 0 else TEXT_COLUMN if wrapped[place] else "r" for place in kept)
     body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
     head = [f"% {escaping.one_line(note)}" for note in notes]
     if left_out := [title for place, title in enumerate(titles) if place not in kept]:
