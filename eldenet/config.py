@@ -253,7 +253,7 @@ def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = 
         weights=config.weights,
         teacher=config.teacher,
         ckpt_path=config.ckpt_path,
-        trusted_modules=_named_modules(settings["model"]),
+        trusted_modules=[*_named_modules(settings["model"]), *listed(config.trusted_modules)],
         settings=settings,
         overrides=overrides,
         loggers=[name for name in listed(config.logger) if name == "tensorboard"],
@@ -666,6 +666,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         frames=config.frames,
         samples=config.samples,
         fingerprint=_digest_list(config),
+        encoding=plain(config.data.get("encoding")),
     )
 
 
