@@ -1,6 +1,5 @@
 """Curves and pictures in each logger, with the real library and nothing sent anywhere."""
 
-import json
 import sys
 from pathlib import Path
 
@@ -69,4 +68,4 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
 def test_an_unknown_logger_is_refused(run_command):
     finished = run_command("train", "logger=[tensorbord]")
     assert finished.returncode == 1
-    assert json.dumps("tensorboard")[1:-1] in finished.stderr
+    assert "tensorboard" in finished.stderr
