@@ -52,7 +52,9 @@ def check(setup: "CheckDataSetup") -> bool:
 
 
 def _show(log: "RunLog", setup: "CheckDataSetup", found: "DataCheck") -> None:
-    """Print one table with a column per split, then what is wrong."""
+    """Print one table with a column per split, then what is wrong or in doubt."""
+    from eldenet.data.inspection import doubts
+
     cells = [_cells(split) for split in found.splits]
     rows = [[title, *(column[title] for column in cells)] for title in cells[0]]
     log.table(f"data={setup.name}", ["", *(split.split for split in found.splits)], rows)
@@ -66,7 +68,21 @@ def _show(log: "RunLog", setup: "CheckDataSetup", found: "DataCheck") -> None:
         log.say(line)
     if found.fingerprint:
         log.say(found.fingerprint)
-    verdict = "something is wrong, see above" if found.faults else "all is well"
+    guesses = [
+        (split.split, *doubts(split.median, setup.encoding))
+        for split in found.splits
+        if setup.encoding is not None and split.median is not None
+    ]
+    for split_name, line, _ in guesses:
+        log.say(f"{split_name}: {line}")
+    if found.faults:
+        verdict = "something is wrong, see above"
+    elif any(implausible for *_, implausible in guesses):
+        verdict = "no file is wrong, but the depth is implausible: check data.encoding"
+    elif guesses:
+        verdict = "no file is wrong; whether data.encoding is right, you can tell from the depth above"
+    else:
+        verdict = "all is well"
     log.say(f"{verdict}; written to {log.folder}: {CHECK_FILE}" + (f", {SHEET}" if found.panels else ""))
 
 

@@ -1,5 +1,6 @@
 """The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
 
+import difflib
 import functools
 import logging
 import math
@@ -236,8 +237,8 @@ def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = No
 # --- what commands are built from
 
 
-def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
-    """Return the setup of ``python -m eldenet.train`` in ``folder``."""
+def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
+    """Return the setup of ``python -m eldenet.train`` in ``folder``; ``overrides``: of the command line."""
     check_data_folders(config)
     if not (folder / "run.json").is_file():  # a finished run needs them no more
         check_sources(config, "weights", "teacher")
@@ -263,8 +264,10 @@ def build_training(config: DictConfig, folder: Path) -> "TrainingSetup":
         weights=config.weights,
         teacher=config.teacher,
         ckpt_path=config.ckpt_path,
-        trusted_modules=_named_modules(settings["model"]),
+        trusted_modules=[*_named_modules(settings["model"]), *listed(config.trusted_modules)],
         settings=settings,
+        overrides=overrides,
+        loggers=[name for name in listed(config.logger) if name == "tensorboard"],
     )
 
 
@@ -461,7 +464,8 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
 
 def _build_trainer(config: DictConfig, **changes: Any) -> Any:
     optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
-    return instantiate(config.trainer, optimizer=optimizer, scheduler=scheduler, seed=config.seed, **changes)
+    own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
+    return instantiate(config.trainer, **own, loggers=listed(config.get("logger")), **changes)
 
 
 def _named_modules(settings: Any) -> list[str]:
@@ -675,8 +679,9 @@ def build_report(config: DictConfig) -> "ReportSetup":
     return ReportSetup(
         runs=listed(config.runs),
         output=Path(config.output),
-        columns=listed(config.columns),
+        columns=None if config.columns is None else listed(config.columns),
         costs=config.costs,
+        names=[str(name) for name in listed(config.names)],
     )
 
 
@@ -737,11 +742,14 @@ def check_source(source: str, setting: str = "source") -> None:
             f"{setting}={source} does not exist: python -m eldenet.export writes such files"
         )
     if "/" not in source:
+        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
         raise ValueError(
-            f"unknown model {source!r}: choose one of {', '.join(list_models())}, trained weights "
-            f"({', '.join(list_weights())}), a folder or a Hub id 'owner/name'"
+            f"unknown model {source!r}: "
+            + (f"is {near[0]} meant? Else " if near else "")
+            + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
+            f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
         )
-    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1:
+    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
         raise FileNotFoundError(
             f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
             "saved model"
@@ -788,6 +796,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         frames=config.frames,
         samples=config.samples,
         fingerprint=_digest_list(config),
+        encoding=plain(config.data.get("encoding")),
     )
 
 

@@ -1,6 +1,7 @@
 """DepthNet: normalize -> network -> head. Saved as ``config.json`` + safetensors."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,10 +21,11 @@ from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import part_file, read_json, write_text
 from eldenet.types import FeatureInfo
 from eldenet.uncertainty import DepthEstimate
+from eldenet.weights.model_card import MARK, model_card, summary
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
-CONFIG_NAME, WEIGHTS_NAME = "config.json", "model.safetensors"
+CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
 
 
 class EncoderDecoder(Configurable, nn.Module):
@@ -170,7 +172,10 @@ class DepthNet(Configurable, nn.Module):
         self.config["head"] = self.head.config
 
     def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
-        """Write ``config.json`` and ``model.safetensors`` into ``folder``; the config has digests of both.
+        """Write ``config.json``, ``model.safetensors`` and a card, ``README.md``, into ``folder``.
+
+        The config has digests of itself and of the weights. The card has the Hub's metadata and the metrics
+        that ``info`` states (``info["test"]``, with their protocol); your own ``README.md`` stays.
 
         Args:
             folder: created if it does not exist.
@@ -203,6 +208,9 @@ class DepthNet(Configurable, nn.Module):
             save_file(state, unfinished, metadata={"format": "pt"})
             unfinished.chmod(mode)  # safetensors makes files private
             write_text(folder / CONFIG_NAME, json.dumps(with_digests(config, unfinished), indent=2) + "\n")
+        card = folder / CARD_NAME
+        if not card.is_file() or MARK in card.read_text(errors="replace"):  # the user's own one stays
+            write_text(card, model_card(config["info"], config["model"]))
         return folder
 
     @classmethod
@@ -240,7 +248,7 @@ class DepthNet(Configurable, nn.Module):
     def push_to_hub(
         self, repo_id: str, *, private: bool = False, token: str | None = None, **save_options: Any
     ) -> str:
-        """Upload ``config.json`` and the weights to the Hugging Face Hub; return the URL of the commit.
+        """Upload ``config.json``, the weights and their card to the Hub; return the URL of the commit.
 
         Args:
             repo_id: "owner/name"; created if it does not exist.
@@ -291,7 +299,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
     if folder.is_dir():
         in_run = folder / "model"
         return _complete(in_run if (in_run / CONFIG_NAME).is_file() else folder, folder)
-    if folder.is_absolute() or str(source).count("/") != 1:
+    if folder.is_absolute() or str(source).count("/") != 1 or folder.parent.is_dir():
         raise FileNotFoundError(f"{source} is neither a local folder nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download
 
@@ -303,7 +311,10 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         raise FileNotFoundError(
             f"{source} is not a local folder, and the Hub failed: {type(error).__name__}: {error}"
         ) from error
-    return _complete(folder, source)
+    _complete(folder, source)
+    info = _read_config(folder)["info"]
+    print(f"{source}: {summary(info)}; https://huggingface.co/{source}", file=sys.stderr)  # noqa: T201
+    return folder
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

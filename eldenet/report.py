@@ -19,7 +19,7 @@ def main(config: "DictConfig", folder: Path) -> None:
     setup = cfg.build_report(config)
     if setup.study is not None:
         refuse_unread(
-            ("runs", "columns", "costs", "output"),
+            ("runs", "names", "columns", "costs", "output"),
             "not read with study=, whose sweep.yaml says what its tables show",
         )
         report_study(setup.study, cfg.training_composition())

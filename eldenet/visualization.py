@@ -51,7 +51,7 @@ def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.nda
 
 
 def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Tensor") -> np.ndarray:
-    """One picture ``(H, 4 W, 3)`` uint8: image, ground truth, prediction, relative error, side by side.
+    """One picture ``(H, 4 W + w, 3)`` uint8: image, ground truth, prediction, relative error, scale [m].
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
     Maps wider than ``WIDEST_PANEL`` shrink, and their known points stay points.
@@ -75,6 +75,7 @@ def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Ten
     times = max(1, round(PANEL_WIDTH / width))
     panels = [_enlarged(panel, times) for panel in panels]
     gap = _blank(height * times, GAP)
+    panels.append(depth_scale(float(near), max(float(far), float(near) + 0.05), height * times))
     return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
 
 
@@ -92,15 +93,16 @@ def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) 
 
 
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Stack rows below ``titles`` spread evenly over the width; narrow rows are padded."""
+    """Stack rows of :func:`depth_row` below ``titles`` of their panels; narrow rows are padded."""
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     gap = _blank(GAP, width)
     pieces = [piece for row in rows for piece in (row, gap)][:-1]
     if titles:
         strip = _blank(TITLE_HEIGHT, width)
+        panels = rows[0].shape[1] - depth_scale(0.0, 1.0, rows[0].shape[0]).shape[1]
         for number, title in enumerate(titles):
-            _write(strip, title, (number * (width + GAP) // len(titles) + 3, 13), 0.42)
+            _write(strip, title, (number * panels // len(titles) + 3, 13), 0.42)
         pieces.insert(0, strip)
     return np.concatenate(pieces, axis=0)
 

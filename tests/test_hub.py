@@ -75,7 +75,7 @@ def test_push_uploads_config_and_weights(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert calls[:2] == [("token", None), ("create", ("me/depth", {"private": True, "exist_ok": True}))]
     repository, files = calls[2][1]
     assert repository == "me/depth"
-    assert set(files) == {"config.json", "model.safetensors"}
+    assert set(files) == {"config.json", "model.safetensors", "README.md"}
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     assert same_model(DepthNet.from_pretrained(tmp_path), model)

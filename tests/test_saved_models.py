@@ -76,7 +76,11 @@ def test_a_run_folder_loads_with_its_info(tmp_path: Path) -> None:
     assert loaded.info == info
     loaded.save_pretrained(tmp_path / "copy")
     assert eldenet.load(tmp_path / "copy").info == info
-    assert sorted(path.name for path in (tmp_path / "copy").iterdir()) == ["config.json", "model.safetensors"]
+    assert sorted(path.name for path in (tmp_path / "copy").iterdir()) == [
+        "README.md",
+        "config.json",
+        "model.safetensors",
+    ]
 
 
 def test_new_info_is_added_to_the_old(tmp_path: Path) -> None:

@@ -11,6 +11,9 @@ from hydra.errors import OverrideParseException
 from eldenet.config import compose, config_folder, plain
 from eldenet.renames import KEYS, OPTIONS
 
+CHOICE = re.compile(  # in Hydra's words
+    r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
+)
 QUOTES = "a value with spaces or special characters needs two pairs of quotes: 'source=\"my photo (1).jpg\"'"
 
 
@@ -42,6 +45,8 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     except OverrideParseException:
         return QUOTES
     except ValueError as error:
+        if choice := CHOICE.search(str(error)):
+            return _choice(choice["group"], choice["name"], choice["options"].split())
         unknown = re.search(r"Could not override '(.+?)'", str(error))
         return _nearest(unknown[1], _settings(config_name, words)) if unknown else ""
     return ""
@@ -58,6 +63,15 @@ def _renamed(config_name: str, words: Sequence[str]) -> str:
         if new != override.key_or_group:
             return f"{override.key_or_group} is called {new} now"
     return ""
+
+
+def _choice(group: str, name: str, options: Sequence[str]) -> str:
+    """Return a line on a choice that a group does not have."""
+    name = name.removeprefix(f"{group}/")
+    near = difflib.get_close_matches(name, options, 1)
+    return (
+        f"{group}={name}: " + (f"is {near[0]} meant? " if near else "") + f"choose from {', '.join(options)}"
+    )
 
 
 def _nearest(key: str, known: dict[str, Any]) -> str:

@@ -96,6 +96,14 @@ def picture_size(content: bytes) -> tuple[int, int]:
         return 0, 0
 
 
+def _webp_fault(content: bytes) -> str:
+    """Compare the length that the header states with that of the file."""
+    if content[8:12] != b"WEBP":
+        return "it is no picture"
+    stated = int.from_bytes(content[4:8], "little") + 8
+    return f"it has {len(content)} bytes instead of {stated}" if len(content) < stated else ""
+
+
 FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
     (b"\xff\xd8\xff", lambda content: ""),  # its strict decoder, below, finds cuts and damage
     (b"\x89PNG\r\n\x1a\n", _png_fault),
@@ -104,6 +112,7 @@ FORMATS: tuple[tuple[bytes, Callable[[bytes], str]], ...] = (
     (b"BM", _bmp_fault),
     (b"II*\0", _tiff_fault),
     (b"MM\0*", _tiff_fault),
+    (b"RIFF", _webp_fault),
 )
 """First bytes of a file, and the check of its format."""
 

@@ -19,7 +19,9 @@ from eldenet.data.digests import (
     read_digests,
     write_digests,
 )
+from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
 
+PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -53,6 +55,7 @@ class CheckDataSetup:
     frames: int | None = None
     samples: int = 0
     fingerprint: Path | None = None
+    encoding: Encoding | None = None
 
 
 @dataclass
@@ -71,6 +74,7 @@ class SplitCheck:
         sizes: "H x W" of image and depth -> number of frames.
         histogram: ``(20,)`` pixels in equal steps of depth from 0 to ``max_depth``.
         percentiles: of known depth within the range [m].
+        median: of all depth, also of what lies outside the range [m]; None: there is none.
         min_depth: nearest depth that counts as known [m].
         max_depth: farthest depth that counts as known [m].
         valid: share of pixels with depth within the range.
@@ -93,6 +97,7 @@ class SplitCheck:
     sizes: dict[str, int] = field(default_factory=dict)
     histogram: list[int] = field(default_factory=list)
     percentiles: dict[str, float] = field(default_factory=dict)
+    median: float | None = None
     min_depth: float = 0.0
     max_depth: float = 0.0
     valid: float = 0.0
@@ -242,7 +247,7 @@ def check_split(
     )
     found.min_depth, found.max_depth = dataset.min_depth, dataset.max_depth
     sizes: Counter[str] = Counter()
-    fine = np.zeros(len(_EDGES) - 1, np.int64)
+    fine, all_known = np.zeros((2, len(_EDGES) - 1), np.int64)
     coarse = np.zeros(HISTOGRAM_BINS, np.int64)
     pixels = valid = outside = 0
     colors = ChannelSums()
@@ -263,6 +268,7 @@ def check_split(
         pixels, valid = pixels + depth.size, valid + values.size
         outside += int(known.sum()) - values.size
         fine += np.histogram(values, _EDGES)[0]
+        all_known += np.histogram(depth[known], _EDGES)[0]
         coarse += np.histogram(values, HISTOGRAM_BINS, (0.0, dataset.max_depth))[0]
         colors.add(image)
         if intrinsics is not None:
@@ -272,12 +278,32 @@ def check_split(
     found.sizes = dict(sizes.most_common())
     found.histogram = coarse.tolist()
     found.valid, found.outside = valid / max(pixels, 1), outside / max(pixels, 1)
+    middles = np.sqrt(_EDGES[:-1] * _EDGES[1:])
+    if all_known.any():
+        found.median = float(middles[np.argmax(np.cumsum(all_known) >= all_known.sum() / 2)])
     if valid:
         share = np.cumsum(fine) / fine.sum()
-        middles = np.sqrt(_EDGES[:-1] * _EDGES[1:])
         found.percentiles = {f"p{q}": float(middles[np.argmax(share >= q / 100)]) for q in _PERCENTILES}
     found.mean, found.std = colors.mean, colors.std
     return found
+
+
+def doubts(median: float, encoding: Encoding) -> tuple[str, bool]:
+    """What a median depth [m] would be in other encodings, as a line, and whether it is implausible."""
+    own = depth_encoding(encoding)
+    others = {
+        row.name: median * row.scale / own.scale
+        for row in ENCODINGS.values()
+        if row.dtype == own.dtype == "uint16" and row.decode is None and row.scale != own.scale
+    }
+    implausible = not PLAUSIBLE[0] <= median <= PLAUSIBLE[1]
+    line = f"half of all depth is nearer than {median:.3g} m, read as encoding={own.name}"
+    if implausible:
+        others = {name: at for name, at in others.items() if PLAUSIBLE[0] <= at <= PLAUSIBLE[1]}
+        line += ", which few cameras see"
+    if others:
+        line += "; it would be " + ", ".join(f"{at:.3g} m as {name}" for name, at in others.items())
+    return line, implausible
 
 
 def identities(dataset: DepthDataset) -> dict[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
 from eldenet.data.file_checks import FORMATS, decode_picture, picture_size
 
-IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm")
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from eldenet.data.base import DepthDataset
 from eldenet.system.resources import prepare_environment
 from eldenet.types import DepthSample
 
+FEW_BATCHES = 4  # up to here an epoch shows all frames, in a smaller last batch too
+
 
 class EpochSampler(Sampler[list[tuple[int, int]]]):
     """Batches of ``(epoch, index)``: a seeded shuffle per epoch, dealt out to processes batch by batch.
@@ -27,15 +29,18 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
     Attributes:
         epoch: of the next pass.
         start: first batch to yield, so that a resumed epoch continues where it stopped.
+        left_out: frames that an epoch does not show, others in each.
     """
 
     def __init__(self, length: int, batch_size: int, *, seed: int, rank: int = 0, processes: int = 1) -> None:
         self.length, self.batch_size, self.seed = length, batch_size, seed
         self.rank, self.processes = rank, processes
         self.epoch, self.start = 0, 0
-        # drop a smaller last batch, whose step would be noisier, unless it is the only one
+        # drop a smaller last batch, whose step would be noisier, unless an epoch has few batches
         together = batch_size * processes
-        self.batches = length // together if length >= together else 1
+        whole, rest = divmod(length, together)
+        self.batches = whole + 1 if rest and whole < FEW_BATCHES else whole
+        self.left_out = max(0, length - self.batches * together)
 
     def __len__(self) -> int:
         return self.batches - self.start

@@ -2,7 +2,7 @@
 
 import re
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,13 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.tables import (
     COLUMNS,
+    CORE,
     COSTS,
     cost_line,
     heading,
     number,
     protocol_line,
+    to_csv,
     to_latex,
     to_markdown,
 )
@@ -29,6 +31,8 @@ from eldenet.system.files import write_rows, write_text
 SAME_FOR_METRICS = ("data", "split", "split_hash", "protocol")
 SAME_FOR_COSTS = ("runtime", "precision", "threads", "device", "height", "width", "batch", "processor")
 NEEDED_FOR_COSTS = ("hardware.processor", *(f"cost.{name}" for name in SAME_FOR_COSTS[:-1]))
+# settings that name no row
+UNNAMED = ("seed", "output", "run_dir", "ckpt_path", "model", "model_name")
 # equal in all runs of a row, which differ in their seed: the sections that shape a training
 SAME_IN_A_ROW = (
     "model",
@@ -50,15 +54,17 @@ class ReportSetup:
         study: folder of a study, whose ``sweep.yaml`` says all else; None: the table of ``runs``.
         runs: ``run.json`` files, or folders that hold some.
         output: path of the table; ``.md``, ``.csv`` and ``.tex`` are written.
-        columns: metrics.
+        columns: metrics; None: those of :data:`COLUMNS`, and in LaTeX what fits a page.
         costs: whether costs are shown too.
+        names: of the rows, one for each of ``runs``; empty: the names that the runs have.
     """
 
     study: Path | None = None
     runs: Sequence[str] = ()
     output: Path = Path("results")
-    columns: Sequence[str] = COLUMNS
+    columns: Sequence[str] | None = None
     costs: bool = True
+    names: Sequence[str] = ()
 
 
 def report_runs(setup: ReportSetup) -> None:
@@ -66,16 +72,29 @@ def report_runs(setup: ReportSetup) -> None:
     runs = find_runs(
         setup.runs,
         needed=("metrics.images", "constant_predictor", *(NEEDED_FOR_COSTS if setup.costs else ())),
+        names=setup.names,
     )
-    titles, rows = table_of(runs, setup.columns, costs=setup.costs)
+    columns = COLUMNS if setup.columns is None else setup.columns
+    titles, rows = table_of(runs, columns, costs=setup.costs)
+    measured = 2 + len(columns)  # model, seeds, metrics; then the costs
+    metrics = titles[:measured], [row[:measured] for row in rows]
+    costs = (
+        [titles[0], *titles[measured:]],
+        [[row[0], *row[measured:]] for row in rows if set(row[measured:]) - {"-"}],
+    )
+    core = [2 + place for place, name in enumerate(columns) if name in CORE or setup.columns is not None]
     notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if setup.costs else [])
     output = setup.output
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
-    write_rows(output.with_name(f"{stem}.csv"), titles, rows)
+    write_rows(output.with_name(f"{stem}.csv"), *to_csv(titles, rows))
     write_text(output.with_name(f"{stem}.md"), to_markdown(titles, rows, notes))
-    write_text(output.with_name(f"{stem}.tex"), to_latex(titles, rows, notes))
+    latex = [to_latex(*metrics, notes[:1], core if setup.columns is None else None)]
+    latex += [to_latex(*costs, notes[1:])] if setup.costs else []
+    write_text(output.with_name(f"{stem}.tex"), "\n".join(latex))
     log = RunLog(output.parent)
-    log.table(notes[0], titles, rows)
+    log.table(notes[0], *metrics, core)
+    if setup.costs:
+        log.table(notes[1], *costs)
     log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
 
 
@@ -102,7 +121,9 @@ class Row:
         return f"{mean} ± {number(name, statistics.stdev(values))}"
 
 
-def find_runs(sources: Sequence[str], needed: Sequence[str] = ()) -> list[dict[str, Any]]:
+def find_runs(
+    sources: Sequence[str], needed: Sequence[str] = (), names: Sequence[str] = ()
+) -> list[dict[str, Any]]:
     """All ``run.json`` of ``train`` and ``evaluate`` below the given files and folders.
 
     Records of other commands (a detector's training, navigation) are skipped in folders.
@@ -110,18 +131,22 @@ def find_runs(sources: Sequence[str], needed: Sequence[str] = ()) -> list[dict[s
     Args:
         sources: the files and folders.
         needed: entries that every record must have, beside those of its metrics.
+        names: for the runs below each of ``sources``, instead of their own.
 
     Raises:
         FileNotFoundError: a source does not exist, or there is no run in any.
-        ValueError: a given file is the record of another command, or a record is damaged.
+        ValueError: a given file is the record of another command, a record is damaged, or there are not as
+            many names as sources.
     """
-    files: dict[Path, None] = {}
-    for source in map(Path, sources):
+    if names and len(names) != len(sources):
+        raise ValueError(f"names={list(names)}: give one name for each of the {len(sources)} runs=[...]")
+    files: dict[Path, str | None] = {}
+    for source, name in zip(map(Path, sources), names or [None] * len(sources), strict=True):
         if not source.exists():
             raise FileNotFoundError(f"no such file or folder: {source}")
         below = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
-        files |= {file.resolve(): None for file in below if file == source or not _of_another_command(file)}
-    runs = {file: read_run(file) for file in files}
+        files |= {file.resolve(): name for file in below if file == source or not _of_another_command(file)}
+    runs = {file: read_run(file) | ({} if name is None else {"model": name}) for file, name in files.items()}
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
     for file, run in runs.items():
@@ -152,7 +177,9 @@ def with_every_rule(run: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Runs of one model, seeds together, in order of first appearance.
+    """Runs of one model and settings, seeds together, in order of first appearance.
+
+    Rows of one model, as a sweep trains them, are named by the settings of the command line that differ.
 
     Raises:
         ValueError: runs of one name have the same seed, or differ in more than the seed.
@@ -160,21 +187,58 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
     rows: dict[str, list[Mapping[str, Any]]] = {}
     for run in runs:
         rows.setdefault(str(run["model"]), []).append(run)
+    rows = {name: alike for model, runs in rows.items() for name, alike in _by_settings(model, runs)}
     for model, members in rows.items():
         seeds = [run.get("seed") for run in members]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
-                f"{len(members)} runs are called {model!r}, but seeds {seeds} repeat: give them different "
-                "names (model_name=...), or report them separately"
+                f"{len(members)} runs are called {model!r}, but seeds {seeds} repeat: give one name for each "
+                "of runs=[...] (names=[...]), or report them separately"
             )
-        for section in SAME_IN_A_ROW:
-            settings = [run.get("config", {}).get(section) for run in members]
-            _refuse_differences(model, settings, section, ignored=KEYS)
-        _refuse_differences(model, _shared_sources(members), "sources")
-        _refuse_differences(model, [run.get("train_split_hash") for run in members], "train_split_hash")
-        precision = [run.get("resources", {}).get("precision") for run in members]
-        _refuse_differences(model, precision, "precision")
+        for section, text in _row_differences(members):
+            raise ValueError(
+                f"{len(members)} runs are called {model!r}, but {section} differs ({text}), and runs that "
+                "share a row may differ in their seed only: give a name for each of runs=[...] (names=[...])"
+            )
     return [Row(model, members) for model, members in rows.items()]
+
+
+def _by_settings(
+    model: str, members: Sequence[Mapping[str, Any]]
+) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Names and runs of the rows of one model: one row where there is no setting to tell them apart by."""
+    rows: list[list[Mapping[str, Any]]] = []
+    for run in members:
+        row = next((row for row in rows if not any(_row_differences([row[0], run]))), None)
+        if row is None:
+            rows.append([run])
+        else:
+            row.append(run)
+    given = [
+        dict(word.lstrip("+").split("=", 1) for word in row[0].get("overrides", ()) if "=" in word)
+        for row in rows
+    ]
+    keys = [
+        key
+        for key in dict.fromkeys(key for one in given for key in one)
+        if key not in UNNAMED and len({one.get(key) for one in given}) > 1
+    ]
+    names = [" ".join([model, *(f"{key}={one[key]}" for key in keys if key in one)]) for one in given]
+    if len(set(names)) < len(names):
+        return [(model, list(members))]
+    return list(zip(names, rows, strict=True))
+
+
+def _row_differences(members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Sections in which runs differ, though runs of a row may not, and how."""
+    compared = {section: [run.get("config", {}).get(section) for run in members] for section in SAME_IN_A_ROW}
+    compared["sources"] = _shared_sources(members)
+    compared["train_split_hash"] = [run.get("train_split_hash") for run in members]
+    compared["precision"] = [run.get("resources", {}).get("precision") for run in members]
+    for section, values in compared.items():
+        ignored = KEYS if section in SAME_IN_A_ROW else frozenset[str]()
+        for other in values:
+            yield from ((section, text) for text in differences(values[0], other, section, ignored=ignored))
 
 
 def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -190,19 +254,6 @@ def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]
             for content in found:
                 content.pop(name, None)
     return found
-
-
-def _refuse_differences(
-    model: str, settings: Sequence[Any], section: str, ignored: frozenset[str] = frozenset()
-) -> None:
-    different = [
-        text for other in settings for text in differences(settings[0], other, section, ignored=ignored)
-    ]
-    if different:
-        raise ValueError(
-            f"{len(settings)} runs are called {model!r}, but {section} differs ({different[0]}), and runs "
-            "that share a row may differ in their seed only. Give them different names (model_name=...)"
-        )
 
 
 def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:

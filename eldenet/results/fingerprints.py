@@ -22,7 +22,7 @@ KEYS = frozenset(("weights", "teacher", "pretrained", "source"))  # each names a
 NOT_COMPARED = frozenset(
     (
         *("output", "run_dir", "ckpt_path", "model_name", "root", "raw_root", "cache"),
-        *("threads", "workers", "device", "process_timeout"),
+        *("threads", "workers", "device", "process_timeout", "logger"),
     )
 )
 

@@ -1,19 +1,26 @@
-"""Output of a run for people: progress (a bar on a terminal, else lines), TensorBoard, images, tables."""
+"""Output of a run for people: progress (a bar on a terminal, else lines), loggers, images, tables."""
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eldenet.results.loggers import LOGGERS, Logger
 from eldenet.system.disk import disk_errors
 from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
 from eldenet.system.progress import Bar, progress_bar
+
+SHORTEST_NAME = 12  # characters of a row's name on a line
+GAP = 2  # between the columns of a table
 
 
 def untrained_note(source: str) -> str:
@@ -22,31 +29,36 @@ def untrained_note(source: str) -> str:
 
 
 class RunLog:
-    """Console, TensorBoard and images of one run folder; ``quiet`` (other processes) writes nothing.
+    """Console, loggers and images of one run folder; ``quiet`` (other processes) writes nothing.
 
     Args:
         folder: of the run.
         quiet: for processes that are not the main one.
         first_step: of a resumed run: TensorBoard drops points from that step on, which a killed process left;
             None: it keeps all.
+        loggers: names of :data:`~eldenet.results.loggers.LOGGERS`.
     """
 
-    def __init__(self, folder: Path, *, quiet: bool = False, first_step: int | None = None) -> None:
-        self.folder, self.quiet = folder, quiet
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        quiet: bool = False,
+        first_step: int | None = None,
+        loggers: Sequence[str] = ("tensorboard",),
+    ) -> None:
+        self.folder, self.quiet, self.loggers = folder, quiet, loggers
         self.console = Console(quiet=quiet)
-        if not self.console.is_terminal:
-            self.console.width = 200  # a file has no width; tables must not be cut off
-        self._writer: Any = None
+        if not self.console.is_terminal and "COLUMNS" not in os.environ:
+            self.console.width = 500  # a file has no width: tables keep all columns
+        self._open: list[Logger] | None = None
         self._first_step = first_step
 
-    @property
-    def writer(self) -> Any:
-        """TensorBoard's writer, opened when first used."""
-        if self._writer is None:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self._first_step)
-        return self._writer
+    def _opened(self) -> list[Logger]:
+        """The loggers, opened when first used."""
+        if self._open is None:
+            self._open = [LOGGERS[name](self.folder, self._first_step) for name in self.loggers]
+        return self._open
 
     def say(self, text: str) -> None:
         """Print one line unchanged: brackets are no markup, and long paths are not wrapped."""
@@ -56,16 +68,17 @@ class RunLog:
         """Write scalars under their names."""
         if not self.quiet:
             with disk_errors(self.folder, "the log of TensorBoard"):
-                for name, value in values.items():
-                    self.writer.add_scalar(name, value, step)
+                for logger in self._opened():
+                    logger.scalars(step, values)
 
     def picture(self, name: str, step: int, picture: np.ndarray) -> None:
-        """Write ``(H, W, 3)`` uint8 to TensorBoard and to ``<folder>/<name>.png``."""
+        """Write ``(H, W, 3)`` uint8 to the loggers and to ``<folder>/<name>.png``."""
         if not self.quiet:
             from eldenet.visualization import write_picture
 
             with disk_errors(self.folder, "the log of TensorBoard"):
-                self.writer.add_image(name, picture, step, dataformats="HWC")
+                for logger in self._opened():
+                    logger.picture(name, step, picture)
             write_picture(self.folder / f"{name}.png", picture)
 
     def history(self, rows: Sequence[Mapping[str, float]]) -> None:
@@ -76,21 +89,45 @@ class RunLog:
                 self.folder / "history.csv", header, [[row.get(name, "") for name in header] for row in rows]
             )
 
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Print a table."""
-        table = Table(title=escape(title), title_justify="left")  # escaped: rich would drop "[m]"
-        for number, column in enumerate(columns):
-            table.add_column(escape(column), justify="left" if number == 0 else "right")
-        for row in rows:
-            table.add_row(*(escape(one_line(cell)) for cell in row))  # no terminal codes
+    def table(
+        self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], core: Sequence[int] = ()
+    ) -> None:
+        """Print a table of the columns that fit, and the names of those that do not.
+
+        Args:
+            title: above it.
+            columns: their titles. The first one's cells are wrapped where they must be; no other cell is.
+            rows: cells.
+            core: numbers of the columns that come before the others where there is not room for all.
+        """
+        cells = [[one_line(cell).replace(" ± ", "±") for cell in row] for row in (columns, *rows)]
+        widths = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
+        room = self.console.width
+        widths[0] = min(widths[0], max(SHORTEST_NAME, room - sum(widths[place] + GAP for place in core)))
+        kept = [0]
+        for place in [*core, *(place for place in range(1, len(columns)) if place not in core)]:
+            if sum(widths[other] + GAP for other in (*kept, place)) - GAP <= room:
+                kept = sorted([*kept, place])
+        self.console.print(title, highlight=False, markup=False, width=min(self.console.width, 120))
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+        for place in kept:
+            justify: Any = "right" if place else "left"
+            table.add_column(
+                escape(cells[0][place]), justify=justify, min_width=widths[place], overflow="fold"
+            )  # escaped: rich would drop "[m]"
+        for row in cells[1:]:
+            table.add_row(*(escape(row[place]) for place in kept))
         self.console.print(table)
+        if left_out := [title for place, title in enumerate(columns) if place not in kept]:
+            self.say(f"no room for {', '.join(left_out)}: use a wider terminal, or the files")
 
     def bar(self, title: str, total: int, done: int = 0, unit: str = "img") -> AbstractContextManager[Bar]:
         """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
         return progress_bar(self.console, title, total, done, unit)
 
     def close(self) -> None:
-        """Close TensorBoard."""
-        if self._writer is not None:
-            with disk_errors(self.folder, "the log of TensorBoard"):
-                self._writer.close()
+        """Close the loggers."""
+        with disk_errors(self.folder, "the log of TensorBoard"):
+            for logger in self._open or ():
+                logger.close()
+        self._open = None

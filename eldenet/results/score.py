@@ -73,7 +73,7 @@ def score_and_record(
         model: a :class:`~eldenet.model.DepthNet`, or an exported file as a module.
         log: what the person sees.
         facts: of the training, if there was one: ``training`` (its progress), ``skipped`` (split -> name ->
-            reason) and ``teacher`` (loss term -> source and hash).
+            reason), ``teacher`` (loss term -> source and hash) and ``overrides`` (of the command line).
         step: of the training, where TensorBoard shows the pictures.
 
     Returns:
@@ -109,6 +109,7 @@ def score_and_record(
         "seed": setup.seed,
         "resources": asdict(setup.resources),
         "training": facts.get("training"),
+        "overrides": facts.get("overrides", []),
         "config": dict(setup.settings),
         **environment(),
     }

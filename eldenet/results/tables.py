@@ -1,6 +1,7 @@
 """Format of tables: numbers, titles, notes on the protocol and the machine, Markdown and LaTeX."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
 
 COLUMNS = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
+CORE = ("abs_rel", "rmse", "delta1")
 COSTS = ("params", "gmacs", "gflops", "latency_ms_p50", "throughput_img_s")
 WORDS = {
     "abs_rel": "AbsRel",
@@ -25,6 +27,15 @@ WORDS = {
     "abs_rel_sure80": "AbsRel of sure 80 %",
     "nll": "NLL",
 } | {f"delta{power}": f"δ{power}" for power in (1, 2, 3)}
+
+
+# of a LaTeX table in \\small on a page of 345 pt, in digits of 4.6 pt: page, gap beside a column, text
+PAGE, GAP, TEXT = 69, 1.3, 15
+TEXTS = ("protocol", "source")  # columns whose cells are wrapped
+TEXT_COLUMN = r"p{7em}"
+_SIGNED = r"[+-]\d+\.\d+"
+_INTERVAL = re.compile(rf"({_SIGNED}) \[({_SIGNED}), ({_SIGNED})\] ?(.*)")
+_MILLIONS = re.compile(r"\d+\.\d+ M")
 
 
 def number(name: str, value: float | None) -> str:
@@ -129,7 +140,8 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         for label, group in ((str(run["model"]), "metrics"), ("constant predictor", "constant_predictor"))
         if run[group] is not None
     ]
-    log.table(protocol_line(run), names, rows)
+    core = [1 + COLUMNS.index(name) for name in CORE]
+    log.table(protocol_line(run), names, rows, core)
     if "nll" in run["metrics"]:
         log.table(
             f"sigma, protocol {run['uncertainty_protocol']['name']}: AUSE, AbsRel without the least certain "
@@ -164,13 +176,60 @@ def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Seq
     return "\n".join([*lines, "", *(f"- {escaping.markdown_note(note)}" for note in notes), ""])
 
 
-def to_latex(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
-    """A LaTeX table (booktabs) with the notes as comments."""
+def to_latex(
+    titles: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    notes: Sequence[str],
+    core: Sequence[int] | None = None,
+) -> str:
+    """A LaTeX table (booktabs) with the notes as comments.
+
+    Args:
+        titles: of the columns.
+        rows: cells.
+        notes: comments above the table.
+        core: numbers of the columns that come first where the page has no room for all; a comment names the
+            others. None: all columns, also beyond the page.
+    """
 
     def line(cells: Sequence[str]) -> str:
-        return " & ".join(map(escaping.latex, cells)) + r" \\"
+        return " & ".join(escaping.latex(cells[place]) for place in kept) + r" \\"
 
+    widths = [max(map(len, cells)) for cells in zip(titles, *rows, strict=True)]
+    wrapped = [place > 0 and (title in TEXTS or widths[place] > 38) for place, title in enumerate(titles)]
+    widths = [TEXT if wrap else width for width, wrap in zip(widths, wrapped, strict=True)]
+    kept = list(range(len(titles)))
+    if core is not None:
+        kept = [0]
+        for place in [*core, *(place for place in range(1, len(titles)) if place not in core)]:
+            if sum(widths[other] + GAP for other in [*kept, place]) <= PAGE:
+                kept = sorted([*kept, place])
+    kinds = "".join("l" if place == 0 else TEXT_COLUMN if wrapped[place] else "r" for place in kept)
     body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
     head = [f"% {escaping.one_line(note)}" for note in notes]
-    head += [r"\begin{tabular}{l" + "r" * (len(titles) - 1) + "}"]
-    return "\n".join([*head, *body, r"\end{tabular}", ""])
+    if left_out := [title for place, title in enumerate(titles) if place not in kept]:
+        head.append(f"% not in this table, which fits a page: {escaping.one_line(', '.join(left_out))}")
+    head.append(r"{\small\setlength{\tabcolsep}{3pt}\begin{tabular}{" + kinds + "}")
+    return "\n".join([*head, *body, r"\end{tabular}}", ""])
+
+
+def to_csv(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """Titles and cells of one figure each: mean, std and ends of intervals have columns of their own."""
+    columns: list[list[str]] = []
+    for title, *cells in zip(titles, *rows, strict=True):
+        if any(" ± " in cell for cell in cells):
+            parts = [cell.partition(" ± ") for cell in cells]
+            columns.append([title, *(part[0] for part in parts)])
+            columns.append([f"{title.split()[0]} std", *(part[2] for part in parts)])
+        elif any(map(_INTERVAL.fullmatch, cells)):
+            found = [_INTERVAL.fullmatch(cell) for cell in cells]
+            for number, name in enumerate((title, "low", "high", "verdict"), 1):
+                columns.append([name, *("" if match is None else match[number] for match in found)])
+        elif any(_MILLIONS.fullmatch(cell) for cell in cells):
+            columns.append(
+                [title.replace("params", "params [M]"), *(cell.removesuffix(" M") for cell in cells)]
+            )
+        else:
+            columns.append([title, *cells])
+    header, *lines = ([column[place] for column in columns] for place in range(len(rows) + 1))
+    return header, lines

@@ -65,9 +65,10 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
             "belong to, or leave weights out"
         )
     model.load_state_dict(fitting, strict=False)
-    if len(fitting) < len(own):
-        missing = ", ".join(sorted(own.keys() - fitting.keys())[:3])
-        log.say(f"weights: {len(fitting)} of {len(own)} tensors copied; not copied: {missing}, ...")
+    copied = f"weights: {len(fitting)} of {len(own)} tensors copied from {weights}"
+    if missing := sorted(own.keys() - fitting.keys()):
+        copied += f"; not copied: {', '.join(missing[:3])}" + ", ..." * (len(missing) > 3)
+    log.say(copied)
     if line := keep_normalization(model, start, chosen=chosen):
         log.say(line)
     if found := differences(model.config, start.config, ignored=frozenset({"mean", "std"})):

@@ -46,7 +46,7 @@ def train(setup: TrainingSetup) -> float:
 def _train(setup: TrainingSetup) -> float:
     from eldenet.results.run_log import RunLog
 
-    log = RunLog(setup.folder, quiet=not is_main_process())
+    log = RunLog(setup.folder, quiet=not is_main_process(), loggers=setup.loggers)
     record = finished_run(setup)
     if record is not None:
         log.say(f"{setup.folder}: already finished")
@@ -62,7 +62,7 @@ def _train(setup: TrainingSetup) -> float:
     trainer, loss = setup.make_trainer(), make_loss(setup)
     refuse_untrained_sigma(initial_model(setup, RunLog(setup.folder, quiet=True)), loss)
     with watched_processes(resources, setup.process_timeout):
-        progress, skipped = _fit(setup, trainer, loss, resources, log, checkpoint)
+        progress, skipped, notes = _fit(setup, trainer, loss, resources, log, checkpoint)
         trainer.accelerator.wait_for_everyone()
     trainer.accelerator.end_training()  # a process that leaves with its group open may abort
     if trainer.accelerator.is_main_process:
@@ -70,9 +70,12 @@ def _train(setup: TrainingSetup) -> float:
             "training": asdict(progress) | {"effective_batch": trainer.effective_batch},
             "skipped": skipped,
             "teacher": dict(loss.signature),
+            "overrides": list(setup.overrides),
         }
         record = score_best(setup, resources, log, facts)
         closing_table(log, record)
+        for note in notes:
+            log.say(note)
         if line := collapse(record):
             log.say(line)
     return progress.best_value
@@ -85,8 +88,12 @@ def _fit(
     resources: "Resources",
     log: "RunLog",
     checkpoint: Path | None,
-) -> tuple["Progress", dict[str, Mapping[str, str]]]:
-    """Prepare the frames and train; return the progress and the frames that were left out, by split."""
+) -> tuple["Progress", dict[str, Mapping[str, str]], list[str]]:
+    """Prepare the frames and train.
+
+    Returns:
+        The progress, the frames that were left out by split, and notes on the scores.
+    """
     from eldenet.results.fingerprints import fingerprints
     from eldenet.training.initialization import initial_model
     from eldenet.training.normalization import normalization, write_normalization
@@ -122,7 +129,13 @@ def _fit(
         info=model_info(setup, train_set),
         sources=fingerprints(setup.settings),
     )
-    return progress, {"train": train_set.skipped, "val": val_set.skipped}
+    notes = []
+    if shared := common_frames(val_set, test_set):
+        notes.append(
+            f"note: the best epoch was chosen on {shared} of the {len(test_set)} frames that are scored, "
+            "so the scores are a little too good"
+        )
+    return progress, {"train": train_set.skipped, "val": val_set.skipped}, notes
 
 
 def collapse(record: Mapping[str, Any]) -> str:
@@ -235,7 +248,7 @@ def without_camera(train_set: "DepthDataset") -> str:
 
 
 def common_frames(train_set: "DepthDataset", scored: "DepthDataset") -> int:
-    """Return how many frames of ``scored`` are in ``train_set`` too: their scores measure memorization."""
+    """Return how many frames of ``scored`` are in ``train_set`` too: their scores measure memory, or luck."""
     from eldenet.data.inspection import identities
 
     return len(identities(train_set).keys() & identities(scored).keys())

@@ -37,6 +37,8 @@ class TrainingSetup:
         ckpt_path: checkpoint or run folder to resume; "auto": this folder's, if there is one.
         trusted_modules: modules whose classes the user's own settings name.
         settings: the resolved settings, which ``run.json`` stores.
+        loggers: that show the pictures of the final scores.
+        overrides: what the command line set, such as ``loss=l1``; rows of a sweep are named by them.
     """
 
     folder: Path
@@ -58,3 +60,5 @@ class TrainingSetup:
     ckpt_path: str | None
     trusted_modules: Sequence[str]
     settings: Mapping[str, Any]
+    overrides: Sequence[str] = ()
+    loggers: Sequence[str] = ()

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +17,11 @@ from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import focal_ratio, in_meters
 from eldenet.losses.base import WeightedSum
 from eldenet.model import DepthNet
+from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
 from eldenet.system.checks import one_of
 from eldenet.system.resources import Resources, make_accelerator, seed_everything
+from eldenet.system.signals import GracefulStop
 from eldenet.training.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
 from eldenet.training.ema import WeightAverage, average_gradients
 from eldenet.training.loss_meter import BLANK, LossMeter, timed
@@ -72,6 +74,7 @@ class Trainer:
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
         seed: of frame order, augmentation and anything random in the network.
+        loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """
 
     def __init__(
@@ -92,7 +95,11 @@ class Trainer:
         evaluate_every: int = 1,
         seed: int = 0,
         loss_camera: str = "canonical",
+        loggers: Sequence[str] = ("tensorboard",),
     ) -> None:
+        self.loggers = tuple(loggers)
+        for logger in self.loggers:
+            one_of("logger", logger, tuple(LOGGERS))
         one_of("loss_camera", loss_camera, ("canonical", "own"))
         self.loss_camera = loss_camera
         if monitor not in METRICS:
@@ -150,30 +157,20 @@ class Trainer:
         """
         self.info, self.sources = info or {}, dict(sources or {})
         self._set_up(model, loss, data, folder, resources, ckpt_path)
-        progress, batches = self.progress, self.sampler.batches
-        for epoch in range(progress.epoch, self.epochs):
-            self.sampler.epoch, self.sampler.start = epoch, progress.batch
-            self.model.train()
-            with self.log.bar(
-                f"epoch {epoch + 1}/{self.epochs}",
-                batches * self.batch_size,
-                progress.batch * self.batch_size,
-            ) as bar:
-                for batch in timed(self.loader, progress):
-                    started = time.monotonic()
-                    progress.batch += 1
-                    update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
-                    batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
-                    terms = self.train_step(batch, update=update)
-                    self.meter.add(progress.step, terms | {BLANK: ~batch["mask"].any()})
-                    progress.step += update
-                    progress.seconds += time.monotonic() - started
-                    if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
-                        self._save(LAST)
-                    bar.advance(
-                        len(batch["name"]), f"loss {progress.sums.get('total', 0.0) / progress.batch:.4f}"
-                    )
-            self._end_epoch(epoch)
+        progress = self.progress
+        self.log.say(self._plan())
+        with GracefulStop() as stop:
+            for epoch in range(progress.epoch, self.epochs):
+                try:
+                    self._train_epoch(epoch, stop)
+                except RuntimeError:
+                    if not stop:  # Ctrl-C reaches the loader's workers too, and they end
+                        raise
+                if stop and progress.batch < self.sampler.batches:
+                    self._stop(stop)
+                self._end_epoch(epoch)
+                if stop:
+                    self._stop(stop)
         self.log.close()
         del self.loader  # its workers end with it
         if progress.best_epoch < 1:
@@ -182,6 +179,54 @@ class Trainer:
                 "choose another metric, such as delta1"
             )
         return progress
+
+    def _train_epoch(self, epoch: int, stop: GracefulStop) -> None:
+        """Show the network the rest of an epoch; end early, after an update, if a signal arrived."""
+        progress, batches = self.progress, self.sampler.batches
+        self.sampler.epoch, self.sampler.start = epoch, progress.batch
+        self.model.train()
+        with self.log.bar(
+            f"epoch {epoch + 1}/{self.epochs}",
+            batches * self.batch_size,
+            progress.batch * self.batch_size,
+        ) as bar:
+            for batch in timed(self.loader, progress):
+                started = time.monotonic()
+                progress.batch += 1
+                update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
+                batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
+                terms = self.train_step(batch, update=update)
+                self.meter.add(progress.step, terms | {BLANK: ~batch["mask"].any()})
+                progress.step += update
+                progress.seconds += time.monotonic() - started
+                if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
+                    self._save(LAST)
+                bar.advance(
+                    len(batch["name"]), f"loss {progress.sums.get('total', 0.0) / progress.batch:.4f}"
+                )
+                if stop and update:
+                    return
+
+    def _stop(self, stop: GracefulStop) -> None:
+        """End as the signal asks; save before, unless other processes are at another batch."""
+        whole = self.progress.batch % self.accumulate_grad_batches == 0
+        if self.processes == 1 and whole and self.progress.batch:
+            self._save(LAST)
+        self.log.close()
+        stop.obey()
+
+    def _plan(self) -> str:
+        """One line: updates of an epoch, and the frames that it does not show."""
+        frames, batches = len(self.train_set), self.sampler.batches
+        together = self.batch_size * self.processes
+        updates = math.ceil(batches / self.accumulate_grad_batches)
+        plural = "s" if updates > 1 else ""
+        plan = f"{frames} frames, batch {self.effective_batch}: {updates} update{plural} an epoch"
+        if left_out := self.sampler.left_out:
+            plan += f", which leaves out {left_out} frames, others each time"
+        elif frames < batches * together:
+            plan += f", the last batch with {frames - (batches - 1) * together} frames"
+        return plan
 
     @property
     def effective_batch(self) -> int:
@@ -296,7 +341,10 @@ class Trainer:
         self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
         # an epoch's points lie at its last step: a resumed run keeps them
         self.log = RunLog(
-            folder, quiet=not self.accelerator.is_main_process, first_step=self.progress.step + 1
+            folder,
+            quiet=not self.accelerator.is_main_process,
+            first_step=self.progress.step + 1,
+            loggers=self.loggers,
         )
         if note:
             self.log.say(note)

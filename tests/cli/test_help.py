@@ -43,7 +43,11 @@ def test_the_reader_of_help_may_leave_before_its_end():
         ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: is source meant?"),
         ("predict", ["source=my photo (1).jpg"], QUOTES),
         ("predict", ["qqqqqqqq=1"], ""),
-        ("train", ["model=eldennet"], ""),  # Hydra lists the choices
+        (
+            "train",
+            ["loss=l1", "augmentation=ful"],
+            "augmentation=ful: is full meant? choose from flip, full, none",
+        ),
         ("train", ["seed=1"], ""),  # it failed for another reason
         ("train", ["normalisation=dataset"], "normalisation is called normalization now"),
     ],

@@ -42,7 +42,9 @@ def test_a_complete_data_set_has_no_faults(tmp_path: Path, capsys: pytest.Captur
     sheet = cv2.imread(str(tmp_path / "out/contact_sheet.png"))
     assert sheet.shape[1] == 4 * 256 + 3 * 2
     shown = capsys.readouterr().out
-    assert "all is well" in shown
+    assert "all is well" not in shown  # the encoding is a guess
+    assert "m as kitti" in shown
+    assert "no file is wrong; whether data.encoding is right" in shown
     assert train["split_hash"] in shown
 
 
@@ -172,3 +174,32 @@ def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
     assert (found.looked_at, sum(done), len(found.names)) == (4, 4, 10)
     assert 0.3 < found.outside < 0.7  # half of the depths lie beyond 5 m
     assert found.percentiles["p99"] < 5.05
+
+
+def test_an_implausible_depth_names_the_encodings_that_would_be_plausible(tmp_path, capsys):
+    root = layouts.folder(tmp_path / "data")
+    for file in (root / "depths").iterdir():
+        layouts.picture(file, np.full((48, 64), 1000, np.uint16))
+    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}", "data.encoding=tum")
+    assert good
+    assert report["splits"][0]["median"] == pytest.approx(0.2, rel=0.01)
+    shown = capsys.readouterr().out
+    assert "read as encoding=tum, which few cameras see; it would be " in shown
+    assert "m as mm, 3.9" in shown
+    assert "no file is wrong, but the depth is implausible: check data.encoding" in shown
+
+
+def test_a_folder_of_webp_is_read_and_a_cut_one_is_named(tmp_path):
+    root = layouts.folder(tmp_path / "data")
+    for file in list((root / "images").iterdir()):
+        pixels = cv2.imread(str(file))
+        file.unlink()
+        cv2.imwrite(str(file.with_suffix(".webp")), pixels, [cv2.IMWRITE_WEBP_QUALITY, 101])
+    cut = root / "images/f003.webp"
+    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}")
+    assert (good, report["splits"][0]["frames"]) == (True, 9)
+    np.testing.assert_allclose(report["splits"][0]["mean"], layouts.SMALL.rgb.mean((0, 1)) / 255, atol=1e-3)
+    cut.write_bytes(cut.read_bytes()[:-30])
+    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}")
+    assert not good
+    assert "f003" in str(report["faults"])

@@ -2,6 +2,8 @@
 
 import copy
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +11,7 @@ from eldenet import config as cfg
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.comparison import find_runs, group_rows, table_of
 from eldenet.results.run_log import RunLog
-from eldenet.results.tables import protocol_line, to_latex, to_markdown
+from eldenet.results.tables import protocol_line, to_csv, to_latex, to_markdown
 
 RUN = {
     "model": "eldenet",
@@ -206,3 +208,101 @@ def test_the_protocol_line_says_what_of_the_frame_is_scored(name, scored):
     rules = cfg.instantiate(cfg.compose("train", [f"protocol={name}"]).protocol).as_dict()
     rules = json.loads(json.dumps(rules))  # as a run.json holds them
     assert scored in protocol_line(run_with(protocol=rules))
+
+
+def seven(**changes) -> dict:
+    """A run with all seven metrics."""
+    run = run_with(**changes)
+    for group in ("metrics", "constant_predictor"):
+        run[group] |= {"delta2": 0.9, "delta3": 0.95}
+    return run
+
+
+def printed(width: int, titles, rows, core, tmp_path, capsys, monkeypatch) -> list[str]:
+    monkeypatch.setenv("COLUMNS", str(width))
+    RunLog(tmp_path).table("a title", titles, rows, core)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_narrow_terminal_drops_columns_and_says_so_but_never_digits(tmp_path, capsys, monkeypatch):
+    runs = [seven(seed=seed, model="a_rather_long_name", metrics__delta1=0.8 + seed / 10) for seed in (0, 1)]
+    titles, rows = table_of(runs, costs=False)
+    core = [titles.index(name) for name in ("AbsRel ↓", "RMSE [m] ↓", "δ1 ↑")]
+    there = (titles, rows, core, tmp_path, capsys, monkeypatch)
+    narrow, wide = printed(80, *there), printed(120, *there)
+    assert max(map(len, narrow)) <= 80
+    assert max(map(len, wide)) <= 120
+    for text in ("AbsRel ↓", "RMSE [m] ↓", "δ1 ↑", "0.850±0.071", "0.200±0.000", "a_rather_long_name"):
+        assert any(text in line for line in narrow), text
+    assert narrow[-1] == "no room for MSE [m²] ↓, δ2 ↑, δ3 ↑: use a wider terminal, or the files"
+    for title in titles:
+        assert title in wide[1]
+    assert "no room" not in "".join(wide)
+    tiny = printed(54, *there)  # a name is wrapped before a digit is lost
+    assert any("0.200±0.000  0.500±0.000  0.850±0.071" in line for line in tiny)
+
+
+def test_csv_has_a_column_for_each_figure():
+    titles = ["row", "δ1 ↑", "delta1 - eldenet's [95 %]", "params ↓"]
+    rows = [
+        ["a", "0.554 ± 0.004", "-", "0.587 M"],
+        ["b", "0.501", "-0.036 [-0.058, -0.012] worse", "12.397 M"],
+        ["c", "-", "+0.020 [-0.010, +0.049]", "-"],
+    ]
+    assert to_csv(titles, rows) == (
+        ["row", "δ1 ↑", "δ1 std", "delta1 - eldenet's [95 %]", "low", "high", "verdict", "params [M] ↓"],
+        [
+            ["a", "0.554", "0.004", "", "", "", "", "0.587"],
+            ["b", "0.501", "", "-0.036", "-0.058", "-0.012", "worse", "12.397"],
+            ["c", "-", "", "+0.020", "-0.010", "+0.049", "", "-"],
+        ],
+    )
+
+
+def width_in_points(tabular: str) -> float:
+    """Width of a tabular in \\small Computer Modern, 10 pt document: its widest cells and the gaps."""
+    from matplotlib import get_data_path
+    from PIL import ImageFont
+
+    font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/cmr10.ttf", 90)  # ten times as large
+    kinds = re.findall(r"[lr]|p\{7em\}", re.search(r"begin\{tabular\}\{(.*)\}", tabular)[1])
+    widths = [0.0] * len(kinds)
+    for line in tabular.splitlines():
+        if "&" in line and not line.startswith("%"):
+            for place, cell in enumerate(line.removesuffix(r"\\").split(" & ")):
+                text = re.sub(r"\$\\\w+\$", "m", re.sub(r"\\([_%&#])", r"\1", cell)).replace("$^2$", "2")
+                length = font.getlength(text.strip()) / 10
+                widths[place] = max(widths[place], 7 * 9 if kinds[place].startswith("p") else length)
+    return sum(widths) + 2 * 3 * len(kinds)
+
+
+STUDIES = sorted(Path(__file__).parents[2].glob("experiments/*/sweep.yaml"))
+
+
+@pytest.mark.parametrize("plan", STUDIES, ids=lambda plan: plan.parent.name)
+def test_the_latex_of_a_study_fits_a_page(plan):
+    tables = plan.with_name("results.tex").read_text().split(r"\end{tabular}}")[:-1]
+    assert tables
+    assert max(map(width_in_points, tables)) <= 345
+
+
+def test_runs_of_a_sweep_are_named_by_the_settings_that_differ():
+    runs = [
+        run_with(seed=seed, config={"loss": loss}, overrides=[f"seed={seed}", *given, "output=runs/sweep"])
+        for loss, given in (("SSIM and L1", ["loss=ssim_l1"]), ("L1", ["loss=l1"]), ("SSIM and L1 ", []))
+        for seed in (0, 1)
+    ]
+    assert [row.model for row in group_rows(runs)] == ["eldenet loss=ssim_l1", "eldenet loss=l1", "eldenet"]
+    assert [len(row.runs) for row in group_rows(runs)] == [2, 2, 2]
+    assert [row.model for row in group_rows(runs[:2])] == ["eldenet"]
+
+
+def test_finished_runs_can_be_renamed(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(seven(config={"loss": name})))
+    sources = [str(tmp_path / "a"), str(tmp_path / "b")]
+    runs = find_runs(sources, names=["baseline", "ours"])
+    assert [row[0] for row in table_of(runs)[1]] == ["baseline", "ours", "constant predictor"]
+    with pytest.raises(ValueError, match=r"give one name for each of the 2 runs"):
+        find_runs(sources, names=["ours"])

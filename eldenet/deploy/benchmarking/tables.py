@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
 
 
+CORE = ("latency_ms_p50", "fps", "ratio_latency", "params", "gmacs")  # columns that come first
 Accuracies = tuple[Mapping[str, float], str]  # by model, and the title of the axis
 
 
@@ -24,15 +25,15 @@ def write_results(
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
     notes = notes_of(rows)
     write_text(output / "results.md", to_markdown(COLUMNS, cells, notes))
-    write_text(output / "results.tex", to_latex(COLUMNS, cells, notes))
-    # a terminal is narrow: the title shows what all rows share
+    # a page and a terminal are narrow: the title shows what all rows share
     same = {name for name in KEY[1:] if len({row[name] for row in rows}) == 1}
     shown = [position for position, name in enumerate(COLUMNS) if name not in same]
-    log.table(
-        ", ".join(f"{name} {rows[0][name]}" for name in COLUMNS if name in same),
-        [COLUMNS[position] for position in shown],
-        [[line[position] for position in shown] for line in cells],
-    )
+    title = ", ".join(f"{name} {rows[0][name]}" for name in COLUMNS if name in same)
+    titles = [COLUMNS[position] for position in shown]
+    core = [place for place, name in enumerate(titles) if name in KEY[1:] or name in CORE]
+    lines = [[line[position] for position in shown] for line in cells]
+    write_text(output / "results.tex", to_latex(titles, lines, [title, *notes], core))
+    log.table(title, titles, lines, core)
     for note in notes:
         log.say(note)
     drawn = draw(rows, accuracies, output / "results.png")

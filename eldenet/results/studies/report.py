@@ -10,7 +10,7 @@ from eldenet.results.studies.convergence import NOTES, convergence
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.studies.tables import Block, build_blocks
-from eldenet.results.tables import WORDS, to_latex, to_markdown
+from eldenet.results.tables import WORDS, to_csv, to_latex, to_markdown
 from eldenet.system import escaping
 from eldenet.system.files import write_rows, write_text
 
@@ -21,7 +21,11 @@ def report_study(folder: Path, composition: Composition) -> None:
     """Write the report of a study and print its tables."""
     log = RunLog(folder)
     for block in write_study_report(folder, composition):
-        log.table(block.name, *block.on_a_screen())
+        for number, (titles, rows, core) in enumerate(block.apart()):
+            log.table("" if number else block.name, titles, rows, core)
+        for reason, names in block.without_figures().items():
+            log.say(f"{reason}: {', '.join(names)}")
+        log.say("")
     log.say(f"written to {folder / 'results'}.md, .csv and .tex")
 
 
@@ -35,7 +39,7 @@ def write_study_report(folder: str | Path, composition: Composition) -> list[Blo
         f"{level} {escaping.markdown(name)}\n\n{to_markdown(*cells, notes)}"
         for level, name, cells, notes in tables
     ]
-    latex = [to_latex(*cells, [name, *notes]) for _, name, cells, notes in tables]
+    latex = [table for block in blocks for table in _latex_of(block)]
     if "convergence" in study.plots:
         _add_convergence(study, markdown, latex)
     points = {block.name: block.points for block in blocks if block.points}
@@ -78,11 +82,24 @@ def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
     return tables
 
 
+def _latex_of(block: Block) -> list[str]:
+    """Tables of a block that fit a page: metrics, differences, costs and published figures apart."""
+    left_out = [f"{reason}: {', '.join(names)}" for reason, names in block.without_figures().items()]
+    tables = []
+    for titles, rows, core in block.apart():
+        tables.append(to_latex(titles, rows, [] if tables else [block.name, *block.notes, *left_out], core))
+    titles, rows = block.published_elsewhere()
+    if rows:
+        short = [title.removeprefix("published ") for title in titles]
+        tables.append(to_latex(short, rows, [f"{block.name}: published elsewhere"]))
+    return tables
+
+
 def _add_convergence(study: Study, markdown: list[str], latex: list[str]) -> None:
     found = convergence(study)
     cells = found.by_row()
     markdown += ["## convergence", "", to_markdown(*cells, NOTES)]
-    latex.append(to_latex(*cells, ["convergence", *NOTES]))
+    latex.append(to_latex(*cells, ["convergence", *NOTES], ()))
     write_rows(study.folder / "convergence.csv", *found.by_run())
     if found.curves:
         curves_plot(study.folder / "convergence.png", found.curves)
@@ -96,4 +113,4 @@ def _write_csv(study: Study, blocks: Sequence[Block]) -> None:
         (block.name, dict(zip(block.titles, row, strict=True))) for block in blocks for row in block.rows
     ]
     table = [[name, *(row.get(title, "") for title in titles)] for name, row in cells]
-    write_rows(study.folder / "results.csv", ["block", *titles], table)
+    write_rows(study.folder / "results.csv", *to_csv(["block", *titles], table))

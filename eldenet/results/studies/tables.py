@@ -13,7 +13,7 @@ from eldenet.results.statistics import Difference
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.results.tables import heading, number, protocol_line, training_line
+from eldenet.results.tables import CORE, heading, number, protocol_line, training_line
 from eldenet.system.files import read_table
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
@@ -36,6 +36,8 @@ class Block:
         differences: to the reference row, by row.
         reference: that row; "" without one.
         published: number of the first column of published figures, which are shown in a table of their own.
+        parts: numbers of the columns of metrics, of the difference and of the costs; each list starts with 0.
+        core: numbers of the columns that come first where there is no room for all.
     """
 
     name: str
@@ -46,15 +48,32 @@ class Block:
     differences: dict[str, Difference]
     reference: str
     published: int
+    parts: list[list[int]]
+    core: list[int]
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows without the published figures."""
         return self.titles[: self.published], [row[: self.published] for row in self.rows]
 
-    def on_a_screen(self) -> tuple[list[str], list[list[str]]]:
-        """Titles and rows without the long texts of what weights have seen, too."""
-        kept = [place for place, title in enumerate(self.titles[: self.published]) if title != SEEN]
-        return [self.titles[place] for place in kept], [[row[place] for place in kept] for row in self.rows]
+    def apart(self) -> list[tuple[list[str], list[list[str]], list[int]]]:
+        """Titles, rows with figures, and core columns of the metrics, the difference and the costs."""
+        tables = []
+        for places in self.parts:
+            cells = [[row[place] for place in places] for row in self.rows]
+            figures = 2 if places[1:2] == [1] else 1  # behind the number of seeds
+            rows = [row for row in cells if set(row[figures:]) - {"-"}]
+            core = [places.index(place) for place in self.core if place in places]
+            if rows:
+                tables.append(([self.titles[place] for place in places], rows, core))
+        return tables
+
+    def without_figures(self) -> dict[str, list[str]]:
+        """Names of the rows without a run, by the reason."""
+        found: dict[str, list[str]] = {}
+        for row in self.rows:
+            if not set(row[place] for place in self.parts[0][2:]) - {"-"}:
+                found.setdefault(row[1], []).append(row[0])
+        return found
 
     def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows of the published figures, where there are any."""
@@ -163,20 +182,27 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
         ("seeds", lambda member: member.status),
         (SEEN, lambda member: member.row.seen),
     ]
+    core = []
     for metric in study.columns:
+        core += [len(columns)] * (metric in CORE)
         title = heading(metric, every[0]) if every else metric
         columns.append((title, partial(Member.text, group="metrics", name=metric)))
+    parts = [[0, 1, *range(3, len(columns))]]
     if reference is not None:
+        parts.append([0, len(columns)])
         shown = {row: difference.text for row, difference in differences.items()}
         title = f"{study.compare} - {reference.row.name}'s [95 %]"
         columns.append((title, lambda member: shown.get(member.row.name, "-")))
+    measured = len(columns)
     for cost in COUNTED if every else ():
         columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
     if latencies:
+        core.append(len(columns))
         columns.append(
             (f"{latencies.title} ↓", lambda member: number("latency_ms_p50", latencies.of(member.row.name)))
         )
     published = len(columns)
+    parts.append([0, *range(measured, published)])
     if any(line[column] for line in expected for column in PUBLISHED):
         for column in (*PUBLISHED, "protocol", "source"):
             columns.append((f"published {column}", partial(Member.published, name=column)))
@@ -187,7 +213,8 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     points = [point for member in members if (point := _point(study, member, latencies))]
     compared = "" if reference is None else reference.row.name
     notes = _notes(study, members, latencies, compared)
-    return Block(name, [title for title, _ in columns], rows, notes, points, differences, compared, published)
+    titles = [title for title, _ in columns]
+    return Block(name, titles, rows, notes, points, differences, compared, published, parts, core)
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str]) -> Member:
