@@ -2,8 +2,8 @@
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
 ``target_update_interval`` above 0 this is that algorithm: replay buffer, mean squared error, Adam, hard
-copies into the target network. The default uses five-step returns, double targets and soft updates: with one-step
-targets the driver hardly learned at five decisions per second.
+copies into the target network. The default uses five-step returns, double targets and soft updates: with
+one-step targets the driver hardly learned at five decisions per second.
 """
 
 import copy
