@@ -146,7 +146,7 @@ class Boxes3D(ArrayRows):
     """Upright boxes of one image, as arrays; ``boxes[i]`` is one :class:`Box3D`.
 
     Attributes:
-        center: ``(N, 3)`` mean of the eight vertices [m] (paper, equation 3).
+        center: ``(N, 3)`` mean of the eight vertices [m] (our reading of the paper's equation 3).
         size: ``(N, 3)`` length, width, height [m].
         yaw: ``(N,)`` [rad]. Geometry shows it modulo pi only: front and back look alike.
         score: ``(N,)`` of the detector.

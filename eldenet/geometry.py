@@ -174,7 +174,9 @@ def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1`` (paper, equation 1).
+    """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1``.
+
+    It is our reading of the paper's equation 1.
 
     ``H`` is the infinite homography (Hartley and Zisserman, section 13.4), ``h`` the depth of the pixel in
     row i, column j. The level frame has x right, y down along gravity, z forward; by default it is the

@@ -69,9 +69,7 @@ class FastUpConvDecoder(Decoder):
                     "lateral_strides nor fusion=none with them"
                 )
             if not 1 < len(kernels) <= len(reached) + 1:
-                raise ValueError(
-                    f"kernels={kernels}: give 2 to {len(reached) + 1}, the deepest feature's last"
-                )
+                raise ValueError(f"kernels={kernels}: give 2 to {len(reached) + 1}, the last for the deepest")
             lateral_strides = sorted(reached)[: len(kernels) - 1]
         wanted = reached if lateral_strides is None else list(lateral_strides)
         if not set(wanted) <= set(reached):

@@ -38,9 +38,10 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     The values equal those of ``kornia.metrics.ssim``. The blur is two matrix products, because CPUs are
     slowest at one-channel 11 x 11 convolutions: training spent most of its time in them.
 
-    Convention: Gaussian window with sigma 1.5, population (not sample) covariance, and kornia's borders, which
-    are reflected without repeating the edge. scikit-image's ``structural_similarity(gaussian_weights=True,
-    use_sample_covariance=False)`` repeats it: the same values but within half a window of the border.
+    Convention: Gaussian window with sigma 1.5, population (not sample) covariance, and kornia's borders,
+    which are reflected without repeating the edge. scikit-image's
+    ``structural_similarity(gaussian_weights=True, use_sample_covariance=False)`` repeats it: the same values
+    but within half a window of the border.
 
     Raises:
         ValueError: a map is no larger than the window's radius, which reflection needs.
@@ -65,7 +66,9 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
 
 
 class SSIMLoss(Loss):
-    """``(1 - SSIM) / 2``, averaged where the whole window is known (ELDE-Net, eq. 5).
+    """``(1 - SSIM) / 2``, averaged where the whole window is known.
+
+    This is the usual form of the paper's SSIM term; its own formula is not in the text at hand.
 
     A pixel counts only if its window holds no unknown pixel: the mask is eroded by the window's radius.
     The image border does not erode it, so a full mask stays full.

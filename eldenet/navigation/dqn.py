@@ -1,8 +1,8 @@
-"""Deep Q-learning, as in the paper's Algorithm 2.
+"""Deep Q-learning; with the right settings the paper's Algorithm 2 as we read its prose.
 
 ``policy_dqn`` acts and learns; ``target_dqn`` gives the targets. With ``n_step=1``, ``double=False`` and
-``target_update_interval`` above 0 this is Algorithm 2 as written: replay buffer, mean squared error, Adam,
-hard copies into the target network. The default uses five-step returns, double targets and soft updates: with
+``target_update_interval`` above 0 this is that algorithm: replay buffer, mean squared error, Adam, hard
+copies into the target network. The default uses five-step returns, double targets and soft updates: with
 one-step targets the driver hardly learned at five decisions per second.
 """
 

@@ -18,9 +18,10 @@ GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0
 
 
 def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
-    """Reward of Algorithm 1: for progress and the goal, minus a penalty for collisions and time.
+    """Reward for progress and the goal, minus a penalty for collisions and time.
 
-    The paper gives the terms but no numbers; the constants are ours.
+    The terms are those of the paper's prose, but for time; the constants are ours, as Algorithm 1's listing
+    is not in the text at hand.
 
     Args:
         progress: towards the way-point [m].

@@ -68,8 +68,9 @@ class Observer:
         turn_rates: of the actions [rad/s].
         turn_factors: relative speed of each action; 0 turns on the spot, below 0 backs up. Unused by
             speed="paper".
-        speed: speed law. "paper": proportional to the goal's distance within 3 m (at least a quarter), the
-            same for all actions; "turn": times the action's factor; "prox": also slower near obstacles.
+        speed: speed law. "paper": falls with the goal's distance, as in the paper's prose (by our choice
+            within 3 m, to a quarter at least), the same for all actions; "turn": times the action's factor;
+            "prox": also slower near obstacles.
         memory: control periods to remember, of which every second scan is kept; 0: the last scan only.
         bins: bearings that the memory is divided into; 0: no memory columns.
         arcs: add the free time along each action's arc.

@@ -28,8 +28,8 @@ class BoxLifter:
     """``(depth, detections, camera) -> Boxes3D``.
 
     Methods:
-        paper: equations 1 to 3 literally: back-project the pixels around the box's median depth; the box
-            encloses them along the camera's axes; its center is the mean of the eight vertices.
+        paper: equations 1 to 3 as we read the prose: back-project the pixels around the box's median depth;
+            the box encloses them along the camera's axes; its center is the mean of the eight vertices.
         lshape: remove the ground, keep the foreground around the likely depth, take the heading from the two
             visible sides and the size from the class, and anchor the box at those sides.
         refine: starting there, one least-squares fit of position, heading, size and a factor on the depth to

@@ -1,4 +1,4 @@
-"""3D boxes from the pixels of N objects: the paper's equations, the L-shape, and the fit."""
+"""3D boxes from the pixels of N objects: our reading of the paper's equations, the L-shape, and the fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -277,7 +277,7 @@ def arenas_hash(arenas: Sequence[Arena]) -> str:
 
 
 def triangle_course() -> Arena:
-    """Return the paper's course (Fig. 14): from a corner of an empty triangle of 6 m around it and back."""
+    """Return a course like the paper's triangle ABC (section 4.6), in an empty arena; its 6 m are ours."""
     height = round(6.0 * math.sqrt(3) / 4, 4)
     a, b, c = (3.0, -height), (0.0, height), (-3.0, -height)
     return Arena("", 0, 0, (), (*c, 0.0), (a, b, c))

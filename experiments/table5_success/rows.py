@@ -22,6 +22,7 @@ from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, run_episodes
+from eldenet.navigation.planners.dwa import DWA_VERSION
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import EPISODE_VERSION
@@ -145,9 +146,14 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
         "version": EPISODE_VERSION,
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
-        "drives": None if row.seed is None else LEARNED[row.method].drives,
+        "drives": planner_version(row.method) if row.seed is None else LEARNED[row.method].drives,
         **input_hashes(row.sensor, args),
     }
+
+
+def planner_version(method: str) -> dict[str, int] | None:
+    """Return the version of the dynamic window where a planner uses one."""
+    return {"dwa": DWA_VERSION} if "dwa" in method else None
 
 
 def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> list[Episode]:

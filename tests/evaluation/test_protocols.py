@@ -191,7 +191,7 @@ def test_scores_are_the_definitions(name: str, scale: str) -> None:
 
 @pytest.mark.parametrize("scale", ["median", "affine_depth", "affine_disparity"])
 def test_alignment_undoes_what_it_fits(scale: str) -> None:
-    """A prediction that is wrong by a factor (and a shift) alone scores no error; the truth stays as it is."""
+    """A prediction that is wrong by a factor (and a shift) alone scores no error."""
     protocol = EvalProtocol("any", scale=scale, clamp=False)
     truth = torch.rand(2, 1, 12, 16, dtype=torch.float64) * 5 + 1
     valid = torch.rand(2, 1, 12, 16) > 0.3

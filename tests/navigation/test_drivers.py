@@ -8,6 +8,8 @@ import sys
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from safetensors.torch import save_file
 
 from eldenet.navigation.evaluation import (
@@ -21,7 +23,7 @@ from eldenet.navigation.evaluation import (
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
-from eldenet.navigation.planners.dwa import DynamicWindow, LocalDWA
+from eldenet.navigation.planners.dwa import ACCELERATION, TURN_ACCELERATION, DynamicWindow, LocalDWA
 from eldenet.navigation.policy import Navigator, export_onnx
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.qnetwork import QNetwork
@@ -30,6 +32,8 @@ from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arena_world import arc
 from eldenet.simulation.arenas import Arena, Obstacle
 from eldenet.simulation.robot import ROBOT
+
+WINDOW = DynamicWindow()
 
 
 def test_the_packaged_policy_is_small_and_drives():
@@ -178,6 +182,24 @@ def test_the_dynamic_window_avoids_what_is_ahead():
     ring = 0.45 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     assert window.choose(ring, (2.0, 0.0), (0.0, 0.0))[0] == 0.0
     assert window.choose(np.empty((0, 2)), (2.0, 0.0), (1.0, 0.0)) == (1.0, 0.0)
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    speed=st.floats(0.0, 1.0),
+    turn=st.floats(-1.2, 1.2),
+    number=st.integers(0, 40),
+)
+@settings(max_examples=300, deadline=None)
+def test_the_window_is_never_left(seed, speed, turn, number):
+    """Among any obstacles, blocked or not, the command can be reached within one control period."""
+    generator = np.random.default_rng(seed)
+    points, target = generator.uniform(-1.5, 1.5, (number, 2)), generator.uniform(-2.0, 2.0, 2)
+    found = WINDOW.choose(points, tuple(target), (speed, turn))
+    assert abs(found[0] - speed) <= ACCELERATION * ROBOT.period + 1e-9
+    assert abs(found[1] - turn) <= TURN_ACCELERATION * ROBOT.period + 1e-9
+    assert 0 <= found[0] <= ROBOT.max_speed
+    assert abs(found[1]) <= ROBOT.max_turn
 
 
 # --- statistics

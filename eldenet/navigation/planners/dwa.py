@@ -24,6 +24,8 @@ ROOM = 0.10  # least clearance of an arc [m]; the robot can then turn on the spo
 MARGIN = 0.05  # added to the footprint on all sides [m]
 ENOUGH = 0.30  # clearance above which more adds no score [m]
 ACCELERATION, TURN_ACCELERATION = 2.5, 6.0  # bounds of the window [m/s2], [rad/s2]
+#: Of what the window chooses; stored episodes of planners name it. 1 braked harder than the window allows.
+DWA_VERSION = 2
 
 
 class DynamicWindow:
@@ -41,7 +43,7 @@ class DynamicWindow:
     def choose(
         self, points: np.ndarray, target: tuple[float, float], last: tuple[float, float]
     ) -> tuple[float, float]:
-        """Return speed [m/s] and turn rate [rad/s].
+        """Return speed [m/s] and turn rate [rad/s], both within the dynamic window around ``last``.
 
         Args:
             points: ``(M, 2)`` obstacle points in the robot's frame [m].
@@ -76,7 +78,9 @@ class DynamicWindow:
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))
             return float(self.speed[best]), float(self.turn[best])
-        return 0.0, self._turn_on_the_spot(gap, y, last)
+        # no safe arc: brake as hard as the window allows, and turn
+        turn = self._turn_on_the_spot(gap, y, last)
+        return _within(0.0, last[0], ACCELERATION), _within(turn, last[1], TURN_ACCELERATION)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
         """Without a safe arc: turn towards the target first, then keep turning the same way."""
@@ -86,6 +90,12 @@ class DynamicWindow:
             if gap[command] >= TURNING_GAP:
                 return float(turn)
         return 0.0
+
+
+def _within(wanted: float, last: float, acceleration: float) -> float:
+    """Return the value next to ``wanted`` that is reached within one control period."""
+    change = acceleration * ROBOT.period
+    return float(np.clip(wanted, last - change, last + change))
 
 
 class LocalDWA:
