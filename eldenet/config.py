@@ -465,7 +465,7 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
 def _build_trainer(config: DictConfig, **changes: Any) -> Any:
     optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
     own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
-    return instantiate(config.trainer, **own, loggers=listed(config.get("logger")), **changes)
+    return instantiate(config.trainer, **own, loggers=listed(config.get("logger", [])), **changes)
 
 
 def _named_modules(settings: Any) -> list[str]:

@@ -190,7 +190,7 @@ class DepthNet(Configurable, nn.Module):
         from eldenet import __version__
 
         try:
-            config = {
+            config: dict[str, Any] = {
                 "eldenet_version": __version__,
                 "model": self.config,
                 "info": merge_info(self.info, info or {}),

@@ -141,7 +141,8 @@ def find_runs(
     if names and len(names) != len(sources):
         raise ValueError(f"names={list(names)}: give one name for each of the {len(sources)} runs=[...]")
     files: dict[Path, str | None] = {}
-    for source, name in zip(map(Path, sources), names or [None] * len(sources), strict=True):
+    given: Sequence[str | None] = names or [None] * len(sources)
+    for source, name in zip(map(Path, sources), given, strict=True):
         if not source.exists():
             raise FileNotFoundError(f"no such file or folder: {source}")
         below = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))

@@ -85,7 +85,7 @@ def _tables_of(block: Block) -> list[tuple[str, str, Cells, list[str]]]:
 def _latex_of(block: Block) -> list[str]:
     """Tables of a block that fit a page: metrics, differences, costs and published figures apart."""
     left_out = [f"{reason}: {', '.join(names)}" for reason, names in block.without_figures().items()]
-    tables = []
+    tables: list[str] = []
     for titles, rows, core in block.apart():
         tables.append(to_latex(titles, rows, [] if tables else [block.name, *block.notes, *left_out], core))
     titles, rows = block.published_elsewhere()
