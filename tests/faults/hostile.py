@@ -296,7 +296,7 @@ def a_png_of_900_million_pixels(folder: Path) -> Attack:
             struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
         )
 
-    row = zlib.compressobj(9)
+    row = zlib.compressobj(1)  # 9 takes longer than an attack may, on a busy machine
     side = 30000
     data = b"".join(row.compress(bytes(side + 1)) for _ in range(side)) + row.flush()
     header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
