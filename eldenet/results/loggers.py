@@ -52,18 +52,17 @@ class TensorBoard:
 
 
 class MLflow:
-    """A run of the experiment "eldenet": on the server of ``MLFLOW_TRACKING_URI``, else in a SQLite file."""
+    """A run of the experiment "eldenet": on the server of ``MLFLOW_TRACKING_URI``, else in ``mlruns``."""
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
         mlflow = _library("mlflow")
-        own = f"sqlite:///{folder.resolve() / 'mlflow.db'}"
+        own = (folder / "mlruns").resolve().as_uri()
         self.client = mlflow.MlflowClient(tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", own))
         self.folder = folder
 
         def start() -> str:
             found = self.client.get_experiment_by_name(PROJECT)
-            place = None if "MLFLOW_TRACKING_URI" in os.environ else (folder / "mlflow").resolve().as_uri()
-            number = found.experiment_id if found else self.client.create_experiment(PROJECT, place)
+            number = found.experiment_id if found else self.client.create_experiment(PROJECT)
             return str(self.client.create_run(number, run_name=folder.name).info.run_id)
 
         self.run = _own_id(folder, "mlflow", start)
@@ -91,7 +90,7 @@ class WandB:
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
         self.library = _library("wandb")
-        own = _own_id(folder, "wandb", self.library.util.generate_id)
+        own = _own_id(folder, "wandb", lambda: os.urandom(4).hex())
         self.run = self.library.init(
             project=PROJECT, name=folder.name, dir=str(folder), id=own, resume="allow"
         )

@@ -198,18 +198,20 @@ def to_latex(
     widths = [max(map(len, cells)) for cells in zip(titles, *rows, strict=True)]
     wrapped = [place > 0 and (title in TEXTS or widths[place] > 38) for place, title in enumerate(titles)]
     widths = [TEXT if wrap else width for width, wrap in zip(widths, wrapped, strict=True)]
-    kept = list(range(len(titles)))
+    size, page, kept = r"\small", PAGE, list(range(len(titles)))
     if core is not None:
-        kept = [0]
-        for place in [*core, *(place for place in range(1, len(titles)) if place not in core)]:
-            if sum(widths[other] + GAP for other in [*kept, place]) <= PAGE:
+        kept = sorted([0, *core])
+        if sum(widths[place] + GAP for place in kept) > page:
+            size, page = r"\footnotesize", PAGE * 9 / 8
+        for place in range(1, len(titles)):
+            if place not in kept and sum(widths[other] + GAP for other in [*kept, place]) <= page:
                 kept = sorted([*kept, place])
     kinds = "".join("l" if place == 0 else TEXT_COLUMN if wrapped[place] else "r" for place in kept)
     body = [r"\toprule", line(titles), r"\midrule", *(line(row) for row in rows), r"\bottomrule"]
     head = [f"% {escaping.one_line(note)}" for note in notes]
     if left_out := [title for place, title in enumerate(titles) if place not in kept]:
         head.append(f"% not in this table, which fits a page: {escaping.one_line(', '.join(left_out))}")
-    head.append(r"{\small\setlength{\tabcolsep}{3pt}\begin{tabular}{" + kinds + "}")
+    head.append("{" + size + r"\setlength{\tabcolsep}{3pt}\begin{tabular}{" + kinds + "}")
     return "\n".join([*head, *body, r"\end{tabular}}", ""])
 
 

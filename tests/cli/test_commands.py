@@ -138,7 +138,7 @@ def test_completion_needs_a_shell(tmp_path):
     assert 'eval "$(eldenet completion bash)"' in done.stderr
 
 
-RUN_FOLDERS = ("train", "evaluate", "check_data", "navigate", "train_detector")
+RUN_FOLDERS = ("train", "adapt", "evaluate", "check_data", "navigate", "train_detector")
 
 
 @pytest.mark.parametrize("command", [*RUN_FOLDERS, "predict"])

@@ -260,11 +260,12 @@ def test_csv_has_a_column_for_each_figure():
 
 
 def width_in_points(tabular: str) -> float:
-    """Width of a tabular in \\small Computer Modern, 10 pt document: its widest cells and the gaps."""
+    """Width of a tabular in Computer Modern: its widest cells and the gaps."""
     from matplotlib import get_data_path
     from PIL import ImageFont
 
-    font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/cmr10.ttf", 90)  # ten times as large
+    size = 8 if r"\footnotesize" in tabular else 9
+    font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/cmr10.ttf", 10 * size)  # ten times as large
     kinds = re.findall(r"[lr]|p\{7em\}", re.search(r"begin\{tabular\}\{(.*)\}", tabular)[1])
     widths = [0.0] * len(kinds)
     for line in tabular.splitlines():
@@ -272,7 +273,7 @@ def width_in_points(tabular: str) -> float:
             for place, cell in enumerate(line.removesuffix(r"\\").split(" & ")):
                 text = re.sub(r"\$\\\w+\$", "m", re.sub(r"\\([_%&#])", r"\1", cell)).replace("$^2$", "2")
                 length = font.getlength(text.strip()) / 10
-                widths[place] = max(widths[place], 7 * 9 if kinds[place].startswith("p") else length)
+                widths[place] = max(widths[place], 7 * size if kinds[place].startswith("p") else length)
     return sum(widths) + 2 * 3 * len(kinds)
 
 

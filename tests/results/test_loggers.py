@@ -34,7 +34,7 @@ def test_mlflow_gets_one_run_with_curves_and_pictures(tmp_path, monkeypatch):
     mlflow = pytest.importorskip("mlflow")
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     log_twice(tmp_path / "run", "mlflow")
-    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{tmp_path / 'run/mlflow.db'}")
+    client = mlflow.MlflowClient(tracking_uri=(tmp_path / "run/mlruns").as_uri())
     number = client.get_experiment_by_name("eldenet").experiment_id
     (run,) = client.search_runs([number])
     assert run.info.run_name == "run"

@@ -87,7 +87,7 @@ def test_a_run_whose_log_met_a_full_disk_goes_on(small_disk: Path) -> None:
 
     log, ballast = RunLog(small_disk), small_disk / "ballast"
     log.scalars(1, {"loss": 1.0})
-    log.writer.flush()
+    log._opened()[0].writer.flush()
     with suppress(OSError), ballast.open("wb") as file:
         file.write(bytes(1 << 20))
 
