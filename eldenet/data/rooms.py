@@ -1,8 +1,10 @@
 """``rooms``: furnished rooms rendered with rays, the data set that needs no download."""
 
+import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Unpack
 
+from eldenet.data.base import SampleOptions
 from eldenet.data.rendered import RenderedScenes
 from eldenet.data.rendering import Generator
 
@@ -11,10 +13,14 @@ class Rooms(RenderedScenes):
     """Furnished rooms, from the height of a robot or a hand; the splits hold different rooms.
 
     Args:
-        *arguments: see :class:`~eldenet.data.rendered.RenderedScenes`.
+        split: "train", "val" or "test".
+        frames: how many frames of the split to use.
+        size: ``(height, width)`` of the rendered frames [px].
+        root: folder for rendered frames, see :class:`~eldenet.data.rendered.RenderedScenes`.
+        workers: processes that render, see there.
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: about the Kinect's, 0.76 to 0.88.
-        **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
+        **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -24,9 +30,19 @@ class Rooms(RenderedScenes):
         "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
     )
 
-    def __init__(self, *arguments: Any, focal: Sequence[float] | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        split: str = "train",
+        frames: int = 2048,
+        *,
+        size: Sequence[int] = (128, 160),
+        root: str | os.PathLike[str] | None = None,
+        workers: int | None = None,
+        focal: Sequence[float] | None = None,
+        **options: Unpack[SampleOptions],
+    ) -> None:
         if focal is not None:
             if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
                 raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
             self.generator = self.generator._replace(focal=(float(focal[0]), float(focal[1])))
-        super().__init__(*arguments, **options)
+        super().__init__(split, frames, size=size, root=root, workers=workers, **options)

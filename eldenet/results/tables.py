@@ -198,7 +198,8 @@ def to_latex(
     widths = [max(map(len, cells)) for cells in zip(titles, *rows, strict=True)]
     wrapped = [place > 0 and (title in TEXTS or widths[place] > 38) for place, title in enumerate(titles)]
     widths = [TEXT if wrap else width for width, wrap in zip(widths, wrapped, strict=True)]
-    size, page, kept = r"\small", PAGE, list(range(len(titles)))
+    size, kept = r"\small", list(range(len(titles)))
+    page: float = PAGE
     if core is not None:
         kept = sorted([0, *core])
         if sum(widths[place] + GAP for place in kept) > page:
