@@ -159,9 +159,10 @@ def scene_of(name: str) -> int:
     return next(i for i, (first, last) in enumerate(VAL_FRAMES) if first <= number <= last)
 
 
-def images(row: str, kind: str) -> dict[str, np.ndarray]:
-    """Mean over the seeds of a row's figures of each image, by column."""
-    tables = [read_table(file, COLUMNS) for file in sorted((HERE / "stored" / row).glob(f"seed*/{kind}.csv"))]
+def images(row: str, kind: str, seeds: Sequence[int]) -> dict[str, np.ndarray]:
+    """Mean over seeds of a row's figures of each image, by column, and the scene of each image."""
+    files = [HERE / "stored" / row / f"seed{seed}" / f"{kind}.csv" for seed in seeds]
+    tables = [read_table(file, COLUMNS) for file in files]
     return {
         column: np.mean([[float(line[column]) for line in table] for table in tables], axis=0)
         for column in COLUMNS[1:]
@@ -201,7 +202,7 @@ def latency(rows: Sequence[tuple[str, Path]]) -> list[list[str]]:
         for runtime in ("torch", "onnxruntime", "openvino"):
             network = runtimes.load(model, runtime, threads=1, size=(120, 160))
             calls[row, runtime] = lambda network=network: network.run_maps(image)
-    times = time_interleaved(calls, rounds=60, seconds=0.1)
+    times = time_interleaved(calls, rounds=60, seconds=0.05)
     return [
         [row, *(f"{median_ms(times[row, name]):.3f}" for name in ("torch", "onnxruntime", "openvino"))]
         for row, _ in rows
@@ -218,13 +219,14 @@ def report(runs: Path | None) -> None:
     """Write ``results.md`` and the plots from what is stored."""
     records = [json.loads(file.read_text()) for file in sorted((HERE / "stored").glob("*/seed*/scores.json"))]
     names = sorted({record["row"] for record in records}, key=lambda name: (name == PLAIN, name))
+    seeds = {name: [record["seed"] for record in records if record["row"] == name] for name in names}
     lines, curves, coverage, temperatures, rows = [], {}, {}, [], []
     for name in names:
         own = [record for record in records if record["row"] == name]
         for kind, label in (("own", f"{name}: sigma"), ("mirror", f"{name}: mirror image")):
             if kind not in own[0]:
                 continue
-            found = images(name, kind)
+            found = images(name, kind, seeds[name])
             cells = [by_scene(found, mean_of(metric)) for metric in ("ause_abs_rel", "ause_rmse")]
             cells += [by_scene(found, left_share)]
             cells += [
@@ -249,19 +251,24 @@ def report(runs: Path | None) -> None:
     lines += ["# Results", "", "130 frames of 23 scenes (`val`); intervals over scenes drawn 2000 times.", ""]
     lines += [markdown(titles, rows), "", *temperatures, "", "## Depth", ""]
     lines += [
-        markdown(["row", "seeds", "δ1 ↑", "AbsRel ↓", "δ1 - plain, same seeds"], depth_rows(names, records)),
+        markdown(["row", "seeds", "δ1 ↑", "AbsRel ↓", "δ1 - plain, same seeds"], depth_rows(seeds)),
         "",
     ]
     lines += ["## Other cameras, as it comes", "", markdown(*elsewhere_rows(records)), ""]
+    timed = HERE / "stored" / "latency.json"
     if runs is not None:
         firsts = [(name, runs / name / "seed0") for name in names if (runs / name / "seed0").is_dir()]
-        lines += [
-            "## Latency",
-            "",
-            "Median of one 120 x 160 picture [ms], one thread, in turns in one process.",
-            "",
-        ]
-        lines += [markdown(["row", "torch", "ONNX Runtime", "OpenVINO"], latency(firsts)), ""]
+        write_json(timed, {"rows": latency(firsts)} | environment())
+    lines += [
+        "## Latency",
+        "",
+        "Median of one 120 x 160 picture [ms], one thread, in turns in one process.",
+        "",
+    ]
+    lines += [
+        markdown(["row", "torch", "ONNX Runtime", "OpenVINO"], json.loads(timed.read_text())["rows"]),
+        "",
+    ]
     processor = records[0]["hardware"]["processor"]
     lines += [
         f"Machine: {processor}. Protocol of sigma: {PROTOCOL.name}; of depth: "
@@ -272,35 +279,19 @@ def report(runs: Path | None) -> None:
     reliability_plot(HERE / "reliability.png", coverage)
 
 
-def depth_rows(names: Sequence[str], records: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def depth_rows(seeds: Mapping[str, Sequence[int]]) -> list[list[str]]:
     """Depth of each row, and its difference to the plain head's of the same seeds."""
     rows = []
-    for name in names:
-        kind = "mirror"  # every row has one
-        found = images(name, kind)
-        seeds = {record["seed"] for record in records if record["row"] == name}
-        shared = sorted(seeds & {record["seed"] for record in records if record["row"] == PLAIN})
+    for name, own in seeds.items():
+        found = images(name, "mirror", own)  # every row has this file
+        cells = [by_scene(found, mean_of(metric)) for metric in ("delta1", "abs_rel")]
+        shared = [seed for seed in own if seed in seeds.get(PLAIN, ())]
         difference = "-"
         if name != PLAIN and shared:
-            pair = [
-                np.mean(
-                    [
-                        [
-                            float(line["delta1"])
-                            for line in read_table(
-                                HERE / "stored" / row / f"seed{seed}" / f"{kind}.csv", COLUMNS
-                            )
-                        ]
-                        for seed in shared
-                    ],
-                    axis=0,
-                )
-                for row in (name, PLAIN)
-            ]
-            both = {"scene": found["scene"], "difference": pair[0] - pair[1]}
-            difference = f"{by_scene(both, mean_of('difference'))}, seeds {', '.join(map(str, shared))}"
-        cells = [by_scene(found, mean_of(metric)) for metric in ("delta1", "abs_rel")]
-        rows.append([name, str(len(seeds)), *cells, difference])
+            ours, plain = (images(row, "mirror", shared) for row in (name, PLAIN))
+            both = {"scene": ours["scene"], "difference": ours["delta1"] - plain["delta1"]}
+            difference = by_scene(both, mean_of("difference"))
+        rows.append([name, str(len(own)), *cells, difference])
     return rows
 
 
