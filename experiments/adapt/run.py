@@ -240,8 +240,11 @@ def write_page() -> None:
         f"| place | AbsRel before | after | after {TIMES} times | share of the gap closed |",
         "|---|---:|---:|---:|---:|",
     ]
+    first = {(row["place"], row["block"]): row for row in trials if row["seed"] == "0"}
     for place, row in longer.items():
-        short = next(r for r in trials if (r["place"], r["block"], r["seed"]) == (place, row["block"], "0"))
+        short = first.get((place, row["block"]))
+        if short is None:
+            continue
         old, new, best = (float(r[n]) for r, n in ((short, "abs_rel_before"), (short, "abs_rel_after"),
                                                    (row, "abs_rel_after")))  # fmt: skip
         share = f"{100 * (old - new) / (old - best):.0f} %" if best < old else "no gap"
