@@ -315,7 +315,7 @@ def build_adaptation(config: DictConfig, folder: Path) -> "AdaptationSetup":
     _check_adaptation(config)
     from eldenet.training.adaptation import AdaptationSetup
 
-    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
     return AdaptationSetup(
         folder=folder,
         weights=str(config.weights),
@@ -378,7 +378,7 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
         raise ValueError(f"frames={config.frames}: give a whole number above 0")
     from eldenet.deploy.prediction import find_source
 
-    settings = plain(OmegaConf.merge(config, {"run_dir": str(folder)}))
+    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
     source = find_source(str(config.source), folder, None)
     if source.is_live:
         raise ValueError(f"source={config.source}: give a folder of pictures or a video file, not a camera")
@@ -400,12 +400,14 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
 
 
 def _check_adaptation(config: DictConfig) -> None:
-    """Check what both kinds of adaptation read.
+    """Check what both kinds of adaptation read, and fill in the weights to start from.
 
     Raises:
         ValueError: a setting is wrong, or the weights are not trained.
         FileNotFoundError: there are no such weights.
     """
+    if config.weights is None:
+        config.weights = BEST if BEST in list_weights() else "eldenet_rooms"
     check_sources(config, "weights")
     if config.weights in list_models():
         raise ValueError(

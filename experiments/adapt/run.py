@@ -263,16 +263,18 @@ def write_page() -> None:
         cells += [f"{float(row[name]):.3f}" for name in ("error_before", "error_after")]
         lines.append(f"| {' | '.join(cells)} |")
     for pitch in ("given", "fitted"):
-        used = [row for row in height if row["pitch"] == pitch and row["outcome"] == "kept"]
-        if used:
-            old, new = (np.array([float(row[n]) for row in used]) for n in ("error_before", "error_after"))
-            tried, bad = sum(r["pitch"] == pitch for r in height), int((new > old).sum())
+        tried = [row for row in height if row["pitch"] == pitch]
+        old, new = (np.array([float(row[n]) for row in tried]) for n in ("error_before", "error_after"))
+        kept = np.array([row["outcome"] == "kept" for row in tried])
+        if len(tried):
             change = f"{np.median(old):.3f} to {np.median(new):.3f}"
             lines += [
                 "",
-                f"Pitch {pitch}: {len(used)} of {tried} kept. Their median error goes from {change}; ",
+                f"Pitch {pitch}: the median of all {len(tried)} goes from {change}; {kept.sum()} kept, ",
             ]
-            lines[-1] += f"{bad} get worse."
+            lines[-1] += f"{int((new > old).sum())} worse."
+        if kept.any():
+            lines[-1] += f" Of those kept: {np.median(old[kept]):.3f} to {np.median(new[kept]):.3f}."
     lines += ["", "Made by `python experiments/adapt/run.py`."]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
     plot(trials, height)
