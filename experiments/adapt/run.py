@@ -296,9 +296,9 @@ def plot(trials: list[dict[str, str]], height: list[dict[str, str]]) -> None:
         (axes[1], height, "error_before", "error_after", "median error of scale, camera's height alone"),
     )
     for ax, rows, before, after, title in panels:
-        for place in dict.fromkeys(row["place"] for row in rows):
+        for number, place in enumerate((*CAMERAS, *REAL)):
             points = [(float(r[before]), float(r[after])) for r in rows if r["place"] == place]
-            ax.scatter(*zip(*points, strict=True), label=place, s=22)
+            ax.scatter(*zip(*points, strict=True), label=place, s=22, color=f"C{number}")
         top = 1.05 * max(float(row[before]) for row in rows)
         ax.plot([0, top], [0, top], color="0.6", lw=1)
         ax.set(title=title, xlabel="before", ylabel="after", xlim=(0, top), ylim=(0, top))
