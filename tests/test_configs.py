@@ -39,7 +39,7 @@ OWN_PARTS = {"predict": "perception", "train_detector": "detector"}
 
 # Arguments that the calling code supplies, not the user.
 SUPPLIED: dict[str, set[str]] = {
-    "eldenet.training.trainer.Trainer": {"optimizer", "scheduler", "seed"},
+    "eldenet.training.trainer.Trainer": {"optimizer", "scheduler", "seed", "loggers"},
     "eldenet.training.optim.constant": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.training.optim.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.training.optim.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},

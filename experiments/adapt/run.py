@@ -240,8 +240,11 @@ def write_page() -> None:
         f"| place | AbsRel before | after | after {TIMES} times | share of the gap closed |",
         "|---|---:|---:|---:|---:|",
     ]
+    first = {(row["place"], row["block"]): row for row in trials if row["seed"] == "0"}
     for place, row in longer.items():
-        short = next(r for r in trials if (r["place"], r["block"], r["seed"]) == (place, row["block"], "0"))
+        short = first.get((place, row["block"]))
+        if short is None:
+            continue
         old, new, best = (float(r[n]) for r, n in ((short, "abs_rel_before"), (short, "abs_rel_after"),
                                                    (row, "abs_rel_after")))  # fmt: skip
         share = f"{100 * (old - new) / (old - best):.0f} %" if best < old else "no gap"
@@ -260,16 +263,18 @@ def write_page() -> None:
         cells += [f"{float(row[name]):.3f}" for name in ("error_before", "error_after")]
         lines.append(f"| {' | '.join(cells)} |")
     for pitch in ("given", "fitted"):
-        used = [row for row in height if row["pitch"] == pitch and row["outcome"] == "kept"]
-        if used:
-            old, new = (np.array([float(row[n]) for row in used]) for n in ("error_before", "error_after"))
-            tried, bad = sum(r["pitch"] == pitch for r in height), int((new > old).sum())
+        tried = [row for row in height if row["pitch"] == pitch]
+        old, new = (np.array([float(row[n]) for row in tried]) for n in ("error_before", "error_after"))
+        kept = np.array([row["outcome"] == "kept" for row in tried])
+        if len(tried):
             change = f"{np.median(old):.3f} to {np.median(new):.3f}"
             lines += [
                 "",
-                f"Pitch {pitch}: {len(used)} of {tried} kept. Their median error goes from {change}; ",
+                f"Pitch {pitch}: the median of all {len(tried)} goes from {change}; {kept.sum()} kept, ",
             ]
-            lines[-1] += f"{bad} get worse."
+            lines[-1] += f"{int((new > old).sum())} worse."
+        if kept.any():
+            lines[-1] += f" Of those kept: {np.median(old[kept]):.3f} to {np.median(new[kept]):.3f}."
     lines += ["", "Made by `python experiments/adapt/run.py`."]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
     plot(trials, height)
@@ -291,9 +296,9 @@ def plot(trials: list[dict[str, str]], height: list[dict[str, str]]) -> None:
         (axes[1], height, "error_before", "error_after", "median error of scale, camera's height alone"),
     )
     for ax, rows, before, after, title in panels:
-        for place in dict.fromkeys(row["place"] for row in rows):
+        for number, place in enumerate((*CAMERAS, *REAL)):
             points = [(float(r[before]), float(r[after])) for r in rows if r["place"] == place]
-            ax.scatter(*zip(*points, strict=True), label=place, s=22)
+            ax.scatter(*zip(*points, strict=True), label=place, s=22, color=f"C{number}")
         top = 1.05 * max(float(row[before]) for row in rows)
         ax.plot([0, top], [0, top], color="0.6", lw=1)
         ax.set(title=title, xlabel="before", ylabel="after", xlim=(0, top), ylim=(0, top))
