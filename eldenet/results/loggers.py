@@ -52,17 +52,18 @@ class TensorBoard:
 
 
 class MLflow:
-    """A run of the experiment "eldenet": on the server of ``MLFLOW_TRACKING_URI``, else in ``mlruns``."""
+    """A run of the experiment "eldenet": on the server of ``MLFLOW_TRACKING_URI``, else in a SQLite file."""
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
         mlflow = _library("mlflow")
-        own = (folder / "mlruns").resolve().as_uri()
+        own = f"sqlite:///{folder.resolve() / 'mlflow.db'}"
         self.client = mlflow.MlflowClient(tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", own))
         self.folder = folder
 
         def start() -> str:
             found = self.client.get_experiment_by_name(PROJECT)
-            number = found.experiment_id if found else self.client.create_experiment(PROJECT)
+            place = None if "MLFLOW_TRACKING_URI" in os.environ else (folder / "mlflow").resolve().as_uri()
+            number = found.experiment_id if found else self.client.create_experiment(PROJECT, place)
             return str(self.client.create_run(number, run_name=folder.name).info.run_id)
 
         self.run = _own_id(folder, "mlflow", start)

@@ -32,9 +32,11 @@ def test_tensorboard_gets_curves_and_pictures(tmp_path):
 
 def test_mlflow_gets_one_run_with_curves_and_pictures(tmp_path, monkeypatch):
     mlflow = pytest.importorskip("mlflow")
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    place = (tmp_path / "mlruns").as_uri()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", place)
+    monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
     log_twice(tmp_path / "run", "mlflow")
-    client = mlflow.MlflowClient(tracking_uri=(tmp_path / "run/mlruns").as_uri())
+    client = mlflow.MlflowClient(tracking_uri=place)
     number = client.get_experiment_by_name("eldenet").experiment_id
     (run,) = client.search_runs([number])
     assert run.info.run_name == "run"

@@ -63,7 +63,7 @@ def test_a_training_says_what_an_epoch_is_made_of(tmp_path, capsys, frames, line
     assert line in capsys.readouterr().out
 
 
-def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, monkeypatch, capfd):
     def interrupted(setup):
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -74,7 +74,7 @@ def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, mon
     with pytest.raises(SystemExit) as end:
         command.main()
     assert end.value.code == 130
-    assert capsys.readouterr().err == (
+    assert capfd.readouterr().err == (
         f"stopped; to go on: eldenet train loss=l1 'data.root='\"'\"'my rooms'\"'\"'' output={tmp_path} "
         "ckpt_path=auto\n"
     )
