@@ -10,9 +10,10 @@ import torch
 import eldenet
 from eldenet.config import build_export, compose
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import export
+from eldenet.deploy.exporting import compare_with_torch, export, target_of
 from eldenet.deploy.files import differences, read_metadata
 from eldenet.deploy.quantize import read_pictures
+from eldenet.results.run_log import RunLog
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
@@ -118,6 +119,27 @@ def test_a_camera_file_takes_frames(model_folder: Path, photos: Path, tmp_path: 
     network = runtimes.load(path, threads=1)
     assert network.camera_size == (72, 96)
     assert network(np.zeros((1, 72, 96, 3), np.uint8)).shape == (1, 1, 72, 96)
+
+
+@pytest.mark.parametrize(("factor", "warned"), [(1.05, True), (1.01, False)])
+def test_a_costly_int8_file_is_warned_of(
+    factor: float, warned: bool, model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """Above 2 % in the median, with the worst pixel beside it."""
+    words = [f"checkpoint='{model_folder}'", "precision=int8", f"output='{tmp_path / 'q.onnx'}'"]
+    model = eldenet.load(model_folder)
+    target = target_of(build_export(compose("export", words)), model)
+
+    def network(image: np.ndarray) -> np.ndarray:
+        depth = model(torch.from_numpy(image)).detach().numpy() * factor
+        depth[..., 0, 0] *= 3 / factor
+        return depth
+
+    monkeypatch.setattr(runtimes, "load", lambda *_, **__: network)
+    monkeypatch.setattr(runtimes, "installed", lambda name: name == "onnxruntime")
+    compare_with_torch(target, model, [np.full((*SIZE, 3), 90, np.uint8)], RunLog(tmp_path))
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("is 5.0% off torch in the median pixel and 200% in the worst" in said) == warned
 
 
 @pytest.mark.parametrize(
