@@ -62,9 +62,7 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert kept.head.max_depth == pytest.approx(2 * 3, rel=0.05)
     for name in ("before_after.png", "held_out.csv", "model/config.json"):
         assert (tmp_path / "run" / name).is_file()
-    said = capsys.readouterr().out
-    assert "kept" in said
-    assert max(map(len, [line for line in said.splitlines() if line[:1] in "┏┃│└"])) <= 80
+    assert "kept" in capsys.readouterr().out
 
 
 def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
