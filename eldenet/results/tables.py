@@ -201,7 +201,7 @@ def to_latex(
     size, kept = r"\small", list(range(len(titles)))
     page: float = PAGE
     if core is not None:
-        kept = sorted([0, *core])
+        kept = sorted([0, *(core or [1])])  # a table of names alone says nothing
         if sum(widths[place] + GAP for place in kept) > page:
             size, page = r"\footnotesize", PAGE * 9 / 8
         for place in range(1, len(titles)):
