@@ -43,7 +43,7 @@ train adapt evaluate predict export benchmark report study check_data train_dete
 FLOOR_OF = {name: floor for floor, line in enumerate(ORDER.split("\n")) for name in line.split()}
 COMMANDS = [name for name in ORDER.split("\n")[-2].split() if name != "__main__"]
 HIGHEST_HOUSE = 11  # floors of packages and top-level modules, by the longest chain of imports
-MOST_FILES, MOST_FOLDERS = 24, 14  # at the top of the package; weights/ and configs/ hold no code
+MOST_FILES, MOST_FOLDERS = 25, 14  # at the top of the package; weights/ and configs/ hold no code
 
 
 def room_of(module: str) -> str:

@@ -215,8 +215,8 @@ def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def report(runs: Path | None) -> None:
-    """Write ``results.md`` and the plots from what is stored."""
+def report(runs: Path | None, *, time_it: bool) -> None:
+    """Write ``results.md`` and the plots from what is stored; ``time_it``: measure latencies first."""
     records = [json.loads(file.read_text()) for file in sorted((HERE / "stored").glob("*/seed*/scores.json"))]
     names = sorted({record["row"] for record in records}, key=lambda name: (name == PLAIN, name))
     seeds = {name: [record["seed"] for record in records if record["row"] == name] for name in names}
@@ -256,19 +256,17 @@ def report(runs: Path | None) -> None:
     ]
     lines += ["## Other cameras, as it comes", "", markdown(*elsewhere_rows(records)), ""]
     timed = HERE / "stored" / "latency.json"
-    if runs is not None:
+    if time_it and runs is not None:
         firsts = [(name, runs / name / "seed0") for name in names if (runs / name / "seed0").is_dir()]
         write_json(timed, {"rows": latency(firsts)} | environment())
-    lines += [
-        "## Latency",
-        "",
-        "Median of one 120 x 160 picture [ms], one thread, in turns in one process.",
-        "",
-    ]
-    lines += [
-        markdown(["row", "torch", "ONNX Runtime", "OpenVINO"], json.loads(timed.read_text())["rows"]),
-        "",
-    ]
+    if timed.is_file():
+        lines += [
+            "## Latency",
+            "",
+            "Median of one 120 x 160 picture [ms], one thread, in turns in one process.",
+        ]
+        cells = json.loads(timed.read_text())["rows"]
+        lines += ["", markdown(["row", "torch", "ONNX Runtime", "OpenVINO"], cells), ""]
     processor = records[0]["hardware"]["processor"]
     lines += [
         f"Machine: {processor}. Protocol of sigma: {PROTOCOL.name}; of depth: "
@@ -326,14 +324,16 @@ def main() -> None:
     parser.add_argument(
         "--runs", type=Path, help="folder of the trainings; without it the page is written from stored/"
     )
-    runs: Path | None = parser.parse_args().runs
+    parser.add_argument("--latency", action="store_true", help="measure latencies too, on an idle machine")
+    arguments = parser.parse_args()
+    runs: Path | None = arguments.runs
     torch.set_num_threads(1)
     for record in sorted(runs.glob("*/seed*/run.json")) if runs else ():
         folder = HERE / "stored" / record.parent.parent.name / record.parent.name
         if not (folder / "scores.json").is_file():
             print(f"scoring {record.parent}", flush=True)
             measure(record.parent, folder)
-    report(runs)
+    report(runs, time_it=arguments.latency)
 
 
 if __name__ == "__main__":
