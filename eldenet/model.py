@@ -122,9 +122,7 @@ class DepthNet(Configurable, nn.Module):
         """Distribution of the error of ln depth, "laplace" or "gaussian"; None: no sigma is known."""
         return self.head.distribution
 
-    def forward(
-        self, image: Tensor, focal: float | Tensor | None = None, *, with_spread: bool = False
-    ) -> Any:
+    def forward(self, image: Tensor, focal: float | Tensor | None = None, with_spread: bool = False) -> Any:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
 
         Args:
