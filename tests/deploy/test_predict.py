@@ -19,6 +19,7 @@ from eldenet.deploy.prediction import open_predictor
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
+from eldenet.weights import BEST
 
 RNG = np.random.default_rng(0)
 CAMERA = [50.0, 52.0, 31.0, 22.5]
@@ -257,6 +258,14 @@ except FileNotFoundError:
     assert usage.ru_utime + usage.ru_stime < 1.5, usage
 assert "torch" not in sys.modules, "torch is loaded"
 """
+
+
+def test_without_a_checkpoint_the_best_weights_of_the_package_are_taken(tmp_path: Path, run_command) -> None:
+    save(tmp_path / "photo.jpg", photo(48, 64))
+    done = run_command("predict", "source=photo.jpg", "output=out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"weights: {BEST} of the package (yours: checkpoint=...)" in done.stdout
+    assert (tmp_path / "out/photo_depth.png").is_file()
 
 
 def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from support.films import CODECS, copy_packets, cut, read_video, trim, write_video
