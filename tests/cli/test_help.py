@@ -21,7 +21,7 @@ def test_help_shows_the_settings_with_their_comments(command, run_command):
     assert yaml.partition("\nhydra:")[0].strip() in finished.stdout
     assert finished.stdout.startswith(f"python -m eldenet.{command}: ")
     assert "\nhydra:" not in finished.stdout
-    assert "\nmodel/head: inverse, linear, log, scaled\n" in finished.stdout
+    assert "\nmodel/head: inverse, linear, log, scaled, uncertain\n" in finished.stdout
     assert finished.stdout.rstrip().endswith(f"python -m eldenet.{command} --cfg job")
 
 
