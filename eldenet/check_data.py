@@ -53,7 +53,7 @@ def check(setup: "CheckDataSetup") -> bool:
 
 def _show(log: "RunLog", setup: "CheckDataSetup", found: "DataCheck") -> None:
     """Print one table with a column per split, then what is wrong or in doubt."""
-    from eldenet.data.inspection import doubts
+    from eldenet.data.inspection import doubts, encoding_of
 
     cells = [_cells(split) for split in found.splits]
     rows = [[title, *(column[title] for column in cells)] for title in cells[0]]
@@ -69,7 +69,7 @@ def _show(log: "RunLog", setup: "CheckDataSetup", found: "DataCheck") -> None:
     if found.fingerprint:
         log.say(found.fingerprint)
     guesses = [
-        (split.split, *doubts(split.median, setup.encoding))
+        (split.split, *doubts(split.median, encoding_of(setup.encoding, split.split)))
         for split in found.splits
         if setup.encoding is not None and split.median is not None
     ]

@@ -288,6 +288,14 @@ def check_split(
     return found
 
 
+def encoding_of(encoding: Encoding, split: str) -> Encoding:
+    """The encoding of a split, where a data set has one for training frames and one for test frames."""
+    if isinstance(encoding, Mapping) and "train" in encoding:
+        own: Encoding = encoding["test" if split == "test" else "train"]
+        return own
+    return encoding
+
+
 def doubts(median: float, encoding: Encoding) -> tuple[str, bool]:
     """What a median depth [m] would be in other encodings, as a line, and whether it is implausible."""
     own = depth_encoding(encoding)
