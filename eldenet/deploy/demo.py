@@ -117,7 +117,7 @@ def web_folder() -> Path:
 
 
 def install_runtime(folder: Path, log: "RunLog") -> None:
-    """Put onnxruntime-web into ``folder``, in the version that the page's lock file names, if it is not there.
+    """Put onnxruntime-web into ``folder`` in the version of the page's lock file, if it is not there.
 
     Raises:
         ValueError: npm is missing or fails.
@@ -128,7 +128,7 @@ def install_runtime(folder: Path, log: "RunLog") -> None:
         return
     npm = shutil.which("npm")
     if npm is None:
-        raise ValueError("the page needs onnxruntime-web, which npm fetches: install Node.js, and start again")
+        raise ValueError("the page needs onnxruntime-web, which npm fetches: install Node.js")
     log.say(f"npm fetches onnxruntime-web {wanted}, once ...")
     with tempfile.TemporaryDirectory() as temporary:
         for file in (LIST, LOCK):
@@ -136,8 +136,8 @@ def install_runtime(folder: Path, log: "RunLog") -> None:
         words = [npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error"]
         done = subprocess.run(words, cwd=temporary, capture_output=True, text=True, check=False)
         if done.returncode:
-            lines = [line for line in done.stderr.splitlines() if "A complete log" not in line] or ["no reason"]
-            raise ValueError(f"npm could not fetch onnxruntime-web {wanted}: {lines[0]}")
+            reason = (done.stderr.strip().splitlines() or ["it gives no reason"])[0]
+            raise ValueError(f"npm could not fetch onnxruntime-web {wanted}: {reason}")
         package = Path(temporary) / "node_modules" / "onnxruntime-web"
         for file in RUNTIME:
             _copy(package / file if file == LIST else package / "dist" / file, folder / file)
