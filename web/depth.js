@@ -21,62 +21,84 @@ function halfEven(value) {
   return rest < 0.5 || (rest === 0.5 && below % 2 === 0) ? below : below + 1;
 }
 
-// For each of `to` pixels: the first of `from` pixels that it covers, and their shares (OpenCV's INTER_AREA).
+// RGBA bytes of `from` -> RGB bytes of `to`, averaged by area if they shrink. The same values as OpenCV's
+// INTER_AREA and INTER_LINEAR, so with their precision: float32, and fixed point.
+export function resize(pixels, from, to) {
+  return (from[0] >= to[0] && from[1] >= to[1] ? resizeArea : resizeLinear)(pixels, from, to);
+}
+
+// For each of `to` pixels: the first of `from` pixels that it covers, and their shares.
 function areaTaps(from, to) {
   const scale = from / to;
   return Array.from({ length: to }, (_, pixel) => {
     const [start, end] = [pixel * scale, Math.min((pixel + 1) * scale, from)];
-    const first = Math.floor(start + 1e-9);
+    const first = Math.floor(start + 1e-3);
     const shares = [];
     for (let source = first; source < end - 1e-3; source++) {
-      shares.push((Math.min(end, source + 1) - Math.max(start, source)) / (end - start));
+      shares.push(Math.fround((Math.min(end, source + 1) - Math.max(start, source)) / (end - start)));
     }
     return { first, shares };
   });
 }
 
-// The same for bilinear interpolation with half-pixel centers (INTER_LINEAR).
-function linearTaps(from, to) {
-  const scale = from / to;
-  return Array.from({ length: to }, (_, pixel) => {
-    const place = Math.min(Math.max((pixel + 0.5) * scale - 0.5, 0), from - 1);
-    const first = Math.floor(place);
-    const share = place - first;
-    return { first, shares: share > 0 ? [1 - share, share] : [1] };
-  });
-}
-
-// RGBA bytes of `from` -> RGB values of `to`, whole numbers as OpenCV gives them; averaged by area if it shrinks.
-export function resize(pixels, from, to) {
-  const shrinks = from[0] >= to[0] && from[1] >= to[1];
-  const [rows, columns] = [0, 1].map((axis) => (shrinks ? areaTaps : linearTaps)(from[axis], to[axis]));
+function resizeArea(pixels, from, to) {
+  const [rows, columns] = [0, 1].map((axis) => areaTaps(from[axis], to[axis]));
   const halves = from[0] === 2 * to[0] && from[1] === 2 * to[1];
   const round = halves ? (value) => Math.floor(value + 0.5) : halfEven;
   const result = new Uint8Array(to[0] * to[1] * 3);
-  const line = new Float64Array(from[1] * 3);
-  let target = 0;
-  for (const { first, shares } of rows) {
-    line.fill(0);
+  const [line, sum] = [new Float32Array(to[1] * 3), new Float32Array(to[1] * 3)];
+  rows.forEach(({ first, shares }, row) => {
+    sum.fill(0);
     shares.forEach((share, number) => {
-      let source = (first + number) * from[1] * 4;
-      for (let place = 0; place < line.length; place += 3, source += 4) {
-        line[place] += share * pixels[source];
-        line[place + 1] += share * pixels[source + 1];
-        line[place + 2] += share * pixels[source + 2];
-      }
+      shrinkLine(pixels, (first + number) * from[1] * 4, columns, line);
+      for (let place = 0; place < sum.length; place++) sum[place] += Math.fround(share * line[place]);
     });
+    for (let place = 0; place < sum.length; place++) result[row * sum.length + place] = round(sum[place]);
+  });
+  return result;
+}
+
+function shrinkLine(pixels, start, columns, line) {
+  let target = 0;
+  for (const { first, shares } of columns) {
+    let [red, green, blue] = [0, 0, 0];
+    let source = start + first * 4;
+    for (let number = 0; number < shares.length; number++, source += 4) {
+      red = Math.fround(red + Math.fround(shares[number] * pixels[source]));
+      green = Math.fround(green + Math.fround(shares[number] * pixels[source + 1]));
+      blue = Math.fround(blue + Math.fround(shares[number] * pixels[source + 2]));
+    }
+    line[target++] = red;
+    line[target++] = green;
+    line[target++] = blue;
+  }
+}
+
+// For each of `to` pixels: its two neighbors among `from` pixels, and their shares in 1/2048.
+function linearTaps(from, to) {
+  return Array.from({ length: to }, (_, pixel) => {
+    const place = ((pixel + 0.5) * from) / to - 0.5;
+    const below = Math.floor(place);
+    const other = halfEven((place - below) * 2048);
+    return { first: Math.max(below, 0), second: Math.min(below + 1, from - 1), one: 2048 - other, other };
+  });
+}
+
+function resizeLinear(pixels, from, to) {
+  const [rows, columns] = [0, 1].map((axis) => linearTaps(from[axis], to[axis]));
+  const result = new Uint8Array(to[0] * to[1] * 3);
+  let target = 0;
+  for (const row of rows) {
     for (const column of columns) {
-      let [red, green, blue] = [0, 0, 0];
-      let place = column.first * 3;
-      for (const share of column.shares) {
-        red += share * line[place];
-        green += share * line[place + 1];
-        blue += share * line[place + 2];
-        place += 3;
+      for (let channel = 0; channel < 3; channel++) {
+        const along = (line) => {
+          const start = line * from[1] * 4 + channel;
+          const [left, right] = [pixels[start + column.first * 4], pixels[start + column.second * 4]];
+          return (left * column.one + right * column.other) >> 4;
+        };
+        const [upper, lower] = [(row.one * along(row.first)) >> 16, (row.other * along(row.second)) >> 16];
+        result[target++] = (upper + lower + 2) >> 2;
       }
-      result[target++] = round(red);
-      result[target++] = round(green);
-      result[target++] = round(blue);
     }
   }
   return result;

@@ -195,7 +195,7 @@ def test_a_webcam_has_the_depth_that_python_gives(chromium, address, predictor, 
         page.click("#webcam")
         page.wait_for_selector("#photo[width='640']", timeout=30_000)
         page.click("#stop")
-        page.wait_for_timeout(500)
+        page.wait_for_timeout(300)
         frame, depth = read(page)
     assert frame.shape == scene.shape
     assert np.abs(frame.astype(float) - scene).mean() < LOOSE_FRAME
