@@ -260,10 +260,10 @@ async function start() {
   if (error) return say(error, true);
   Object.assign(state, { network, threads });
   element("camera").hidden = network.canonical_px === null;
-  element("about").textContent = `Network: ${network.name}. ${network.license}`;
+  element("about").textContent = `Network ${network.name}: ${network.license || "license not stated"}.`;
   connect();
   for (const button of document.querySelectorAll("button, input")) button.disabled = false;
-  await openPicture(await (await fetch("./example.png")).blob(), "example.png");
+  await openPicture(await (await fetch("./example.jpg")).blob(), "example.jpg");
 }
 
 start();

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
 
-PAGE = ("index.html", "style.css", "app.js", "worker.js", "depth.js", "colors.js")
+PAGE = ("index.html", "style.css", "app.js", "worker.js", "depth.js", "colors.js", "example.jpg")
 LIST, LOCK = "package.json", "package-lock.json"
 RUNTIME = ("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm", LIST)  # its list last: then it is whole
 ADDRESS = "127.0.0.1"
@@ -68,16 +68,13 @@ def demo(setup: DemoSetup) -> None:
 
 
 def build_page(model: "DepthNet", setup: DemoSetup, log: "RunLog") -> None:
-    """Write the page, the network, its runtime and an example picture into ``setup.output``.
+    """Write the page, the network and its runtime into ``setup.output``.
 
     Raises:
         ValueError: npm is missing or fails.
     """
-    import skimage.data
-
     from eldenet.deploy.files import describe, write_onnx
     from eldenet.model import size_of_frames
-    from eldenet.visualization import write_picture
 
     install_runtime(setup.output / "runtime", log)
     height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
@@ -86,7 +83,6 @@ def build_page(model: "DepthNet", setup: DemoSetup, log: "RunLog") -> None:
     facts = describe(model, name, (height, width))
     write_onnx(model, setup.output / "network.onnx", (height, width), batch=1, metadata=facts)
     write_json(setup.output / "network.json", page_facts(model, setup.checkpoint, (height, width)))
-    write_picture(setup.output / "example.png", skimage.data.coffee())
     for file in PAGE:
         _copy(web_folder() / file, setup.output / file)
 

@@ -168,8 +168,9 @@ def test_the_focal_slider_scales_meters_as_intrinsics_do(page, predictor, tmp_pa
     np.testing.assert_allclose(read(page)[1], predictor(photo), rtol=0, atol=TOLERANCE)
 
 
-def test_the_cursor_shows_meters_and_the_legend_its_scale(page, predictor):
-    photo = skimage.data.coffee()  # the example
+def test_the_cursor_shows_meters_and_the_legend_its_scale(page, predictor, tmp_path):
+    photo = skimage.data.coffee()
+    give(page, tmp_path / "photo.png", photo)
     box = page.locator("#depth").bounding_box()
     page.mouse.move(box["x"] + box["width"] * 0.251, box["y"] + box["height"] * 0.501)
     meters, _, place = page.inner_text("#readout").partition(" m at column ")
