@@ -34,6 +34,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 if TYPE_CHECKING:
     from eldenet.data.inspection import CheckDataSetup
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
+    from eldenet.deploy.demo import DemoSetup
     from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.deploy.scoring import EvaluationSetup
@@ -948,6 +949,25 @@ def build_export(config: DictConfig) -> "ExportSetup":
     return _filled(
         ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
     )
+
+
+def build_demo(config: DictConfig) -> "DemoSetup":
+    """Return the setup of ``eldenet demo``.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    check_sources(config, "checkpoint")
+    if type(config.port) is not int or not 0 <= config.port <= 65535:
+        raise ValueError(f"port={config.port}: give a number from 0 (any free one) to 65535")
+    for name in ("serve", "browser"):
+        one_of(name, config[name], (True, False))
+    from eldenet.data.paths import default_cache
+    from eldenet.deploy.demo import DemoSetup
+
+    output = default_cache() / "demo" if config.output is None else Path(config.output).expanduser()
+    trusted = tuple(listed(config.trusted_modules))
+    return _filled(DemoSetup, config, size=_size(config, "size"), output=output, trusted_modules=trusted)
 
 
 def build_benchmark(config: DictConfig) -> "BenchmarkSetup":

@@ -15,6 +15,7 @@ COMMANDS = {
     "adapt": "tune trained weights to your own camera and place",
     "evaluate": "score a checkpoint on a data set, under a protocol",
     "predict": "depth of a picture, a folder of pictures, a video or a camera",
+    "demo": "a page that runs a network in the browser, on this machine alone",
     "export": "write a network as a file for ONNX Runtime or OpenVINO",
     "benchmark": "latency and memory of networks, sizes, runtimes and precisions",
     "report": "tables of finished runs: Markdown, CSV and LaTeX",
@@ -23,6 +24,8 @@ COMMANDS = {
     "navigate": "drive a simulated robot by depth; evaluate or train its driver",
     "train-detector": "train a 2D detector on rendered streets",
 }
+#: Commands that are not the module of their name at the top of the package.
+MODULES = {"demo": "eldenet.cli.demo"}
 SHELLS = ("bash", "zsh")
 # Hydra completes the settings of a command: it reads COMP_LINE and drops its first word
 _COMPLETION = """\
@@ -44,7 +47,7 @@ _ZSH = "autoload -Uz +X compinit && compinit\nautoload -Uz +X bashcompinit && ba
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Run ``eldenet <command> <settings>``, which is ``python -m eldenet.<command> <settings>``.
+    """Run ``eldenet <command> <settings>``, which is ``python -m eldenet <command> <settings>``.
 
     Args:
         words: of the command line; None: those of this process.
@@ -76,7 +79,7 @@ def command_list() -> str:
             f"  {'completion':15} script that completes commands and settings: bash, zsh",
             "",
             "eldenet <command> --help shows its settings and --cfg job their values.",
-            "python -m eldenet.<command>, with _ for -, is the same.",
+            "python -m eldenet <command> is the same.",
         ]
     )
 
@@ -102,7 +105,12 @@ def _start(name: str, words: Sequence[str]) -> None:
     sys.argv = [f"eldenet {name}", *words]
     if not ({"", os.getcwd()} & set(sys.path) or sys.flags.safe_path):
         sys.path.insert(0, os.getcwd())  # so that settings may name code that lies here
-    importlib.import_module(f"eldenet.{name.replace('-', '_')}").main()
+    importlib.import_module(module_of(name)).main()
+
+
+def module_of(name: str) -> str:
+    """Return the module of a command, as ``python -m`` takes it."""
+    return MODULES.get(name, f"eldenet.{name.replace('-', '_')}")
 
 
 def _print(text: str) -> None:

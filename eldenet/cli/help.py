@@ -8,6 +8,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
 
+from eldenet.cli.commands import module_of
 from eldenet.config import compose, config_folder, plain
 from eldenet.renames import KEYS, OPTIONS
 
@@ -26,7 +27,7 @@ def help_template(config_name: str, about: str) -> str:
     shown = f"{about.replace('``', '').strip()}\n\n{settings}".replace("$", "$$")
     return (
         f"{shown}\n\nChoices of all commands' groups:\n$APP_CONFIG_GROUPS\n"
-        f"Every setting: python -m eldenet.{config_name} --cfg job"
+        f"Every setting: python -m {module_of(config_name)} --cfg job"
     )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from eldenet.cli.commands import COMMANDS, command_list, completion, unknown
+from eldenet.cli.commands import COMMANDS, command_list, completion, module_of, unknown
 from eldenet.config import compose, config_folder
 
 LINE = [sys.executable, "-c", "from eldenet.cli.commands import main; main()"]
@@ -33,7 +33,7 @@ def eldenet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_a_module_a_config_and_a_short_line(name):
     module = name.replace("-", "_")
-    assert callable(importlib.import_module(f"eldenet.{module}").main)
+    assert callable(importlib.import_module(module_of(name)).main)
     assert (config_folder() / f"{module}.yaml").is_file()
     assert max(map(len, command_list().splitlines())) <= 80
 

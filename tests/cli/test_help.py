@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from eldenet import renames
+from eldenet.cli.commands import module_of
 from eldenet.cli.help import QUOTES, advice
 from eldenet.config import config_folder
 
@@ -15,14 +16,15 @@ COMMANDS = sorted({path.stem for path in config_folder().glob("*.yaml")} - {"bas
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_the_settings_with_their_comments(command, run_command):
-    finished = run_command(command, "--help")
+    module = module_of(command.replace("_", "-"))
+    finished = run_command(module.removeprefix("eldenet."), "--help")
     assert finished.returncode == 0, finished.stderr
     yaml = (config_folder() / f"{command}.yaml").read_text()
     assert yaml.partition("\nhydra:")[0].strip() in finished.stdout
-    assert finished.stdout.startswith(f"python -m eldenet.{command}: ")
+    assert finished.stdout.startswith(f"python -m {module}: ")
     assert "\nhydra:" not in finished.stdout
     assert "\nmodel/head: inverse, linear, log, scaled, uncertain\n" in finished.stdout
-    assert finished.stdout.rstrip().endswith(f"python -m eldenet.{command} --cfg job")
+    assert finished.stdout.rstrip().endswith(f"python -m {module} --cfg job")
 
 
 def test_the_reader_of_help_may_leave_before_its_end():

@@ -1,0 +1,189 @@
+"""The network as a web page that runs in the browser: built into a folder, and served on this machine."""
+
+import json
+import shutil
+import subprocess
+import tempfile
+import threading
+import webbrowser
+from dataclasses import dataclass
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import eldenet
+from eldenet.deploy.exporting import UNTRAINED_SIZE
+from eldenet.geometry import BORDER_COLOR
+from eldenet.system.files import part_file, write_json
+
+if TYPE_CHECKING:
+    from eldenet.model import DepthNet
+    from eldenet.results.run_log import RunLog
+
+PAGE = ("index.html", "style.css", "app.js", "worker.js", "depth.js", "colors.js", "example.jpg")
+LIST, LOCK = "package.json", "package-lock.json"
+RUNTIME = ("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm", LIST)  # its list last: then it is whole
+ADDRESS = "127.0.0.1"
+# with these a page may share memory between threads
+HEADERS = {
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+    "Cache-Control": "no-cache",
+}
+
+
+@dataclass(frozen=True)
+class DemoSetup:
+    """The settings of ``configs/demo.yaml``, checked; it explains each."""
+
+    checkpoint: str
+    size: tuple[int, int] | None
+    output: Path
+    serve: bool
+    port: int
+    browser: bool
+    trusted_modules: tuple[str, ...]
+
+
+def demo(setup: DemoSetup) -> None:
+    """Build the page, then serve it until Ctrl-C.
+
+    Raises:
+        ValueError: npm is missing or fails, or the port is taken.
+    """
+    from eldenet.results.run_log import RunLog, untrained_note
+
+    log = RunLog(setup.output)
+    model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
+    if setup.checkpoint in eldenet.list_models():
+        log.say(untrained_note(setup.checkpoint))
+    server = open_server(setup.output, setup.port) if setup.serve else None  # before minutes are spent
+    build_page(model, setup, log)
+    log.say(f"written to {setup.output}: {', '.join(PAGE)}, network.onnx, runtime")
+    if server is not None:
+        serve(server, log, browser=setup.browser)
+
+
+def build_page(model: "DepthNet", setup: DemoSetup, log: "RunLog") -> None:
+    """Write the page, the network and its runtime into ``setup.output``.
+
+    Raises:
+        ValueError: npm is missing or fails.
+    """
+    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.model import size_of_frames
+
+    install_runtime(setup.output / "runtime", log)
+    height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
+    name = str(model.info.get("model_name", Path(setup.checkpoint).name))
+    log.say(f"exporting {setup.checkpoint} at {height} x {width} ...")
+    facts = describe(model, name, (height, width))
+    write_onnx(model, setup.output / "network.onnx", (height, width), batch=1, metadata=facts)
+    write_json(setup.output / "network.json", page_facts(model, setup.checkpoint, (height, width)))
+    for file in PAGE:
+        _copy(web_folder() / file, setup.output / file)
+
+
+def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dict[str, Any]:
+    """Return what the page needs to know: the network's size, its canonical camera, and the 256 colors."""
+    from eldenet.visualization import color_depth
+
+    shares = (np.arange(256) + 0.5) / 255  # as depth between 1 (cool, the first color) and 0
+    return {
+        "name": Path(checkpoint).name,
+        "size": list(size),
+        "canonical_px": model.canonical_px,
+        "stretch": float(model.info.get("stretch") or 1.0),
+        "border": list(BORDER_COLOR),
+        "license": str(model.info.get("license", "")),
+        "colors": color_depth(1 - shares[None], 0.0, 1.0)[0].tolist(),
+    }
+
+
+def web_folder() -> Path:
+    """Return the folder of the page: ``web/`` in a checkout, ``eldenet/web`` in a wheel."""
+    package = Path(eldenet.__file__).resolve().parent
+    for folder in (package / "web", package.parent / "web"):
+        if (folder / LOCK).is_file():
+            return folder
+    raise FileNotFoundError(f"no web beside {package}: the installation is incomplete, reinstall eldenet")
+
+
+def install_runtime(folder: Path, log: "RunLog") -> None:
+    """Put onnxruntime-web into ``folder`` in the version of the page's lock file, if it is not there.
+
+    Raises:
+        ValueError: npm is missing or fails.
+    """
+    wanted = json.loads((web_folder() / LIST).read_text())["dependencies"]["onnxruntime-web"]
+    there = folder / LIST
+    if there.is_file() and json.loads(there.read_text())["version"] == wanted:
+        return
+    npm = shutil.which("npm")
+    if npm is None:
+        raise ValueError("the page needs onnxruntime-web, which npm fetches: install Node.js")
+    log.say(f"npm fetches onnxruntime-web {wanted}, once ...")
+    with tempfile.TemporaryDirectory() as temporary:
+        for file in (LIST, LOCK):
+            shutil.copyfile(web_folder() / file, Path(temporary) / file)
+        words = [npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error"]
+        done = subprocess.run(words, cwd=temporary, capture_output=True, text=True, check=False)
+        if done.returncode:
+            reason = (done.stderr.strip().splitlines() or ["it gives no reason"])[0]
+            raise ValueError(f"npm could not fetch onnxruntime-web {wanted}: {reason}")
+        package = Path(temporary) / "node_modules" / "onnxruntime-web"
+        for file in RUNTIME:
+            _copy(package / file if file == LIST else package / "dist" / file, folder / file)
+
+
+def _copy(source: Path, target: Path) -> None:
+    with part_file(target) as unfinished:
+        shutil.copyfile(source, unfinished)
+
+
+class PageHandler(SimpleHTTPRequestHandler):
+    """Serves the page's files with the headers that allow threads, and logs nothing."""
+
+    extensions_map = {  # noqa: RUF012
+        **SimpleHTTPRequestHandler.extensions_map,
+        ".js": "text/javascript",
+        ".mjs": "text/javascript",
+        ".wasm": "application/wasm",
+    }
+
+    def end_headers(self) -> None:
+        """Add the headers."""
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def log_message(self, *message: object) -> None:
+        """Say nothing."""
+
+
+def open_server(folder: Path, port: int) -> ThreadingHTTPServer:
+    """Open a server of ``folder`` for this machine alone; ``port`` 0 takes a free one.
+
+    Raises:
+        ValueError: the port is taken.
+    """
+    try:
+        return ThreadingHTTPServer((ADDRESS, port), partial(PageHandler, directory=str(folder)))
+    except OSError as error:
+        raise ValueError(f"port={port}: {error.strerror}; give another, or 0 for any") from error
+
+
+def serve(server: ThreadingHTTPServer, log: "RunLog", *, browser: bool) -> None:
+    """Serve until Ctrl-C, and open the browser."""
+    address = f"http://localhost:{server.server_port}/"
+    log.say(f"{address} (Ctrl-C ends it)")
+    if browser:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    with server:
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            log.say("ended")
