@@ -27,7 +27,7 @@ class RangeFilter:
     to three). A narrower one that is more than 0.8 m away, or at the edge of the view, counts if the last
     scan agrees, seen from where the robot was then. Others, and unknown readings (nan), are filled from
     their neighbors if they are at most three columns wide; wider gaps read as near. One or two columns
-    farther than both sides are filled too.
+    farther than both sides (at the edge of the view: than the inner side) are filled too.
 
     A narrow near reading that stays the same while the robot drives 0.5 m or turns 0.5 rad is a fault of the
     sensor. It counts as unknown until it reads otherwise for two seconds.

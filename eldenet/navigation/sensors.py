@@ -112,6 +112,7 @@ class Ranges:
         ValueError: a share is not in [0, 1], together they exceed 1, or there are not so many columns.
     """
 
+    FAULTS = ("false_near", "false_far", "stuck")
     drift = EXACT
 
     def __init__(self, *, false_near: float = 0.0, false_far: float = 0.0, stuck: int = 0) -> None:
