@@ -8,7 +8,9 @@ from eldenet.simulation.robot import ROBOT
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
-OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong, such as a dead pixel column
+OUTLIERS = (
+    0.08  # of the pixels that a surface would fill there: so few are wrong, such as a dead pixel column
+)
 _BEYOND = 100.0  # stands for infinite [m]
 
 

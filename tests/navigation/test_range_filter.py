@@ -71,7 +71,9 @@ def test_what_two_neighbors_show_in_random_scenes_stays():
     rng = np.random.default_rng(0)
     for _ in range(200):
         ends = np.sort(rng.choice(np.arange(3, ROBOT.columns - 3, 3), 4, replace=False))
-        scene = rng.uniform(ROBOT.near, ROBOT.far, 5)[np.searchsorted(ends, np.arange(ROBOT.columns), "right")]
+        scene = rng.uniform(ROBOT.near, ROBOT.far, 5)[
+            np.searchsorted(ends, np.arange(ROBOT.columns), "right")
+        ]
         np.testing.assert_array_equal(RangeFilter()(scene, STILL)[0], scene)
 
 
