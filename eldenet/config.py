@@ -488,7 +488,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     from eldenet.navigation import modes
     from eldenet.navigation.episodes import EpisodeSettings
 
-    names = ("physics", "goal", "time_limit", "seed")
+    names = ("physics", "goal", "time_limit", "seed", "range_filter")
     common: dict[str, Any] = {
         "mode": config.mode,
         "folder": folder,

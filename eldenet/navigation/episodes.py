@@ -13,6 +13,7 @@ import numpy as np
 
 from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
+from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
@@ -48,6 +49,7 @@ class EpisodeSettings:
             true pose decides when an episode ends.
         time_limit: [s].
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
+        range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`.
 
     Raises:
         ValueError: unknown goal.
@@ -57,6 +59,7 @@ class EpisodeSettings:
     goal: str = "known"
     time_limit: float = TIME_LIMIT
     seed: int = 0
+    range_filter: bool = False
 
     def __post_init__(self) -> None:
         one_of("goal", self.goal, GOALS)
@@ -81,6 +84,7 @@ class Episodes:
         self.observations: list[Observation | None] = [None] * count
         self._sensors: list[SensorInstance | None] = [None] * count
         self._odometry: list[Odometry | None] = [None] * count
+        self._filters = [RangeFilter() for _ in range(count)]  # for range_filter only
         self._localizers: list[Localizer | None] = [None] * count  # for goal="fixes" only
         self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # true ones
@@ -99,6 +103,7 @@ class Episodes:
         stream = np.random.SeedSequence(tuple(seed))
         rng = np.random.Generator(np.random.PCG64(stream))
         self._sensors[slot] = self.sensor.begin(world, rng)
+        self._filters[slot].reset()
         drift = self.sensor.drift
         self._odometry[slot] = Odometry(drift, rng, world.pose)
         if self.settings.goal == "fixes":
@@ -130,7 +135,12 @@ class Episodes:
     def scan(self, slots: Sequence[int]) -> None:
         """Take a new scan in some slots."""
         for slot in slots:
-            self.observations[slot] = self._sensors[slot].scan()  # type: ignore[union-attr]
+            scan = self._sensors[slot].scan()  # type: ignore[union-attr]
+            if self.settings.range_filter:
+                odometry = np.array(self._odometry[slot].pose)  # type: ignore[union-attr]
+                ranges, cautious = self._filters[slot](scan.ranges, odometry, scan.cautious)
+                scan = scan._replace(ranges=ranges, cautious=cautious)
+            self.observations[slot] = scan
 
     def senses(self) -> Senses:
         """Ranges of the last scans, with odometry and goals as of now."""

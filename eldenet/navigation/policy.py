@@ -20,6 +20,7 @@ from eldenet.backbones.weights import refuse_not_finite
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
@@ -87,6 +88,7 @@ class Navigator:
 
     Attributes:
         files: that it was loaded from.
+        range_filter: that :meth:`step` passes its ranges through; None: none.
         stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
 
     Raises:
@@ -113,6 +115,7 @@ class Navigator:
         self.network = network.double().eval()
         self.info = info or {}
         self.files: list[Path] = []
+        self.range_filter: RangeFilter | None = RangeFilter()
         self.stop_reason: str | None = None
 
     @classmethod
@@ -185,6 +188,8 @@ class Navigator:
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
         self.observer.reset(robot)
+        if self.range_filter is not None:
+            self.range_filter.reset()
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -233,12 +238,14 @@ class Navigator:
         elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
             self.stop_reason = "no value of depth is known"
         else:
-            senses = Senses(as_ranges(depth, intrinsics, camera_height)[None], odometry_row, goal_row)
-            self.stop_reason = senses.fault
+            ranges = as_ranges(depth, intrinsics, camera_height)
+            self.stop_reason = Senses(ranges[None], odometry_row, goal_row).fault
         if self.stop_reason:
             self.observer.last[:] = 0.0  # it stands
             return 0.0, 0.0
-        speed, turn = self.commands(senses)[0].tolist()
+        if self.range_filter is not None:
+            ranges, _ = self.range_filter(ranges, odometry_row[0])
+        speed, turn = self.commands(Senses(ranges[None], odometry_row, goal_row))[0].tolist()
         return speed, turn
 
 

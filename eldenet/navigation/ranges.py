@@ -8,6 +8,9 @@ from eldenet.simulation.robot import ROBOT
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
+OUTLIERS = (
+    0.08  # of the pixels that a surface would fill there: so few are wrong, such as a dead pixel column
+)
 _BEYOND = 100.0  # stands for infinite [m]
 
 
@@ -21,7 +24,8 @@ def depth_to_ranges(
     """Nearest range in each column of the field of view ``(columns,)`` [m], right to left.
 
     This is the 10 % quantile of the horizontal ranges of a column's pixels between 15 and 60 cm above the
-    floor, so that one wrong pixel is no obstacle.
+    floor. A range also needs as many pixels as 8 % of what a surface at that distance fills of the column, so
+    that a few wrong pixels in an otherwise empty column are no obstacle.
 
     Infinite depth means nothing in range (ROS REP 117), negative infinite depth something too close. Unknown
     pixels (0, negative, nan) count as an object that stands on the floor right above the last visible floor
@@ -54,13 +58,24 @@ def depth_to_ranges(
     counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
+    rows = _rows_at(down[:, 0], camera_height)
     out = np.full(ROBOT.columns, ROBOT.far)
     for number in range(ROBOT.columns):
         values = ranges[:, column == number]
-        values = values[np.isfinite(values)]
-        if values.size:
-            out[number] = np.partition(values, int(QUANTILE * values.size))[int(QUANTILE * values.size)]
+        width, values = values.shape[1], np.sort(values[np.isfinite(values)])
+        first = int(QUANTILE * values.size)
+        asked = OUTLIERS * width * np.interp(values[first:], *rows)
+        enough = np.flatnonzero(np.arange(first, values.size) + 1 > asked)
+        if enough.size:
+            out[number] = values[first + enough[0]]
     return np.clip(out, ROBOT.near, ROBOT.far)
+
+
+def _rows_at(down: np.ndarray, camera_height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depths [m], and how many pixel rows see heights that can touch the robot there ``(20,)`` each."""
+    depths = np.geomspace(ROBOT.near, ROBOT.far, 20)
+    heights = camera_height - down * depths[:, None]
+    return depths, ((heights > LOWEST) & (heights < HIGHEST)).sum(axis=1)
 
 
 def _standing_on_the_floor(

@@ -101,13 +101,34 @@ class Odometry:
 
 
 class Ranges:
-    """The simulator's own ranges and exact odometry."""
+    """The simulator's own ranges and exact odometry; on request with wrong readings.
 
+    Args:
+        false_near: share of the columns, drawn anew in each scan, that read as nearest.
+        false_far: share of the columns, drawn anew in each scan, that read as if nothing were there.
+        stuck: columns, drawn once per episode, that always read as nearest.
+
+    Raises:
+        ValueError: a share is not in [0, 1], together they exceed 1, or there are not so many columns.
+    """
+
+    FAULTS = ("false_near", "false_far", "stuck")
     drift = EXACT
 
+    def __init__(self, *, false_near: float = 0.0, false_far: float = 0.0, stuck: int = 0) -> None:
+        if min(false_near, false_far) < 0 or false_near + false_far > 1:
+            raise ValueError(
+                f"false_near={false_near}, false_far={false_far}: give shares of the columns, 0 to 1 together"
+            )
+        if not 0 <= stuck <= ROBOT.columns:
+            raise ValueError(f"stuck={stuck}: give 0 to {ROBOT.columns} columns")
+        self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
+
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
-        """Return an instance that uses no random numbers."""
-        return _TrueRanges(world)
+        """Return an instance, which uses no random numbers without wrong readings."""
+        if not (self.false_near or self.false_far or self.stuck):
+            return _TrueRanges(world)
+        return _WrongRanges(self, world, rng)
 
 
 class _TrueRanges:
@@ -116,3 +137,16 @@ class _TrueRanges:
 
     def scan(self) -> Observation:
         return Observation(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))
+
+
+class _WrongRanges:
+    def __init__(self, sensor: Ranges, world: ArenaWorld, rng: np.random.Generator) -> None:
+        self.sensor, self.world, self.rng = sensor, world, rng
+        self.stuck = rng.permutation(ROBOT.columns)[: sensor.stuck]
+
+    def scan(self) -> Observation:
+        ranges, chance = self.world.ranges(), self.rng.random(ROBOT.columns)
+        ranges[chance < self.sensor.false_near] = ROBOT.near
+        ranges[chance > 1 - self.sensor.false_far] = ROBOT.far
+        ranges[self.stuck] = ROBOT.near
+        return Observation(ranges, np.zeros(ROBOT.columns, np.intp))

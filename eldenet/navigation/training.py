@@ -12,7 +12,7 @@ from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.provenance import TRAINING_VERSION
-from eldenet.navigation.sensors import Sensor
+from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import environment, read_record
@@ -50,7 +50,7 @@ def train(
     """
     total = learner.settings.total_timesteps
     note: dict[str, Any] = {
-        "settings": {name: config[name] for name in COMPARED if name in config},
+        "settings": comparable(config),
         "version": TRAINING_VERSION,
         "legs": [],
         "cpu_seconds": 0.0,
@@ -95,6 +95,17 @@ def train(
     navigator.save(folder / POLICY)
     write_json(folder / RECORD, {**note, "config": config, **environment()})
     return note
+
+
+def comparable(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that two trainings must have in common; faults of ranges only where there are some."""
+    settings = {name: config[name] for name in COMPARED if name in config}
+    sensor = settings.get("sensor")
+    if isinstance(sensor, Mapping):
+        settings["sensor"] = {
+            name: value for name, value in sensor.items() if value or name not in Ranges.FAULTS
+        }
+    return settings
 
 
 def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:

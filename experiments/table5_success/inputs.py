@@ -13,13 +13,13 @@ from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Ranges, Sensor
+from eldenet.navigation.training import COMPARED, comparable
 from eldenet.renames import renamed
 from eldenet.system.files import read_json
 from eldenet.weights import located
 
 TRUTH = "truth"  # the renderer's own depth; the simulator's own detections
 CAMERAS = ("camera", "objects")
-SETTINGS = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")  # of a training
 
 
 def check_inputs(args: Namespace, sensors: Sequence[str]) -> None:
@@ -139,8 +139,8 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
         raise ValueError(f"{folder} holds a policy without training.json, so its settings are unknown")
     made = read_json(note)
     config = compose("navigate", ["mode=train", *options])
-    asked = json.loads(json.dumps({name: plain(config[name]) for name in SETTINGS}))
-    there = {"goal": "known"} | renamed(made["config"])
+    asked = json.loads(json.dumps(comparable({name: plain(config[name]) for name in COMPARED})))
+    there = {"goal": "known"} | comparable(renamed(made["config"]))
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:
         raise ValueError(f"{folder} was trained with another {', '.join(others)}: delete it, or give --runs")

@@ -102,3 +102,20 @@ def test_ranges_from_boxes_agree_with_rays():
     assert on_box.sum() > 5
     assert got[on_box] == pytest.approx(true[on_box], abs=1e-4)
     assert (footprints_to_ranges(np.empty((0, 5))) == ROBOT.far).all()
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan, 0.3, -np.inf])
+def test_a_dead_pixel_column_is_no_obstacle(wrong):
+    depth, intrinsics = hall((3.0, -0.4, 0.4, 0.6), size=(480, 640))
+    true = depth_to_ranges(depth, intrinsics)
+    depth[:, [50, 200, 330, 500]] = wrong
+    assert depth_to_ranges(depth, intrinsics) == pytest.approx(true, rel=0.01)
+    free = np.full((480, 640), np.inf)
+    free[:, 200] = wrong
+    assert (depth_to_ranges(free, intrinsics) == ROBOT.far).all()
+
+
+def test_a_far_low_object_still_has_enough_pixels():
+    for size in ((96, 128), (480, 640)):
+        depth, intrinsics = hall((6.0, -0.5, 0.5, 0.3), size=size)
+        assert depth_to_ranges(depth, intrinsics).min() == pytest.approx(6.0, rel=0.02)

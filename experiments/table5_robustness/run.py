@@ -1,0 +1,148 @@
+"""Measure what wrong readings cost, with the range filter and without.
+
+python experiments/table5_robustness/run.py     reads the stored rows and measures those that are missing
+
+All rows cross the same test arenas with 80 obstacles, and draw their wrong readings from the same seeds.
+"""
+
+import csv
+import sys
+from argparse import ArgumentParser
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from eldenet.system.resources import prepare_environment
+
+prepare_environment()
+
+import torch  # noqa: E402
+
+from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
+from eldenet.navigation.evaluation import Episode, mcnemar, run_episodes, summarize  # noqa: E402
+from eldenet.navigation.planners.astar import AStarOnlineDWA  # noqa: E402
+from eldenet.navigation.policy import Navigator  # noqa: E402
+from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
+from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
+from eldenet.navigation.sensors import Ranges  # noqa: E402
+from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
+
+HERE = Path(__file__).parent
+DENSITY = 80
+FAULTS: Mapping[str, Mapping[str, float]] = {
+    "clean": {},
+    "2 % false near": {"false_near": 0.02},
+    "2 % false far": {"false_far": 0.02},
+    "2 % of each": {"false_near": 0.02, "false_far": 0.02},
+    "5 % false near": {"false_near": 0.05},
+    "5 % of each": {"false_near": 0.05, "false_far": 0.05},
+    "one stuck column": {"stuck": 1},
+}
+METHODS: Mapping[str, Callable[[int], Any]] = {
+    "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
+    "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
+}
+LABELS = ("method", "faults", "filter", "version")
+EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
+
+# (method, faults, whether there is the filter) -> episodes by arena
+Rows = dict[tuple[str, str, bool], list[Episode]]
+
+
+def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--worlds", type=int, default=40, help="test arenas")
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--faults", default=",".join(FAULTS))
+    args = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    stored = read(folder / "results.csv")
+    arenas = frozen_arenas(DENSITY, args.worlds)
+    for faults in args.faults.split(","):
+        for method in args.methods.split(","):
+            for filtered in (False, True):
+                rows = stored.setdefault((method, faults, filtered), [])
+                if len(rows) >= args.worlds:
+                    continue
+                settings = EpisodeSettings("wheels", range_filter=filtered)
+                rows[:] = run_episodes(arenas, METHODS[method], Ranges(**FAULTS[faults]), settings)  # type: ignore[arg-type]
+                write(folder, stored)
+                solved = sum(row.outcome == "success" for row in rows)
+                print(f"{method}, {faults}, filter {filtered}: {solved} of {len(rows)}", flush=True)
+    write(folder, stored)
+
+
+def version(filtered: bool) -> str:
+    """Version of what an episode depends on."""
+    return f"{EPISODE_VERSION}.{FILTER_VERSION}" if filtered else f"{EPISODE_VERSION}"
+
+
+def read(file: Path) -> Rows:
+    """Return the stored rows whose version is today's."""
+    out: Rows = {}
+    if not file.is_file():
+        return out
+    with file.open(newline="") as lines:
+        for line in csv.DictReader(lines):
+            filtered = line["filter"] == "True"
+            if line["version"] == version(filtered):
+                episode = Episode(
+                    line["world"], DENSITY, line["outcome"],
+                    *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
+                )  # fmt: skip
+                out.setdefault((line["method"], line["faults"], filtered), []).append(episode)
+    return out
+
+
+def write(folder: Path, rows: Rows) -> None:
+    """Write every episode to ``results.csv`` and the table to ``results.md``."""
+    order = {
+        (method, faults, filtered): number
+        for number, (method, faults, filtered) in enumerate(
+            (m, f, on) for m in METHODS for f in FAULTS for on in (False, True)
+        )
+    }
+    made = {key: rows[key] for key in sorted(rows, key=order.__getitem__) if rows[key]}
+    lines = [
+        [*key, version(key[2]), *(getattr(episode, name) for name in EPISODE)]
+        for key, episodes in made.items()
+        for episode in episodes
+    ]
+    write_rows(folder / "results.csv", [*LABELS, *EPISODE], lines)
+    where = environment()
+    text = [
+        "# Wrong readings at 80 obstacles",
+        "",
+        f"Success [%] with Wilson's 95 % interval on the first test arenas; true ranges, wheels, goal known. "
+        f"{where['date']}. The last column counts the arenas that only one of both solved, and McNemar's "
+        "p-value.",
+    ]
+    for method in METHODS:
+        text += ["", f"## {method}", "", "| readings | arenas | without filter | with filter |"]
+        text[-1] += " time-outs | collisions | time of successes [s] | only without : only with |"
+        text += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
+        for faults in FAULTS:
+            both = [made.get((method, faults, on)) for on in (False, True)]
+            if both[0] and both[1]:
+                text.append(line_of(faults, both[0], both[1]))
+    text += ["", "Time-outs, collisions [%] and time: without / with the filter.", ""]
+    text += ["Made by `python experiments/table5_robustness/run.py`."]
+    (folder / "results.md").write_text("\n".join(text) + "\n")
+
+
+def line_of(faults: str, without: Sequence[Episode], having: Sequence[Episode]) -> str:
+    """Return a line of the table."""
+    count = min(len(without), len(having))
+    tables = [summarize(rows[:count]) for rows in (without, having)]
+    cells = [f"{t['success']:.1f} ({t['success_low']:.0f} to {t['success_high']:.0f})" for t in tables]
+    for name in ("timeout", "collision", "seconds"):
+        cells.append(" / ".join(f"{t[name]:.1f}" for t in tables))
+    first, second = ([row.outcome == "success" for row in rows[:count]] for rows in (without, having))
+    only_without, only_with, p = mcnemar(first, second)
+    return f"| {faults} | {count} | {' | '.join(cells)} | {only_without} : {only_with} (p = {p:.2g}) |"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
