@@ -14,7 +14,7 @@ import numpy as np
 from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
-from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
@@ -50,7 +50,7 @@ class EpisodeSettings:
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
 
     Raises:
-        ValueError: unknown goal.
+        ValueError: unknown physics or goal.
     """
 
     physics: str = "kinematic"
@@ -59,6 +59,7 @@ class EpisodeSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        one_of("physics", self.physics, PHYSICS)
         one_of("goal", self.goal, GOALS)
 
 
