@@ -523,6 +523,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
         if len(densities) != 1:
             raise ValueError(f"density={densities}: mode=record records one arena, give one number")
         extra = {name: settings[name] for name in ("world", "course", "video")}
+        extra["arena_file"] = settings["arena"]["file"]
         return modes.RecordSetup(**common, density=densities[0], **extra)
     return modes.EvaluationSetup(
         **common, densities=densities, episodes=config.episodes, robots=config.robots

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -46,7 +46,9 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     try:
         if renamed := _renamed(config_name, words):
             return renamed
-        compose(config_name, words)
+        for job in _jobs(words):
+            words = job
+            compose(config_name, job)
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
             return _choice(choice["group"], choice["name"], choice["options"].split())
@@ -57,10 +59,25 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     return ""
 
 
+def _jobs(words: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the overrides of jobs in which every value of a sweep appears once; one job without a sweep."""
+    values = []
+    for word in words:
+        override = _parsed(word)
+        sweep = override.sweep_string_iterator() if override.is_sweep_override() else None
+        key = word.partition("=")[0]
+        values.append([word] if sweep is None else [f"{key}={value}" for value in sweep])
+    first = [one[0] for one in values]
+    yield first
+    for place, one in enumerate(values):
+        for value in one[1:]:
+            yield [*first[:place], value, *first[place + 1 :]]
+
+
 def _parsed(word: str) -> Any:
     """Return Hydra's reading of an override, or None if it cannot be read."""
     try:
-        return OverridesParser.create().parse_override(word)
+        return OverridesParser.create().parse_overrides([word])[0]
     except OverrideParseException:
         return None
 
