@@ -189,7 +189,7 @@ def test_the_snippet_of_embedded_gives_what_predict_gives(tmp_path, monkeypatch)
 
 def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
     """All of the page's Python in one program, top to bottom, as a reader would paste it."""
-    for library in ("gymnasium", "onnx", "onnxruntime"):
+    for library in ("gymnasium", "onnx", "onnxruntime", "stable_baselines3"):
         pytest.importorskip(library)
     monkeypatch.chdir(tmp_path)
     names: dict = {}
