@@ -1,6 +1,8 @@
 """Arenas of one's own: what a file may hold, and what a robot could not drive."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +30,14 @@ def test_a_file_becomes_an_arena(tmp_path):
     assert (arena.density, len(arena.pedestrians), arena.side) == (3, 1, 20.0)
     assert arena.obstacles[-1].position(8.0) == pytest.approx((5, 4))  # 4 m at 0.5 m/s: the far corner
     assert arena.obstacles[1].half == (2.0, 0.25)
+
+
+def test_the_example_of_the_page_is_an_arena(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs" / "navigation.md"
+    (tmp_path / "mine.yaml").write_text(re.search(r"```yaml\n(.*?)```", page.read_text(), re.S)[1])
+    assert [obstacle.kind for obstacle in read_arena(tmp_path / "mine.yaml").obstacles] == [
+        *("cylinder", "box", "vehicle", "person")
+    ]
 
 
 @pytest.mark.parametrize(("changes", "message"), [
