@@ -489,18 +489,27 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     from eldenet.navigation.episodes import EpisodeSettings
 
     names = ("physics", "goal", "time_limit", "seed", "range_filter")
+    episode = {name: settings[name] for name in names if name in settings}
+    check_arguments(EpisodeSettings, episode)
     common: dict[str, Any] = {
         "mode": config.mode,
         "folder": folder,
         "threads": config.runtime.threads,
         "make_sensor": functools.partial(instantiate, config.sensor),
-        "episode": EpisodeSettings(**{name: settings[name] for name in names if name in settings}),
+        "episode": EpisodeSettings(**episode),
         "settings": settings,
     }
     if config.mode == "train":
         make_learner = functools.partial(_build_learner, config)
         return modes.TrainSetup(**common, make_learner=make_learner, validate=config.training.validate)
-    densities = [int(density) for density in listed(config.density)]
+    densities = listed(config.density)
+    if any(type(density) is not int for density in densities):
+        raise ValueError(f"density={config.density}: give a whole number, or a list of them")
+    counted = ("pedestrians", "world", "episodes", "robots")
+    check_arguments(
+        {"record": modes.RecordSetup, "fit_noise": modes.NoiseSetup}.get(config.mode, modes.EvaluationSetup),
+        {name: settings[name] for name in counted if name in settings},
+    )
     if config.mode == "fit_noise":
         return modes.NoiseSetup(
             **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
@@ -515,6 +524,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
         if len(densities) != 1:
             raise ValueError(f"density={densities}: mode=record records one arena, give one number")
         extra = {name: settings[name] for name in ("world", "course", "video")}
+        extra["arena_file"] = settings["arena"]["file"]
         return modes.RecordSetup(**common, density=densities[0], **extra)
     return modes.EvaluationSetup(
         **common, densities=densities, episodes=config.episodes, robots=config.robots
@@ -621,7 +631,7 @@ def build_split(
         dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
-    places = config.data.get("subset", {}).get(split)
+    places = subset_of(config).get(split)
     if places is not None and frames is None:
         dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
@@ -633,6 +643,18 @@ def build_split(
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
+
+
+def subset_of(config: DictConfig) -> dict[str, Any]:
+    """Return how many frames of each split are used; a split without an entry uses all.
+
+    Raises:
+        ValueError: ``data.subset`` is no table.
+    """
+    subset = plain(config.data.get("subset")) or {}
+    if not isinstance(subset, dict):
+        raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")
+    return subset
 
 
 def training_composition(trusted_modules: Sequence[str] = ()) -> "Composition":
@@ -773,7 +795,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
     from eldenet.data.inspection import CheckDataSetup
 
     nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
-    subset = plain(config.data.get("subset")) or {}
+    subset = subset_of(config)
     same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
     for split in nodes:
         first = next(

@@ -26,6 +26,7 @@ from eldenet.weights.model_card import MARK, model_card, summary
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
+LARGEST_VALUE = 10.0  # of an image in [0, 1], with room for normalized ones and noise; bytes go to 255
 
 
 class EncoderDecoder(Configurable, nn.Module):
@@ -102,6 +103,7 @@ class DepthNet(Configurable, nn.Module):
             add_channels(network, head.channels - 1)
         self.network, self.head, self.refine = network, head, refine
         self.info: dict[str, Any] = {}
+        self._range_checked = False
         self.register_buffer("mean", torch.tensor(mean).view(1, 3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(std).view(1, 3, 1, 1), persistent=False)
 
@@ -132,13 +134,16 @@ class DepthNet(Configurable, nn.Module):
             with_spread: return depth and the standard deviation of ln depth ``(B, 1, H, W)``.
 
         Raises:
-            ValueError: an image of another shape, one that is not floating point, or ``with_spread`` of a
-                network that knows no sigma.
+            ValueError: an image of another shape, one that is not floating point or goes to 255 (the first
+                call looks), or ``with_spread`` of a network that knows no sigma.
         """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")
         if not image.is_floating_point():
             raise ValueError(f"image is {image.dtype}: give floats in [0, 1] (bytes divided by 255)")
+        if not self._range_checked and not torch.compiler.is_compiling() and not torch.jit.is_tracing():
+            self._range_checked = True  # once: a look at the values makes the CPU wait for a GPU
+            _check_range(image.detach())
         raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
@@ -265,6 +270,12 @@ class DepthNet(Configurable, nn.Module):
             return str(api.upload_folder(repo_id=repo_id, folder_path=folder))
 
 
+def _check_range(image: Tensor) -> None:
+    """Raise ``ValueError`` if an image's values are those of bytes."""
+    if image.numel() and image.device.type != "meta" and (largest := float(image.max())) > LARGEST_VALUE:
+        raise ValueError(f"image has values up to {largest:.0f}: give floats in [0, 1] (bytes divided by 255)")
+
+
 def _canonical_px(focal: float | None, width: int | None) -> float | None:
     """Return the canonical focal length [px] of ``focal`` widths and ``width`` [px]; None: there is none."""
     if focal is None and width is None:
@@ -290,6 +301,11 @@ def merge_info(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]
     """Return ``old`` facts about weights updated by ``new`` ones; an ``input_size`` drops the frame size."""
     outdated = {"whole_frame_size"} if "input_size" in new else set()
     return {name: value for name, value in old.items() if name not in outdated} | dict(new)
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    """Return the finished runs that lie in a folder, such as that of a sweep."""
+    return sorted(path.parent.parent for path in folder.glob(f"*/model/{CONFIG_NAME}"))
 
 
 def _local_folder(source: str | Path, revision: str | None) -> Path:
@@ -335,6 +351,8 @@ def _read_config(folder: Path) -> dict[str, Any]:
 
 def _complete(folder: Path, source: str | Path) -> Path:
     missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
+    if missing and (runs := _runs_in(Path(source))):
+        raise FileNotFoundError(f"{source} holds {len(runs)} runs: give one of them, such as {runs[0]}")
     if missing:
         raise FileNotFoundError(f"{source} is not an eldenet model folder: it has no {' or '.join(missing)}")
     return folder

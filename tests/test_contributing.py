@@ -8,6 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+import torch
+
+from eldenet.config import compose
 
 PAGE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 EXAMPLE = (
@@ -79,3 +83,21 @@ def test_the_parts_of_contributing_train_together_and_another_project_loads_them
         *("trainer.batch_size=2", "run_dir=run", "runtime.threads=1"),
     )
     assert "app ran Mine hello" in printed("app.py", "folder=run/model", "word=hello")
+
+
+def test_a_loss_of_eight_lines_is_used_from_the_command_line(tmp_path: Path, monkeypatch) -> None:
+    from hydra.utils import instantiate
+
+    (code,) = re.findall(r"are a loss\.\n\n```python\n(.*?)```", PAGE.read_text(), re.S)
+    (words,) = re.findall(r"python -m eldenet\.train (loss=l1 .*mine\.RelativeLoss)", PAGE.read_text())
+    assert code.count("\n") == 8
+    (tmp_path / "mine.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    loss = instantiate(compose("train", words.split()).loss)
+    target = torch.full((1, 1, 4, 4), 2.0)
+    target[..., 0] = float("nan")  # masked pixels must not matter
+    prediction = torch.full_like(target, 3.0, requires_grad=True)
+    value = loss.terms["l1"].loss(prediction, target, target.isfinite())
+    value.backward()
+    assert value.item() == pytest.approx(0.5)
+    assert prediction.grad.isfinite().all()

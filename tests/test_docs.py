@@ -3,6 +3,7 @@
 import re
 import shlex
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -194,6 +195,8 @@ def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict = {}
     for block in python_blocks("docs/navigation.md"):
+        if "stable_baselines3" in block and find_spec("stable_baselines3") is None:
+            continue
         exec(compile(block, "docs/navigation.md", "exec"), names)
     assert 0 <= names["speed"] <= ROBOT.max_speed
     assert abs(names["turn"]) <= ROBOT.max_turn

@@ -54,6 +54,7 @@ def test_a_half_precision_network_returns_float32_meters() -> None:
         (torch.rand(3, 32, 32), r"shape \(3, 32, 32\): give \(B, 3, H, W\)"),
         (torch.rand(1, 32, 32, 3), "give"),
         (torch.rand(1, 1, 32, 32), "give"),
+        (torch.full((1, 3, 32, 32), 200.0), r"values up to 200: give floats in \[0, 1\]"),
         (torch.zeros(1, 3, 32, 32, dtype=torch.uint8), r"uint8: give floats in \[0, 1\]"),
     ],
 )

@@ -83,6 +83,13 @@ def test_a_run_folder_loads_with_its_info(tmp_path: Path) -> None:
     ]
 
 
+def test_a_folder_of_runs_names_one_of_them(tmp_path: Path) -> None:
+    for job in ("0", "1"):
+        small_net().save_pretrained(tmp_path / "sweep" / job / "model")
+    with pytest.raises(FileNotFoundError, match=r"sweep holds 2 runs: give one of them, such as .*sweep/0$"):
+        eldenet.load(tmp_path / "sweep")
+
+
 def test_new_info_is_added_to_the_old(tmp_path: Path) -> None:
     model = small_net()
     model.info = {"input_size": [48, 64], "whole_frame_size": [60, 76], "data": "kitti"}

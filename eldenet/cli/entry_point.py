@@ -14,6 +14,7 @@ from typing import Any
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue
 
@@ -65,14 +66,16 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                 decorated(task)()
                 sys.stdout.flush()
             except SystemExit as end:
-                if isinstance(end.__context__, OSError) and not composed:  # Hydra could not make its folder
+                failed = end.__context__
+                if isinstance(failed, OSError) and not isinstance(failed, HydraException) and not composed:
                     held.truncate(0)
                     held.seek(0)
                     sys.stderr = stderr
-                    _print_error(disk_line(end.__context__) or str(end.__context__))
+                    _print_error(_line(failed))
                     raise
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)
-                if end.code and may_be_unknown and (line := advice(config_name, words)):
+                line = advice(config_name, words) if end.code and may_be_unknown else ""
+                if line := line or (_in_one_line(held.getvalue()) if end.code and not composed else ""):
                     held.truncate(0)
                     sys.stderr = stderr
                     _print_error(line)
@@ -104,7 +107,7 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if isinstance(error, MissingMandatoryValue):
             _print_error(f"give {error.full_key}=... on the command line")
         else:
-            _print_error(disk_line(error) or str(error))
+            _print_error(_line(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
         raise SystemExit(1) from None
@@ -119,6 +122,22 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if not (sweep or named) and folder != Path.cwd():
             with suppress(OSError):
                 folder.rmdir()  # Hydra made it; a mistake leaves it empty
+
+
+def _in_one_line(text: str) -> str:
+    """Return what Hydra or argparse said about the command line as one line; "" for a traceback."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and "HYDRA_FULL_ERROR" not in line]
+    if text.startswith("usage:"):
+        lines = [lines[-1].partition("error: ")[2], "(--help shows what there is)"]
+    return "" if "Traceback" in text else " ".join(lines)
+
+
+def _line(error: BaseException) -> str:
+    """Return the line for a user's mistake; the system's own errors name file and reason."""
+    line = disk_line(error)
+    if line is None and isinstance(error, OSError) and error.errno and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return line or str(error)
 
 
 def _thread_failed(failed: threading.ExceptHookArgs) -> None:

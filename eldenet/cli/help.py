@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -15,7 +15,10 @@ from eldenet.renames import KEYS, OPTIONS
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
-QUOTES = "a value with spaces or special characters needs two pairs of quotes: 'source=\"my photo (1).jpg\"'"
+QUOTES = (
+    "close every bracket and quote; a value with spaces or special characters needs two pairs of quotes: "
+    "'source=\"my photo (1).jpg\"'"
+)
 
 
 def help_template(config_name: str, about: str) -> str:
@@ -38,19 +41,46 @@ def advice(config_name: str, words: Sequence[str]) -> str:
         config_name: of the command's YAML file.
         words: of the command line.
     """
-    words = [word for word in words if "=" in word and not word.startswith("-")]
+    words = [word for word in words if not word.startswith("-")]
+    if unread := next((word for word in words if _parsed(word) is None), None):
+        return f"{unread} cannot be read: {QUOTES if '=' in unread else 'write setting=value'}"
     try:
         if renamed := _renamed(config_name, words):
             return renamed
-        compose(config_name, words)
-    except OverrideParseException:
-        return QUOTES
+        for job in _jobs(words):
+            words = job
+            compose(config_name, job)
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
             return _choice(choice["group"], choice["name"], choice["options"].split())
         unknown = re.search(r"Could not override '(.+?)'", str(error))
-        return _nearest(unknown[1], _settings(config_name, words)) if unknown else ""
+        if unknown:
+            others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
+            return _nearest(unknown[1], _settings(config_name, others))
     return ""
+
+
+def _jobs(words: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the overrides of jobs in which every value of a sweep appears once; one job without a sweep."""
+    values = []
+    for word in words:
+        override = _parsed(word)
+        sweep = override.sweep_string_iterator() if override.is_sweep_override() else None
+        key = word.partition("=")[0]
+        values.append([word] if sweep is None else [f"{key}={value}" for value in sweep])
+    first = [one[0] for one in values]
+    yield first
+    for place, one in enumerate(values):
+        for value in one[1:]:
+            yield [*first[:place], value, *first[place + 1 :]]
+
+
+def _parsed(word: str) -> Any:
+    """Return Hydra's reading of an override, or None if it cannot be read."""
+    try:
+        return OverridesParser.create().parse_overrides([word])[0]
+    except OverrideParseException:
+        return None
 
 
 def _renamed(config_name: str, words: Sequence[str]) -> str:
@@ -76,11 +106,15 @@ def _choice(group: str, name: str, options: Sequence[str]) -> str:
 
 
 def _nearest(key: str, known: dict[str, Any]) -> str:
-    """Return the question whether the settings with the same last name, or a similar one, are meant."""
+    """Return a line that asks whether the settings with the same last name, or a similar one, are meant."""
     last = key.rpartition(".")[2]
-    alike = [name for name in known if name.rpartition(".")[2] == last]
-    alike = alike or difflib.get_close_matches(key, known, 1)
-    return f"there is no setting {key}: is {' or '.join(alike[:3])} meant?" if alike else ""
+    others = [name for name in known if name != key]  # it may exist with other choices
+    alike = [name for name in others if name.rpartition(".")[2] == last]
+    alike = alike or difflib.get_close_matches(key, others, 1)
+    if "/" in key:  # a group of choices
+        alike = [name.replace(".", "/") for name in alike]
+    found = f"is {' or '.join(alike[:3])} meant?" if alike else "--help lists those that there are"
+    return f"there is no setting {key}: {found}"
 
 
 def _settings(config_name: str, words: Sequence[str]) -> dict[str, Any]:

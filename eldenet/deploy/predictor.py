@@ -5,6 +5,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -71,6 +72,11 @@ class DepthPredictor:
         steady: bool = True,
         uncertainty: bool = False,
     ) -> None:
+        if isinstance(model, str | Path):
+            raise ValueError(
+                f"model={str(model)!r} is a name: give eldenet.load(...) of a network, or "
+                "eldenet.runtimes.load(...) of an exported file; pictures go to the predictor itself"
+            )
         if uncertainty and model.distribution is None:
             raise ValueError(f"uncertainty=True: {NO_SIGMA}")
         self.uncertainty = uncertainty
@@ -142,6 +148,8 @@ class DepthPredictor:
             ValueError: the frame has another shape or type, its camera is given twice or out of range, or the
                 network's depth is not finite.
         """
+        if not isinstance(frame, np.ndarray):
+            raise ValueError(f"frame is a {type(frame).__name__}: give the picture, (H, W, 3) uint8 RGB")
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
         size = (frame.shape[0], frame.shape[1])

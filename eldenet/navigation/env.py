@@ -40,6 +40,12 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
     return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 
+def check_arenas(arenas: object) -> None:
+    """Raise ``ValueError`` unless ``arenas`` are training arenas or None."""
+    if not isinstance(arenas, TrainingArenas | None):
+        raise ValueError(f"arenas={arenas!r}: give TrainingArenas((5, 80)) of eldenet.navigation.tasks, or None")
+
+
 class ArenaNavVectorEnv(VectorEnv):
     """``num_envs`` robots, each in an arena of its own.
 
@@ -76,6 +82,7 @@ class ArenaNavVectorEnv(VectorEnv):
         self.observer = Observer(num_envs, **observer)
         settings = EpisodeSettings(physics, goal, time_limit)
         self.episodes = Episodes(num_envs, make_sensor(sensor), settings)
+        check_arenas(arenas)
         self._arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
@@ -152,6 +159,9 @@ class ArenaNavEnv(gym.Env):
         arenas: source of the new ones.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
         sensor, physics, time_limit, goal, observer: as in :class:`ArenaNavVectorEnv`.
+
+    Raises:
+        ValueError: an argument is none of its choices.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
@@ -175,6 +185,12 @@ class ArenaNavEnv(gym.Env):
         self.episodes = Episodes(1, make_sensor(sensor), EpisodeSettings(physics, goal, time_limit))
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)
+        if not isinstance(arena, Arena | None):
+            raise ValueError(
+                f"arena={arena!r}: give an Arena, such as triangle_course() of eldenet.simulation.arenas or "
+                "read_arena('mine.yaml') of eldenet.simulation.arena_files"
+            )
+        check_arenas(arenas)
         self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()
         self._scene: Any = None
 

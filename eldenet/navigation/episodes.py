@@ -15,7 +15,7 @@ from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
-from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
@@ -52,7 +52,7 @@ class EpisodeSettings:
         range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`.
 
     Raises:
-        ValueError: unknown goal.
+        ValueError: unknown physics or goal.
     """
 
     physics: str = "kinematic"
@@ -62,6 +62,7 @@ class EpisodeSettings:
     range_filter: bool = False
 
     def __post_init__(self) -> None:
+        one_of("physics", self.physics, PHYSICS)
         one_of("goal", self.goal, GOALS)
 
 

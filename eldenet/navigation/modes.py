@@ -20,6 +20,7 @@ from eldenet.navigation.training import train as train_driver
 from eldenet.navigation.visualization import VIDEO_FORMATS, record_episode
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, environment, read_record
+from eldenet.simulation.arena_files import read_arena
 from eldenet.simulation.arenas import Arena, arenas_hash, generate_arena, triangle_course
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
@@ -61,6 +62,7 @@ class RecordSetup(ModeSetup):
         world: number of the arena.
         split: seed stream of the arena.
         course: "triangle" instead of a random arena, or None.
+        arena_file: YAML file of an arena instead, or None.
         video: "gif" or "mp4".
     """
 
@@ -70,6 +72,7 @@ class RecordSetup(ModeSetup):
     world: int
     split: str
     course: str | None
+    arena_file: str | None
     video: str
 
 
@@ -182,7 +185,11 @@ def write_record(setup: ModeSetup, sensor: Sensor, policy: Policy | None, found:
 def record(setup: RecordSetup, log: RunLog) -> None:
     """Record a video of one episode."""
     one_of("video", setup.video, VIDEO_FORMATS)
-    if setup.course is None:
+    if setup.arena_file is not None:
+        if setup.course is not None:
+            raise ValueError(f"course={setup.course} and arena.file={setup.arena_file}: give one of them")
+        arena = read_arena(setup.arena_file)
+    elif setup.course is None:
         arena = generate_arena(setup.split, setup.density, setup.world, pedestrians=setup.pedestrians)
     else:
         one_of("course", setup.course, ("triangle",))

@@ -150,3 +150,10 @@ def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:
     weights.write_bytes(weights.read_bytes()[:1000])
     assert prepare(case, eldenet.load("eldenet_s"), "print", setup).source == first
     assert is_whole(first)
+
+
+def test_a_file_that_is_no_onnx_file_says_so_once(tmp_path: Path) -> None:
+    (tmp_path / "bad.onnx").write_text("garbage")
+    with pytest.raises(ValueError, match="bad.onnx is truncated or not a valid ONNX file") as raised:
+        eldenet.runtimes.load(tmp_path / "bad.onnx")
+    assert str(raised.value).count("bad.onnx") == 1

@@ -124,6 +124,8 @@ def fastest(
             able[name] = _open(Path(path), name, precision, threads, device)
         except (ValueError, ImportError) as error:
             reasons[name] = str(error)
+    if len(set(reasons.values())) == 1 and not able:
+        raise ValueError(next(iter(reasons.values())))
     if not able:
         raise ValueError("; ".join(f"{name}: {reason}" for name, reason in reasons.items()))
     first = next(iter(able.values()))

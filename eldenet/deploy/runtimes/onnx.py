@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.deploy.files import checked, without_prefix
+from eldenet.deploy.files import checked, read_metadata, without_prefix
 from eldenet.deploy.runtimes.base import Runtime, refuse
 
 PROVIDERS = {
@@ -49,6 +49,7 @@ class OnnxRuntime(Runtime):
                 str(path), options, providers=[(name, OPTIONS.get(name, {})) for name in wanted]
             )
         except Exception as error:  # the only common base of its exception classes
+            read_metadata(path)  # says so if it is no ONNX file at all
             raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
         if self.session.get_providers()[0] != provider:  # it falls back silently
             raise ValueError(f"ONNX Runtime has {provider} but cannot start it: is its driver installed?")

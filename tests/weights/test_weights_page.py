@@ -1,0 +1,56 @@
+"""The page of the packaged weights says what their files say."""
+
+import json
+from pathlib import Path
+
+import eldenet
+from eldenet.cli.commands import COMMANDS
+from eldenet.config import config_folder, list_models
+from eldenet.weights import PACKAGED
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "weights.md"
+
+
+def weights_table() -> str:
+    """The table of docs/weights.md, from each ``config.json``."""
+    lines = [
+        "| name | input | depth [m] | any lens | has seen | protocol | δ1 ↑ | RMSE [m] ↓ |",
+        "|---|---|---|---|---|---|---:|---:|",
+    ]
+    for name in eldenet.list_weights():
+        config = json.loads((PACKAGED / name / "config.json").read_text())
+        info, head = config["info"], config["model"]["head"]
+        cells = [
+            f"`{name}`",
+            " x ".join(map(str, info["input_size"])),
+            f"{head['min_depth']:g} to {head['max_depth']:g}",
+            "yes" if config["model"].get("canonical_focal") else "no",
+            info["weights have seen"],
+            f"`{info['test']['protocol']}`",
+            f"{info['test']['delta1']:.3f}",
+            f"{info['test']['rmse']:.3f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def test_the_page_has_a_row_for_all_weights():
+    table = weights_table()
+    assert table in PAGE.read_text(), f"docs/weights.md needs this table:\n\n{table}"
+
+
+def test_names_follow_the_pages_rule():
+    for name in eldenet.list_weights():
+        network = json.loads((PACKAGED / name / "config.json").read_text())["info"]["model_name"]
+        assert network in list_models()
+        assert name.startswith(f"{network}_"), name
+
+
+def test_the_page_names_every_command_that_takes_trusted_modules():
+    section = PAGE.read_text().partition("## Networks with code of your own")[2]
+    takes, takes_not = section.split("In `study` it also")
+    for command in COMMANDS:
+        settings = (config_folder() / f"{command.replace('-', '_')}.yaml").read_text()
+        named = f"`{command}`" in takes or f"`eldenet {command}`" in takes
+        assert named == ("\ntrusted_modules:" in settings), command
+    assert "`navigate` and `train-detector` have no such" in takes_not
