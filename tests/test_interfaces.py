@@ -23,13 +23,14 @@ from pathlib import Path
 
 command, *sys.argv[1:] = sys.argv[1:]
 found = set()
+TOP = ("config.py", "entry_point.py", "help.py", "navigate.py")  # the last: the mode is checked before main
 
 
 def watch(frame, event, argument):
     code = frame.f_code
     if event != "call" or "/eldenet/" not in code.co_filename:
         return
-    if Path(code.co_filename).name in ("config.py", "entry_point.py", "help.py") or code.co_name == "main":
+    if Path(code.co_filename).name in TOP or code.co_name == "main":
         return
     for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]:
         if type(frame.f_locals.get(name)).__module__.startswith("omegaconf"):
