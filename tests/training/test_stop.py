@@ -2,11 +2,12 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 from support.training import digest, fit, make_trainer
 
-from eldenet import train as command
 from eldenet.data.loaders import EpochSampler
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.trainer import Trainer
@@ -63,18 +64,22 @@ def test_a_training_says_what_an_epoch_is_made_of(tmp_path, capsys, frames, line
     assert line in capsys.readouterr().out
 
 
-def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, monkeypatch, capfd):
-    def interrupted(setup):
-        os.kill(os.getpid(), signal.SIGTERM)
+INTERRUPTED = """
+import os, signal, sys
+import eldenet.training.run
 
-    monkeypatch.setattr("eldenet.training.run.train", interrupted)
-    monkeypatch.setattr(
-        "sys.argv", ["eldenet train", "loss=l1", "data.root='my rooms'", f"output={tmp_path}"]
-    )
-    with pytest.raises(SystemExit) as end:
-        command.main()
-    assert end.value.code == 130
-    assert capfd.readouterr().err == (
-        f"stopped; to go on: eldenet train loss=l1 'data.root='\"'\"'my rooms'\"'\"'' output={tmp_path} "
-        "ckpt_path=auto\n"
-    )
+eldenet.training.run.train = lambda setup: os.kill(os.getpid(), signal.SIGTERM)
+from eldenet.train import main
+
+sys.argv = ["eldenet train", "loss=l1", "data.root='my rooms'", "output=run"]
+main()
+"""
+
+
+def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path):
+    words = [sys.executable, "-c", INTERRUPTED]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 130
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("stopped; to go on: eldenet train loss=l1 'data.root='")
+    assert line.endswith("/run ckpt_path=auto")
