@@ -79,7 +79,7 @@ def measure(browser: Browser, address: str) -> dict[str, object]:
 
 def screenshot(browser: Browser, address: str, path: Path) -> None:
     """Write a picture of the page with its example."""
-    page = browser.new_page(viewport={"width": 1000, "height": 760}, color_scheme="light")
+    page = browser.new_page(viewport={"width": 1000, "height": 700}, color_scheme="light")
     page.goto(address)
     page.wait_for_selector(".pin:not([hidden])", timeout=60_000)
     box = page.locator("#depth").bounding_box()
