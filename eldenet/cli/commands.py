@@ -15,7 +15,7 @@ COMMANDS = {
     "adapt": "tune trained weights to your own camera and place",
     "evaluate": "score a checkpoint on a data set, under a protocol",
     "predict": "depth of a picture, a folder of pictures, a video or a camera",
-    "demo": "a page that runs a network in the browser, on this machine alone",
+    "demo": "a network in your browser: photo, video or webcam",
     "export": "write a network as a file for ONNX Runtime or OpenVINO",
     "benchmark": "latency and memory of networks, sizes, runtimes and precisions",
     "report": "tables of finished runs: Markdown, CSV and LaTeX",

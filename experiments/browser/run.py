@@ -1,4 +1,7 @@
-"""Milliseconds a frame of the demo page in Chromium, fed by a fake webcam; or a screenshot of the page."""
+"""Milliseconds a frame of the demo page in Chromium, fed by a fake webcam; or a screenshot of the page.
+
+A measurement is added to those in the output.
+"""
 
 import argparse
 import json
@@ -36,7 +39,8 @@ def main() -> None:
             screenshot(browser, address, given.screenshot)
         else:
             found = measure(browser, address)
-            given.output.write_text(json.dumps(found, indent=2) + "\n")
+            earlier = json.loads(given.output.read_text()) if given.output.exists() else []
+            given.output.write_text(json.dumps([*earlier, found], indent=2) + "\n")
             print(json.dumps(found, indent=2))
         browser.close()
     server.shutdown()
@@ -79,7 +83,7 @@ def measure(browser: Browser, address: str) -> dict[str, object]:
 
 def screenshot(browser: Browser, address: str, path: Path) -> None:
     """Write a picture of the page with its example."""
-    page = browser.new_page(viewport={"width": 1000, "height": 760}, color_scheme="light")
+    page = browser.new_page(viewport={"width": 1000, "height": 700}, color_scheme="light")
     page.goto(address)
     page.wait_for_selector(".pin:not([hidden])", timeout=60_000)
     box = page.locator("#depth").bounding_box()
