@@ -13,7 +13,12 @@ from eldenet.system.files import read_yaml
 
 MOST_OBSTACLES, MOST_WAYPOINTS = 160, 20
 SIDES = (4.0, SIDE)  # of an arena [m]: drivers and planners know none larger
-LIMITS = {"radius": (0.05, 2.0), "size": (0.05, 10.0), "height": (0.1, 3.0), "speed": (0.05, 2.0)}  # [m], [m/s]
+LIMITS = {
+    "radius": (0.05, 2.0),
+    "size": (0.05, 10.0),
+    "height": (0.1, 3.0),
+    "speed": (0.05, 2.0),
+}  # [m], [m/s]
 #: Kind -> the keys that it reads beside ``kind`` and ``at``, with their defaults; None: must be given.
 KINDS: dict[str, dict[str, Any]] = {
     "cylinder": {"radius": 0.3, "height": 1.0},
