@@ -4,6 +4,8 @@ It stands between a sensor and the driver, so any driver may use it. Needs NumPy
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +150,7 @@ def without_dips(ranges: np.ndarray) -> np.ndarray:
     return np.maximum(_slide(np.min, _slide(np.max, ranges, 2), 2), ranges)
 
 
-def _slide(reduce: np.ufunc, ranges: np.ndarray, reach: int) -> np.ndarray:
+def _slide(reduce: Callable[..., Any], ranges: np.ndarray, reach: int) -> np.ndarray:
     padded = np.pad(ranges, reach, mode="edge")
     return np.asarray(reduce(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1))
 

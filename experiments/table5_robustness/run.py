@@ -119,7 +119,7 @@ def write(folder: Path, rows: Rows) -> None:
         f"{where['date']}. The last column counts the arenas that only one of both solved, and McNemar's "
         "p-value.",
     ]
-    for method in METHODS:
+    for method in dict.fromkeys(key[0] for key in made if (*key[:2], not key[2]) in made):
         text += ["", f"## {method}", "", "| readings | arenas | without filter | with filter |"]
         text[-1] += " time-outs | collisions | time of successes [s] | only without : only with |"
         text += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
