@@ -273,7 +273,9 @@ class DepthNet(Configurable, nn.Module):
 def _check_range(image: Tensor) -> None:
     """Raise ``ValueError`` if an image's values are those of bytes."""
     if image.numel() and image.device.type != "meta" and (largest := float(image.max())) > LARGEST_VALUE:
-        raise ValueError(f"image has values up to {largest:.0f}: give floats in [0, 1] (bytes divided by 255)")
+        raise ValueError(
+            f"image has values up to {largest:.0f}: give floats in [0, 1] (bytes divided by 255)"
+        )
 
 
 def _canonical_px(focal: float | None, width: int | None) -> float | None:

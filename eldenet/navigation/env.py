@@ -43,7 +43,9 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
 def check_arenas(arenas: object) -> None:
     """Raise ``ValueError`` unless ``arenas`` are training arenas or None."""
     if not isinstance(arenas, TrainingArenas | None):
-        raise ValueError(f"arenas={arenas!r}: give TrainingArenas((5, 80)) of eldenet.navigation.tasks, or None")
+        raise ValueError(
+            f"arenas={arenas!r}: give TrainingArenas((5, 80)) of eldenet.navigation.tasks, or None"
+        )
 
 
 class ArenaNavVectorEnv(VectorEnv):
