@@ -43,7 +43,7 @@ def read_arena(path: str | Path) -> Arena:
 
 
 def _arena(content: Any) -> Arena:
-    known = {"side": SIDE, "start": None, "waypoints": None, "obstacles": []}
+    known: dict[str, Any] = {"side": SIDE, "start": None, "waypoints": None, "obstacles": []}
     entries = _entries("the file", content, known)
     side = _number("side", entries["side"], SIDES)
     *place, degrees = _numbers("start", entries["start"], 3)
@@ -106,8 +106,8 @@ def _check_way(points: Sequence[Point], obstacles: Sequence[Obstacle], side: flo
         column, row = (min(int((value + side / 2) / RESOLUTION), len(clearance) - 1) for value in (x, y))
         if not regions[row, column]:
             raise ValueError(
-                f"{name}=[{x:g}, {y:g}] lies {clearance[row, column]:.2f} m from an obstacle or wall: the robot "
-                f"needs {INFLATION} m"
+                f"{name}=[{x:g}, {y:g}] lies {clearance[row, column]:.2f} m from an obstacle or wall: the "
+                f"robot needs {INFLATION} m"
             )
         found.append(int(regions[row, column]))
     for place in np.flatnonzero(np.diff(found)).tolist():
@@ -154,7 +154,7 @@ def _number(name: str, value: Any, limits: tuple[float, float]) -> float:
 def _inside(name: str, point: Point, side: float) -> Point:
     if max(map(abs, point)) > side / 2:
         raise ValueError(
-            f"{name}=[{point[0]:g}, {point[1]:g}] lies outside of the arena: give x and y from {-side / 2:g} to "
-            f"{side / 2:g} m"
+            f"{name}=[{point[0]:g}, {point[1]:g}] lies outside of the arena: give x and y from {-side / 2:g} "
+            f"to {side / 2:g} m"
         )
     return point

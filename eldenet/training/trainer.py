@@ -36,6 +36,8 @@ SIGNATURE = (
     "ema_decay",
     "sync_batchnorm",
 )  # a checkpoint's
+#: Column of history.csv -> its name in the line of an epoch; all but the loss are of the validation frames.
+SHOWN = {"train_total": "loss", "val_delta1": "delta1", "val_abs_rel": "abs_rel", "val_rmse": "rmse"}
 
 
 class TrainingData(NamedTuple):
@@ -376,11 +378,11 @@ class Trainer:
         self.log.scalars(progress.step, {name.replace("_", "/", 1): value for name, value in row.items()})
         self.log.history(progress.history)
         shown = "  ".join(
-            f"{name} {row[name]:.4f}"
-            for name in ("train_total", "val_delta1", "val_abs_rel", "val_rmse")
-            if name in row
+            f"{name} {row[key]:.4f}"  # a line of 80 columns
+            for key, name in SHOWN.items()
+            if key in row
         )
-        self.log.say(f"epoch {epoch + 1:3d}/{self.epochs}  {shown}{'  *' if better else ''}")
+        self.log.say(f"epoch {epoch + 1:3d}/{self.epochs}  {shown}{'  best' if better else ''}")
         if better:
             self._save(BEST)
             if self.accelerator.is_main_process:

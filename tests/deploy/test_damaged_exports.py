@@ -154,6 +154,6 @@ def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_onnx_file_says_so_once(tmp_path: Path) -> None:
     (tmp_path / "bad.onnx").write_text("garbage")
-    with pytest.raises(ValueError, match="bad.onnx is truncated or not a valid ONNX file") as raised:
+    with pytest.raises(ValueError, match=r"bad\.onnx is truncated or not a valid ONNX file") as raised:
         eldenet.runtimes.load(tmp_path / "bad.onnx")
     assert str(raised.value).count("bad.onnx") == 1

