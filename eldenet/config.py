@@ -983,7 +983,8 @@ def build_demo(config: DictConfig) -> "DemoSetup":
     if type(config.port) is not int or not 0 <= config.port <= 65535:
         raise ValueError(f"port={config.port}: give a number from 0 (any free one) to 65535")
     for name in ("serve", "browser"):
-        one_of(name, config[name], (True, False))
+        if not isinstance(config[name], bool):
+            raise ValueError(f"{name}={config[name]}: give true or false")
     from eldenet.data.paths import default_cache
     from eldenet.deploy.demo import DemoSetup
 

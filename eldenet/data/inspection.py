@@ -291,8 +291,7 @@ def check_split(
 def encoding_of(encoding: Encoding, split: str) -> Encoding:
     """The encoding of a split, where a data set has one for training frames and one for test frames."""
     if isinstance(encoding, Mapping) and "train" in encoding:
-        own: Encoding = encoding["test" if split == "test" else "train"]
-        return own
+        return str(encoding["test" if split == "test" else "train"])
     return encoding
 
 
