@@ -1,4 +1,4 @@
-"""The table of wrong readings comes from its stored episodes, and each pair of rows crosses the same arenas."""
+"""The table of wrong readings comes from its stored episodes; each pair of rows crosses the same arenas."""
 
 import importlib.util
 from pathlib import Path
