@@ -1,8 +1,4 @@
-<<<<<<< HEAD
 """The table of wrong readings is what its stored rows say, and its settings are those of the sensor."""
-=======
-"""The table of wrong readings comes from its stored episodes; each pair of rows crosses the same arenas."""
->>>>>>> robots
 
 import importlib.util
 from pathlib import Path
