@@ -107,6 +107,8 @@ def _choice(group: str, name: str, options: Sequence[str]) -> str:
 
 def _nearest(key: str, known: dict[str, Any]) -> str:
     """Return a line that asks whether the settings with the same last name, or a similar one, are meant."""
+    if key == "experiment":  # a group that no default names
+        return "experiment=... needs a plus: write +experiment=..."
     last = key.rpartition(".")[2]
     others = [name for name in known if name != key]  # it may exist with other choices
     alike = [name for name in others if name.rpartition(".")[2] == last]
