@@ -598,7 +598,7 @@ def build_split(
     from eldenet.data.base import Compose
     from eldenet.evaluation.protocol_frames import frame_geometry
 
-    node = _split_node(config, split)
+    node, places = _split_node(config, split), subset_of(config).get(split)
     steps: list[Any] = []
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
@@ -631,7 +631,6 @@ def build_split(
         dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
-    places = subset_of(config).get(split)
     if places is not None and frames is None:
         dataset.draw_subset(plain(places), config.data.subset_seed)
     if dataset.skipped:
