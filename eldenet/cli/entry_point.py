@@ -52,6 +52,8 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
 
         @functools.wraps(main)
         def command() -> None:
+            nonlocal stderr
+            stderr = sys.stderr
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(config_name, about))
             words = sys.argv[1:]

@@ -13,7 +13,6 @@ import pytest
 import skimage.data
 
 import eldenet
-from eldenet.cli.commands import main
 from eldenet.config import build_demo, compose
 from eldenet.data.paths import default_cache
 from eldenet.deploy import runtimes
@@ -280,7 +279,7 @@ def test_without_npm_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_wrong_port_is_refused(capsys):
-    with pytest.raises(SystemExit):
-        main(["demo", "port=99999"])
-    assert "port=99999: give a number from 0" in capsys.readouterr().err
+def test_a_wrong_port_is_refused(run_command):
+    done = run_command("cli.demo", "port=99999")
+    assert done.returncode == 1
+    assert "port=99999: give a number from 0" in done.stderr
