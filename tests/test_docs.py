@@ -6,6 +6,7 @@ import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from eldenet.cli.commands import COMMANDS as ELDENET
@@ -114,9 +115,9 @@ def python_blocks(page: str) -> list[str]:
 
 def test_the_readme_snippet_runs():
     (block,) = python_blocks("README.md")
-    names: dict = {}
+    names: dict = {"frame": np.zeros((480, 640, 3), np.uint8)}
     exec(block, names)
-    assert names["depth"].shape == (1, 1, 480, 640)
+    assert names["depth"].shape == (480, 640)
 
 
 def test_sharing_as_documented(tmp_path, monkeypatch):

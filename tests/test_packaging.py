@@ -37,7 +37,10 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
     yamls = {str(path.relative_to(REPOSITORY)) for path in (REPOSITORY / "configs").rglob("*.yaml")}
     assert {f"eldenet/{name}" for name in yamls} <= set(names)
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldenet"}
-    assert not [name for name in names if name.endswith((".pt", ".pth", ".h5", ".jpg"))]
+    assert not [name for name in names if name.endswith((".pt", ".pth", ".h5"))]
+    assert [name for name in names if name.endswith(".jpg")] == [
+        "eldenet/web/example.jpg"
+    ]  # MIT, see the page
 
 
 def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
