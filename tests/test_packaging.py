@@ -40,7 +40,7 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
     assert not [name for name in names if name.endswith((".pt", ".pth", ".h5"))]
     assert [name for name in names if name.endswith(".jpg")] == [
         "eldenet/web/example.jpg"
-    ]  # MIT, see the page
+    ]  # MIT
 
 
 def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
