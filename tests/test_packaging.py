@@ -38,9 +38,7 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
     assert {f"eldenet/{name}" for name in yamls} <= set(names)
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldenet"}
     assert not [name for name in names if name.endswith((".pt", ".pth", ".h5"))]
-    assert [name for name in names if name.endswith(".jpg")] == [
-        "eldenet/web/example.jpg"
-    ]  # MIT
+    assert [name for name in names if name.endswith(".jpg")] == ["eldenet/web/example.jpg"]  # MIT
 
 
 def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):

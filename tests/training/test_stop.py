@@ -13,6 +13,14 @@ from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.trainer import Trainer
 
 
+@pytest.fixture(autouse=True)
+def interrupts():
+    """Ctrl-C as in a terminal: a suite that was started with ``&`` has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def signaled_at(call: int, number: int) -> type[Trainer]:
     """Trainers that get a signal in their ``call``-th step."""
 
