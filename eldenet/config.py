@@ -238,6 +238,11 @@ def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = No
 # --- what commands are built from
 
 
+def _settings_in(folder: Path, config: DictConfig) -> Any:
+    """Return the resolved settings of a run in ``folder``, as ``run.json`` stores them."""
+    return plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+
+
 def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
     """Return the setup of ``python -m eldenet.train`` in ``folder``; ``overrides``: of the command line."""
     check_data_folders(config)
@@ -246,7 +251,7 @@ def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = 
     from eldenet.training.setup import TrainingSetup
 
     check_arguments(TrainingSetup, {name: config[name] for name in ("seed", "process_timeout")})
-    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    settings = _settings_in(folder, config)
     return TrainingSetup(
         folder=folder,
         name=config.model_name,
@@ -279,7 +284,7 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     _split_node(config, config.split)
     from eldenet.deploy.scoring import EvaluationSetup
 
-    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    settings = _settings_in(folder, config)
     return EvaluationSetup(
         folder=folder,
         checkpoint=str(config.checkpoint),
@@ -316,7 +321,7 @@ def build_adaptation(config: DictConfig, folder: Path) -> "AdaptationSetup":
     _check_adaptation(config)
     from eldenet.training.adaptation import AdaptationSetup
 
-    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    settings = _settings_in(folder, config)
     return AdaptationSetup(
         folder=folder,
         weights=str(config.weights),
@@ -379,7 +384,7 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
         raise ValueError(f"frames={config.frames}: give a whole number above 0")
     from eldenet.deploy.prediction import find_source
 
-    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    settings = _settings_in(folder, config)
     source = find_source(str(config.source), folder, None)
     if source.is_live:
         raise ValueError(f"source={config.source}: give a folder of pictures or a video file, not a camera")
@@ -408,7 +413,7 @@ def _check_adaptation(config: DictConfig) -> None:
         FileNotFoundError: there are no such weights.
     """
     if config.weights is None:
-        config.weights = BEST if BEST in list_weights() else "eldenet_rooms"
+        config.weights = BEST
     check_sources(config, "weights")
     if config.weights in list_models():
         raise ValueError(
@@ -447,7 +452,7 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
     from eldenet.perception.libreyolo_detector import YoloTraining
     from eldenet.simulation.street_views import NAMES
 
-    settings = plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    settings = _settings_in(folder, config)
     resources = choose_resources(**settings["runtime"])
     return DetectorTrainingSetup(
         folder=folder,
@@ -981,12 +986,10 @@ def build_demo(config: DictConfig) -> "DemoSetup":
     check_sources(config, "checkpoint")
     if type(config.port) is not int or not 0 <= config.port <= 65535:
         raise ValueError(f"port={config.port}: give a number from 0 (any free one) to 65535")
-    for name in ("serve", "browser"):
-        if not isinstance(config[name], bool):
-            raise ValueError(f"{name}={config[name]}: give true or false")
     from eldenet.data.paths import default_cache
     from eldenet.deploy.demo import DemoSetup
 
+    check_arguments(DemoSetup, {name: config[name] for name in ("serve", "browser")})
     output = default_cache() / "demo" if config.output is None else Path(config.output).expanduser()
     trusted = tuple(listed(config.trusted_modules))
     return _filled(DemoSetup, config, size=_size(config, "size"), output=output, trusted_modules=trusted)

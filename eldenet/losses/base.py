@@ -106,10 +106,11 @@ class WeightedTerm(nn.Module):
         mask: Tensor,
         image: Tensor | None = None,
         focal: Tensor | None = None,
+        spread: Tensor | None = None,
     ) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight.
 
-        Most terms ignore ``image`` and ``focal``: see :meth:`WeightedSum.forward`.
+        Most terms ignore ``image``, ``focal`` and ``spread``: see :meth:`WeightedSum.forward`.
         """
         if self.space != "meters":
             prediction, target = (SPACES[self.space](m) for m in fill_masked(prediction, target, mask))
@@ -190,14 +191,7 @@ class WeightedSum(nn.Module):
         if self.needs_spread and spread is None:
             raise ValueError(NO_SIGMA)
         values = {
-            name: term(
-                prediction,
-                target,
-                masks[term.applies_to],
-                image,
-                focal,
-                **({"spread": spread} if term.needs_spread else {}),
-            )
+            name: term(prediction, target, masks[term.applies_to], image, focal, spread)
             for name, term in self.terms.items()
         }
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()

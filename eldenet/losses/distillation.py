@@ -169,6 +169,7 @@ class DistilledTerm(WeightedTerm):
         mask: Tensor,
         image: Tensor | None = None,
         focal: Tensor | None = None,
+        spread: Tensor | None = None,
     ) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool, ``image (B, 3, H, W)`` -> scalar without the weight."""
         if image is None:

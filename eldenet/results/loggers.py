@@ -90,11 +90,10 @@ class WandB:
     """A run of the project "eldenet" of Weights & Biases; ``WANDB_MODE=offline`` keeps it on this machine."""
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
-        self.library = _library("wandb")
+        wandb = _library("wandb")
         own = _own_id(folder, "wandb", lambda: os.urandom(4).hex())
-        self.run = self.library.init(
-            project=PROJECT, name=folder.name, dir=str(folder), id=own, resume="allow"
-        )
+        self.run = wandb.init(project=PROJECT, name=folder.name, dir=str(folder), id=own, resume="allow")
+        self.image = wandb.Image
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Log values by name."""
@@ -102,32 +101,21 @@ class WandB:
 
     def picture(self, name: str, step: int, picture: np.ndarray) -> None:
         """Log a picture ``(H, W, 3)`` uint8."""
-        self.run.log({name: self.library.Image(picture)}, step=step)
+        self.run.log({name: self.image(picture)}, step=step)
 
     def close(self) -> None:
         """Write or upload what is held."""
         self.run.finish()
 
 
-class Trackio:
-    """A run of the project "eldenet" of Trackio, on this machine."""
+class Trackio(WandB):
+    """A run of the project "eldenet" of Trackio, on this machine; it has the interface of wandb."""
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
-        self.library = _library("trackio")
+        trackio = _library("trackio")
         name = _own_id(folder, "trackio", lambda: f"{folder.name}-{os.urandom(2).hex()}")
-        self.run = self.library.init(project=PROJECT, name=name, resume="allow")
-
-    def scalars(self, step: int, values: Mapping[str, float]) -> None:
-        """Log values by name."""
-        self.run.log(dict(values), step=step)
-
-    def picture(self, name: str, step: int, picture: np.ndarray) -> None:
-        """Log a picture ``(H, W, 3)`` uint8."""
-        self.run.log({name: self.library.Image(picture)}, step=step)
-
-    def close(self) -> None:
-        """Write what is held."""
-        self.run.finish()
+        self.run = trackio.init(project=PROJECT, name=name, resume="allow")
+        self.image = trackio.Image
 
 
 LOGGERS: Mapping[str, Callable[[Path, int | None], Logger]] = {
