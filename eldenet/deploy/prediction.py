@@ -170,33 +170,29 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
 
     checkpoint, size, max_side = setup.checkpoint, setup.input_size, setup.max_side
     resources = setup.resources
-    steady = setup.steady and setup.source.is_video
+    network: DepthNet | Runtime
+    device = None  # a runtime has its own
     if runtimes.is_exported(checkpoint):
         network = runtimes.load(checkpoint, setup.engine, threads=resources.threads, device=resources.device)
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
-        predictor = DepthPredictor(
-            network, size, max_side=max_side, steady=steady, uncertainty=knows_sigma(setup, network)
-        )
     else:
-        model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
+        network = model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
         packaged = checkpoint in eldenet.list_weights()
         log.say(f"weights: {checkpoint}" + (" of the package (yours: checkpoint=...)" if packaged else ""))
         if setup.engine in ("auto", "torch"):
-            predictor = DepthPredictor(
-                model,
-                size,
-                max_side=max_side,
-                device=resources.device,
-                steady=steady,
-                uncertainty=knows_sigma(setup, model),
-            )
+            device = resources.device
         else:
             network = runtimes.load(
                 model, setup.engine, threads=resources.threads, device=resources.device, size=size
             )
-            predictor = DepthPredictor(
-                network, size, max_side=max_side, steady=steady, uncertainty=knows_sigma(setup, network)
-            )
+    predictor = DepthPredictor(
+        network,
+        size,
+        max_side=max_side,
+        device=device,
+        steady=setup.steady and setup.source.is_video,
+        uncertainty=knows_sigma(setup, network),
+    )
     if checkpoint in eldenet.list_models():
         log.say(untrained_note(checkpoint))
     elif predictor.input_size is None:

@@ -1,11 +1,9 @@
 """Ranges in which no single reading decides: lone readings are dropped, narrow gaps are filled.
 
-It stands between a sensor and the driver, so any driver may use it. Needs NumPy only, no simulator.
+It stands between a sensor and the driver, so any driver may use it. Needs NumPy and SciPy, no simulator.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -84,16 +82,13 @@ class RangeFilter:
         with np.errstate(invalid="ignore"):
             asked = np.clip(np.floor(SLIMMEST / (_STEP * ranges)), 1, MOST)
             asked[[0, 1, -2, -1]] = np.minimum(asked[[0, 1, -2, -1]], 2)  # the rest may be out of view
-            known = np.flatnonzero(~np.isnan(ranges))
-            slim = asked == 1
-            asked = np.maximum(asked, 2)
-            slim[[0, -1]] = True
-            enough = _agreeing(ranges) >= asked
-        enough |= ranges >= ROBOT.far
-        slim &= ~enough & ~np.isnan(ranges)
+            enough = (_agreeing(ranges) >= np.maximum(asked, 2)) | (ranges >= ROBOT.far)
+        slim = asked == 1
+        slim[[0, -1]] = True
+        slim &= ~enough
         if slim.any():
             enough[slim] = self._seen_before(ranges, pose)[slim]
-        return enough & np.isin(np.arange(ROBOT.columns), known)
+        return enough & ~np.isnan(ranges)
 
     def _seen_before(self, ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Mask of the readings that the last scan shows too ``(columns,)``; nobody doubts the first scan."""
@@ -141,18 +136,17 @@ def without_peaks(ranges: np.ndarray) -> np.ndarray:
 
     This is a grayscale opening (Serra, "Image Analysis and Mathematical Morphology", 1982) where it matters.
     """
-    opened = _slide(np.max, _slide(np.min, ranges, 1), 1)
+    from scipy.ndimage import grey_opening
+
+    opened = grey_opening(ranges, 3, mode="nearest")
     return np.where(ranges - opened > _apart(opened), opened, ranges)
 
 
 def without_dips(ranges: np.ndarray) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] with up to three columns nearer than both sides at the nearer side."""
-    return np.maximum(_slide(np.min, _slide(np.max, ranges, 2), 2), ranges)
+    from scipy.ndimage import grey_closing
 
-
-def _slide(reduce: Callable[..., Any], ranges: np.ndarray, reach: int) -> np.ndarray:
-    padded = np.pad(ranges, reach, mode="edge")
-    return np.asarray(reduce(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1))
+    return np.maximum(grey_closing(ranges, 5, mode="nearest"), ranges)
 
 
 def _apart(ranges: np.ndarray) -> np.ndarray:

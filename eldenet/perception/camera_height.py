@@ -12,10 +12,10 @@ import eldenet
 from eldenet.data.folder import val_blocks
 from eldenet.data.io import read_image
 from eldenet.deploy.prediction import Source
-from eldenet.deploy.predictor import DepthPredictor, for_camera
+from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
-from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground
+from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
 from eldenet.results.before_after import compare, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
@@ -28,7 +28,6 @@ LEAST_FLOORS = 20  # frames with a floor
 LEAST_SHARE = 0.3  # of all frames
 MOST_SPREAD = 0.2  # median difference between a frame's log scale and the median of all
 HELD_OUT, BLOCKS, GAP = 0.25, 20, 1  # share, blocks of time, frames left out beside one
-FLOOR_TOLERANCE = (0.03, 0.012)  # [m], and per meter of distance: as in fit_ground
 CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
 MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
 SHOWN = 3  # frames of the picture
@@ -92,7 +91,7 @@ def calibrate(setup: CalibrationSetup) -> bool:
             )
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = (round(photo.shape[0] * PICTURE_WIDTH / photo.shape[1]), PICTURE_WIDTH)
-                shown.append((resize_image(photo, size), resize_depth(depth, size)))
+                shown.append((resize_image(photo, size), enlarged(depth, size)))
             bar.advance(1)
     values = np.array(logs)
     refuse_unsure(values, known_pitch=setup.camera_pitch is not None)
@@ -173,7 +172,7 @@ def hides_a_floor(depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane) 
     rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
     distance = depth.ravel()
     height = plane.height_above(camera.back_project(columns, rows, distance))
-    margin = CLEARLY_BELOW * plane.offset + FLOOR_TOLERANCE[0] + FLOOR_TOLERANCE[1] * distance
+    margin = CLEARLY_BELOW * plane.offset + floor_tolerance(distance)
     return bool((height < -margin).mean() > MOST_BELOW)
 
 
@@ -185,8 +184,9 @@ def floor_pixels(
     rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
     rows, columns = rows[top * depth.shape[1] :], columns[top * depth.shape[1] :]
     distance = depth[rows, columns]
-    near = FLOOR_TOLERANCE[0] + FLOOR_TOLERANCE[1] * distance
-    inside = np.abs(plane.height_above(camera.back_project(columns, rows, distance))) < near
+    inside = np.abs(plane.height_above(camera.back_project(columns, rows, distance))) < floor_tolerance(
+        distance
+    )
     return rows[inside], columns[inside]
 
 
@@ -210,13 +210,6 @@ def refuse_unsure(values: np.ndarray, *, known_pitch: bool) -> None:
             f"{np.expm1(MOST_SPREAD):.0%} can be trusted: give camera_pitch= if it is fixed, or record depth "
             "frames"
         )
-
-
-def resize_depth(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Depth ``(H, W)`` [m] at another ``(height, width)``, for a picture."""
-    import cv2
-
-    return np.asarray(cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def draw(path: Path, frames: Sequence[tuple[np.ndarray, np.ndarray]], scale: float) -> None:

@@ -62,7 +62,7 @@ def fit_ground(
     normals = normals / np.maximum(length, 1e-12)[:, None]
     normals *= np.where(normals[:, 1:2] < 0, -1.0, 1.0)
     offsets = (normals * triple[:, 0]).sum(1)
-    tolerance = 0.03 + 0.012 * distance  # depth errors grow with depth
+    tolerance = floor_tolerance(distance)
     inliers = np.abs(normals @ points.T - offsets[:, None]) < tolerance
     votes = (inliers / (1.0 + 0.05 * distance)).sum(1)  # near points say more about the height
     votes[(length < 1e-9) | (normals[:, 1] < np.cos(max_slope)) | (offsets <= 0)] = -1
@@ -83,6 +83,11 @@ def fit_ground(
     if normal[1] < np.cos(max_slope) or offset <= 0 or inside.mean() < 0.1:
         return None
     return GroundPlane(normal, offset, fitted=True)
+
+
+def floor_tolerance(distance: np.ndarray) -> np.ndarray:
+    """How far a point at ``distance`` [m] may lie off its plane [m]: depth errors grow with depth."""
+    return 0.03 + 0.012 * distance
 
 
 def _known_pixels(depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,8 @@ def test_a_teacher_or_features_that_are_missing_are_named(make, message: str, ne
         make(student, Teacher(network))
 
 
-def test_a_teacher_without_a_distilled_term_is_refused(tmp_path):
+def test_a_teacher_without_a_distilled_term_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where "runs/big" may be a Hub id
     config = compose(
         "train", ["teacher=runs/big", "model_name=a", f"run_dir={tmp_path}", "runtime.threads=1"]
     )
