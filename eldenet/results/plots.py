@@ -169,9 +169,10 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
     epochs but the first.
     """
     pyplot = pyplot_for_files()
-    panels = {"train_loss": "training loss", "val_loss": "validation loss"}
-    panels |= {"val_ssim": "validation SSIM", "val_mse": "validation MSE [m²]"}
-    figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
+    parts, curves_of_each = {"train": "training", "val": "validation"}, ("loss", "ssim", "mse")
+    titles = {"loss": "loss", "ssim": "SSIM", "mse": "MSE [m²]"}
+    panels = {f"{part}_{name}": f"{parts[part]} {titles[name]}" for part in parts for name in curves_of_each}
+    figure, axes = pyplot.subplots(2, 3, figsize=(12, 6), sharex=True)
     for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
         rows = _by_row(runs, key)
         for number, (row, curves) in enumerate(rows.items()):

@@ -130,7 +130,8 @@ def _fit(
         sources=fingerprints(setup.settings),
     )
     notes = []
-    if shared := common_frames(val_set, test_set):
+    chosen_of_several = trainer.epochs > trainer.evaluate_every
+    if chosen_of_several and (shared := common_frames(val_set, test_set)):
         notes.append(
             f"note: the best epoch was chosen on {shared} of the {len(test_set)} frames that are scored, "
             "so the scores are a little too good"

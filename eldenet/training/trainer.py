@@ -15,7 +15,7 @@ from eldenet.evaluation.evaluator import evaluate, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import focal_ratio, in_meters
-from eldenet.losses.base import WeightedSum
+from eldenet.losses.base import WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
@@ -239,7 +239,7 @@ class Trainer:
         """Forward, loss, backward and, if ``update``, one step of the optimizer.
 
         Returns:
-            The detached loss terms by name, ``total`` first.
+            The detached loss terms by name, ``total`` first, and ``mse`` [m²], which is only watched.
         """
         spread = None
         with self.accelerator.autocast():
@@ -249,6 +249,7 @@ class Trainer:
                 prediction = self.model(batch["image"])
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
         canonical_px = self.bare_model.canonical_px
+        mse = squared_error(in_meters(prediction.detach(), focal, canonical_px), batch)
         if canonical_px is not None and self.loss_camera == "canonical":
             depth = depth / focal_ratio(focal, canonical_px)
             focal = torch.full_like(focal, canonical_px)
@@ -266,7 +267,7 @@ class Trainer:
             self.scheduler.step()
             if self.average is not None:
                 self.average.update(self.bare_model, self.progress.step)
-        return {"total": total.detach()} | {name: value.detach() for name, value in terms.items()}
+        return {"total": total.detach(), "mse": mse} | {name: value.detach() for name, value in terms.items()}
 
     def _batches_of_this_update(self) -> int:
         """``accumulate_grad_batches``; fewer in the epoch's last update, which takes what is left."""
@@ -455,6 +456,14 @@ class Trainer:
         self._average_sums()
         if self.accelerator.is_main_process:
             self.state.save(self.folder / "checkpoints" / name)
+
+
+def squared_error(prediction: Tensor, batch: Mapping[str, Any]) -> Tensor:
+    """Return the mean squared error [m²] over the pixels with metric depth; 0 if there are none."""
+    known = batch["mask"]
+    if "relative" in batch:
+        known = known & ~batch["relative"].view(-1, 1, 1, 1)
+    return masked_mean((prediction.float() - batch["depth"]) ** 2, known)
 
 
 def synchronize_batchnorm(model: torch.nn.Module, device: torch.device) -> None:

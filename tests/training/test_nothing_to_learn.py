@@ -33,7 +33,11 @@ class PartlyUnknown(SyntheticDepth):
 def test_batches_without_a_known_pixel_are_counted(tmp_path: Path, capsys) -> None:
     _, _, progress = fit(tmp_path, data=PartlyUnknown(4, 2), batch_size=1, epochs=1)
     assert "note: 2 of 4 batches of this epoch have no known pixel" in capsys.readouterr().out
-    assert [name for name in progress.history[0] if name.startswith("train")] == ["train_total", "train_l1"]
+    assert [name for name in progress.history[0] if name.startswith("train")] == [
+        "train_total",
+        "train_mse",
+        "train_l1",
+    ]
 
 
 def test_an_epoch_without_a_known_pixel_is_an_error(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from eldenet.system.resources import Resources, seed_everything
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.loss_meter import READ_EVERY, LossMeter
 from eldenet.training.optim import constant
-from eldenet.training.trainer import Trainer, TrainingData
+from eldenet.training.trainer import Trainer, TrainingData, squared_error
 
 
 def test_training_learns_one_batch_by_heart(tmp_path):
@@ -25,6 +25,13 @@ def test_training_learns_one_batch_by_heart(tmp_path):
     first, last = progress.history[0]["train_total"], progress.history[-1]["train_total"]
     assert last < 0.25 * first
     assert evaluate(model, SyntheticDepth(4), PROTOCOL).metrics["delta1"] > 0.6
+
+
+def test_the_squared_error_of_the_training_is_in_meters_and_of_metric_depth_alone():
+    prediction, depth = torch.tensor([[2.0], [5.0], [9.0]]).view(3, 1, 1, 1), torch.ones(3, 1, 1, 1)
+    batch = {"depth": depth, "mask": torch.tensor([True, True, False]).view(3, 1, 1, 1)}
+    assert squared_error(prediction, batch) == (1 + 16) / 2
+    assert squared_error(prediction, batch | {"relative": torch.tensor([False, True, False])}) == 1
 
 
 def test_the_best_epoch_is_one_epoch_by_one_metric(tmp_path):

@@ -54,12 +54,15 @@ def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float |
 def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
     """Training and validation curves of one run by name, one value per validated epoch.
 
-    A curve with gaps is left out: sparse ground truth has no SSIM.
+    A curve with gaps is left out: sparse ground truth has no SSIM. That of the training comes from the loss
+    term ``ssim``, (1 - SSIM) / 2, of augmented frames at the network's input size.
     """
     history = [row for row in (run.get("training") or {}).get("history", ()) if "val_mse" in row]
     found: dict[str, list[float]] = {
         "epoch": [row["epoch"] for row in history],
         "train_loss": [row.get("train_total") for row in history],
+        "train_ssim": [None if "train_ssim" not in row else 1 - 2 * row["train_ssim"] for row in history],
+        "train_mse": [row.get("train_mse") for row in history],
         "val_ssim": [row.get("val_ssim") for row in history],
         "val_mse": [row["val_mse"] for row in history],
     }
