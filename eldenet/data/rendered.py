@@ -1,4 +1,4 @@
-"""Data sets that are rendered on this machine when first used: what ``rooms`` and ``arenas`` share."""
+"""What ``rooms``, ``streets`` and ``arenas`` share: frames that are rendered when first used."""
 
 import hashlib
 import os
@@ -32,7 +32,7 @@ class RenderedScenes(DepthDataset):
         workers: processes that render what is missing; None for two (one on a single core), 0 renders in this
             process.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
-            0 to 13 m.
+            0 to ``generator.farthest``.
 
     Attributes:
         generator: what renders the frames; a subclass names it.
@@ -65,10 +65,10 @@ class RenderedScenes(DepthDataset):
         if workers is not None and workers < 0:
             raise ValueError(f"workers={workers}: give a number of processes, 0 for this process, or None")
         super().__init__([frame_name(self.generator.name, split, i) for i in range(frames)], **options)
-        if not 0 <= self.min_depth < self.max_depth <= 13.0:
+        if not 0 <= self.min_depth < self.max_depth <= self.generator.farthest:
             raise ValueError(
                 f"min_depth={self.min_depth}, max_depth={self.max_depth}: give 0 <= min_depth < max_depth <= "
-                "13.0 [m], the farthest depth that a stored frame holds"
+                f"{self.generator.farthest} [m], the farthest depth that a stored frame holds"
             )
         self.places = list(range(frames))  # where each frame is stored: a subset leaves gaps
         self.split, self.size = split, (int(size[0]), int(size[1]))

@@ -18,7 +18,7 @@ from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.system.disk import DiskError, disk_errors
 from eldenet.types import Frame
 
-#: Stored depth is a multiple of this [m]: two bytes would do, and reach 13.1 m.
+#: Stored depth of rooms is a multiple of this [m]: two bytes would do, and reach 13.1 m.
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
@@ -39,6 +39,7 @@ class Generator(NamedTuple):
         digests: by ``(height, width)``, a suffix of the folder's name: results stored before versions existed
             know their frames by it.
         focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
+        depth_step: stored depth is a multiple of this [m].
     """
 
     name: str
@@ -46,6 +47,24 @@ class Generator(NamedTuple):
     renderer: str
     digests: Mapping[tuple[int, int], str]
     focal: tuple[float, float] | None = None
+    depth_step: float = DEPTH_STEP
+
+    @property
+    def farthest(self) -> int:
+        """The farthest depth that a stored frame holds, in whole meters."""
+        return int(65535 * self.depth_step)
+
+    def with_focal(self, focal: Sequence[float] | None) -> "Generator":
+        """Same scenes through lenses of ``[low, high]`` widths; None: the renderer's own lens.
+
+        Raises:
+            ValueError: not two numbers from 0.2 to 5, the lower one first.
+        """
+        if focal is None:
+            return self
+        if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
+            raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
+        return self._replace(focal=(float(focal[0]), float(focal[1])))
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
@@ -56,9 +75,9 @@ class Generator(NamedTuple):
         return f"{self.name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
 
 
-def encode_depth(depth: np.ndarray) -> np.ndarray:
-    """Depth [m] as uint16 steps of ``DEPTH_STEP``, 0 where it is unknown or does not fit."""
-    steps = np.rint(np.asarray(depth, dtype=np.float64) / DEPTH_STEP)
+def encode_depth(depth: np.ndarray, depth_step: float = DEPTH_STEP) -> np.ndarray:
+    """Depth [m] as uint16 steps of ``depth_step``, 0 where it is unknown or does not fit."""
+    steps = np.rint(np.asarray(depth, dtype=np.float64) / depth_step)
     return np.where((steps > 0) & (steps < 65536), steps, 0).astype(np.uint16)
 
 
@@ -84,18 +103,19 @@ class SceneStore:
         """Whether every frame of a scene is stored and whole."""
         return all(self.frame(scene * VIEWS + view) is not None for view in range(VIEWS))
 
-    def render(self, renderer: str, scene: int, focal: tuple[float, float] | None = None) -> None:
+    def render(self, generator: Generator, scene: int) -> None:
         """Render and store one scene, unless it is there."""
         if self.has(scene):
             return
         with disk_errors(self.folder, "a rendered frame"):
-            self._render(renderer, scene, focal)
+            self._render(generator, scene)
 
-    def _render(self, renderer: str, scene: int, focal: tuple[float, float] | None) -> None:
-        module, _, function = renderer.rpartition(".")
-        options = {} if focal is None else {"focal": focal}
+    def _render(self, generator: Generator, scene: int) -> None:
+        module, _, function = generator.renderer.rpartition(".")
+        options = {} if generator.focal is None else {"focal": generator.focal}
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
-        meters = encode_depth(views.depth).astype(np.float32) * np.float32(DEPTH_STEP)
+        step = generator.depth_step
+        meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)
         for view in range(VIEWS):
             index = scene * VIEWS + view
             name = frame_name(self.name, self.split, index)
@@ -126,13 +146,13 @@ def render_missing(
         if workers == 0:
             store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)
             for scene in scenes:
-                store.render(generator.renderer, scene, generator.focal)
+                store.render(generator, scene)
                 bar.advance(VIEWS)
             return
-        job = {"folder": str(folder), "name": generator.name, "renderer": generator.renderer, "split": split}
-        options = {"size": size, "focal": generator.focal}
+        worker = generator._replace(digests={})  # which JSON cannot hold, and no renderer needs
+        job = {"folder": str(folder), "generator": worker._asdict(), "split": split, "size": size}
         shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
-        _render_in_processes([{**job, **options, "scenes": list(share)} for share in shares], bar.advance)
+        _render_in_processes([{**job, "scenes": list(share)} for share in shares], bar.advance)
 
 
 def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable[[int], None]) -> None:
@@ -181,11 +201,12 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
 def _work() -> None:
     """Render the scenes of the job on stdin; print a line after every scene."""
     job = json.load(sys.stdin)
-    scenes = job["scenes"]
-    store = SceneStore(Path(job["folder"]), job["name"], job["split"], max(scenes) + 1, tuple(job["size"]))
+    scenes, generator = job["scenes"], Generator(**job["generator"])
+    size = (job["size"][0], job["size"][1])
+    store = SceneStore(Path(job["folder"]), generator.name, job["split"], max(scenes) + 1, size)
     for scene in scenes:
         try:
-            store.render(job["renderer"], scene, job["focal"])
+            store.render(generator, scene)
         except DiskError:
             sys.exit(FULL_DISK)
         try:

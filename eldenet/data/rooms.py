@@ -41,8 +41,5 @@ class Rooms(RenderedScenes):
         focal: Sequence[float] | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        if focal is not None:
-            if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
-                raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
-            self.generator = self.generator._replace(focal=(float(focal[0]), float(focal[1])))
+        self.generator = self.generator.with_focal(focal)
         super().__init__(split, frames, size=size, root=root, workers=workers, **options)

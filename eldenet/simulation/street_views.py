@@ -6,7 +6,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.furnished_rooms.render import KINECT, choose_pose, draw_intrinsics
+from eldenet.simulation.furnished_rooms.render import KINECT, Views, choose_pose, draw_intrinsics
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import (
     SEEN_GROUPS,
@@ -50,6 +50,7 @@ class StreetView(NamedTuple):
         truncated: ``(N,)`` bool: the image border cuts the object.
         instance: ``(H, W)`` number of the object, -1 elsewhere.
         height: of the camera above the ground [m].
+        rotation: ``(3, 3)`` world from camera.
     """
 
     image: np.ndarray
@@ -61,6 +62,7 @@ class StreetView(NamedTuple):
     truncated: np.ndarray
     instance: np.ndarray
     height: float
+    rotation: np.ndarray
 
 
 class ObjectView(NamedTuple):
@@ -123,6 +125,21 @@ def render_street(
         np.array([truncated for _, truncated in seen], bool),
         renumber[instance],
         scene.camera_height,
+        rotation,
+    )
+
+
+def render_streets(
+    split: str, index: int, size: tuple[int, int], views: int, *, focal: tuple[float, float] | None = None
+) -> Views:
+    """Render streets ``index * views`` to ``(index + 1) * views - 1`` by :func:`render_street`."""
+    found = [render_street(split, index * views + view, size, focal=focal) for view in range(views)]
+    return Views(
+        np.stack([view.image for view in found]),
+        np.stack([view.depth for view in found]),
+        np.stack([view.camera.intrinsics for view in found]),
+        np.array([[0.0, 0.0, view.height] for view in found]),
+        np.stack([view.rotation for view in found]),
     )
 
 

@@ -43,6 +43,7 @@ KB = (slice(23, 375), slice(13, 1229))  # 375 - 352 = 23, (1242 - 1216) / 2 = 13
 LITERATURE = {
     "rooms": Rules((30, 40), low=0.1, cap=10),
     "arenas": Rules((30, 40), low=0.1, cap=10),
+    "streets": Rules((30, 40), low=1.0, cap=80),
     "folder": Rules((30, 40), low=0.1, cap=10),  # the range of the data set, here the default one
     "nyu_bts": Rules((480, 640), EIGEN_BTS, cap=10),
     **{

@@ -58,10 +58,10 @@ def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
     term ``ssim``, (1 - SSIM) / 2, of augmented frames at the network's input size.
     """
     history = [row for row in (run.get("training") or {}).get("history", ()) if "val_mse" in row]
-    found: dict[str, list[float]] = {
+    found: dict[str, list[Any]] = {
         "epoch": [row["epoch"] for row in history],
         "train_loss": [row.get("train_total") for row in history],
-        "train_ssim": [None if "train_ssim" not in row else 1 - 2 * row["train_ssim"] for row in history],
+        "train_ssim": [1 - 2 * row["train_ssim"] if "train_ssim" in row else None for row in history],
         "train_mse": [row.get("train_mse") for row in history],
         "val_ssim": [row.get("val_ssim") for row in history],
         "val_mse": [row["val_mse"] for row in history],
