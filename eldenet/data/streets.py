@@ -7,7 +7,6 @@ from typing import Unpack
 from eldenet.data.base import SampleOptions
 from eldenet.data.rendered import RenderedScenes
 from eldenet.data.rendering import Generator
-from eldenet.simulation.street_views import STREETS_VERSION
 
 
 class Streets(RenderedScenes):
@@ -32,7 +31,7 @@ class Streets(RenderedScenes):
 
     depth_range = (1.0, 80.0)
     generator = Generator(
-        "streets", STREETS_VERSION, "eldenet.simulation.street_views.render_streets", {}, depth_step=0.002
+        "streets", 1, "eldenet.simulation.street_views.render_streets", {}, depth_step=0.002
     )
 
     def __init__(

@@ -16,11 +16,10 @@ from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
-from eldenet.results.before_after import compare, say_changes
+from eldenet.results.before_after import PICTURE_WIDTH, compare, record_change, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
-from eldenet.training.adaptation import PICTURE_WIDTH, finish
 from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
 
 FREE_SLOPE = 0.7  # [rad]: of a floor before a camera in a hand, whose pitch is not known
@@ -108,8 +107,10 @@ def calibrate(setup: CalibrationSetup) -> bool:
     rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
     write_rows(setup.folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
     draw(setup.folder / "before_after.png", shown, scale)
-    facts = {"scale": scale, "frames": len(values), "frames_with_floor": found}
-    finish(setup, log, model if change.is_better else start, {"scale_error": change}, facts)
+    facts: dict[str, Any] = {"scale": scale, "frames": len(values), "frames_with_floor": found}
+    facts["config"] = dict(setup.settings)
+    kept = model if change.is_better else start
+    record_change(setup.folder, log, kept, {"scale_error": change}, setup.weights, facts)
     return change.is_better
 
 

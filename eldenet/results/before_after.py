@@ -2,20 +2,26 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, UNITS
+from eldenet.results.fingerprints import fingerprint
+from eldenet.results.run_record import RUN_FILE, environment
 from eldenet.results.statistics import DRAWS
 from eldenet.results.tables import WORDS
+from eldenet.system.files import write_json
 
 if TYPE_CHECKING:
+    from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
 
 #: Stretches of time that held-out frames are drawn in.
 BLOCKS = 5
+PICTURE_WIDTH = 320  # [px] of a panel of before_after.png
 #: What a table calls errors that are no metrics of depth.
 OTHERS = {"scale_error": "error of scale"}
 
@@ -75,3 +81,37 @@ def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> Non
         interval = f"{change.after - change.before:+.3f} [{change.low:+.3f}, {change.high:+.3f}]"
         rows.append([f"{word}{unit} {arrow}", f"{change.before:.3f}", f"{change.after:.3f}", interval])
     log.table(title, ["held-out frames", "before", "after", "change, 95 % interval"], rows)
+
+
+def record_change(
+    folder: Path,
+    log: "RunLog",
+    model: "DepthNet",
+    changes: Mapping[str, Change],
+    weights: str,
+    facts: Mapping[str, Any],
+) -> None:
+    """Write ``model/`` and ``run.json``, and say whether the change was kept.
+
+    Args:
+        folder: of the run.
+        log: what the person sees.
+        model: what is kept.
+        changes: metric -> its change on held-out frames; the first one decided.
+        weights: what the run started from.
+        facts: what was done, for ``run.json``.
+    """
+    kept = next(iter(changes.values())).is_better
+    told = {name: vars(change) for name, change in changes.items()}
+    model.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": told} if kept else {})
+    record = {"weights": weights, "weights_sha256": fingerprint(weights), "kept": kept, "held_out": told}
+    write_json(folder / RUN_FILE, {**record, **facts, **environment()})
+    if kept:
+        log.say("kept: the held-out frames are better, and the interval excludes 0")
+    else:
+        log.say(
+            f"not kept: the held-out frames are not surely better, so {folder / 'model'} holds the weights "
+            f"of {weights} as they were"
+        )
+    log.say(f"written to {folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
+    log.close()

@@ -18,11 +18,9 @@ from eldenet.data.loaders import collate
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
-from eldenet.results.before_after import Change, compare, say_changes
-from eldenet.results.fingerprints import fingerprint
+from eldenet.results.before_after import PICTURE_WIDTH, Change, compare, record_change, say_changes
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, environment
-from eldenet.system.files import write_json, write_rows
+from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
 from eldenet.training.trainer import Trainer, TrainingData
 from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
@@ -37,7 +35,6 @@ LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
 METRICS = ("abs_rel", "rmse", "delta1")  # of the table; the first one decides
-PICTURE_WIDTH = 320  # [px] of a panel
 TITLES = ("image", "truth", "before", "after")
 
 
@@ -124,7 +121,7 @@ def adapt(setup: AdaptationSetup) -> bool:
     say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
     write_held_out(setup.folder, before, rows[chosen])
     _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
-    facts = {
+    facts: dict[str, Any] = {
         "tuned": chosen,
         "scale": scale,
         "epochs": epochs,
@@ -132,7 +129,8 @@ def adapt(setup: AdaptationSetup) -> bool:
         "input_size": list(size),
         "seconds": time.monotonic() - started,
     }
-    finish(setup, log, models[chosen] if kept else start, changes[chosen], facts)
+    facts["config"] = dict(setup.settings)
+    record_change(setup.folder, log, models[chosen] if kept else start, changes[chosen], setup.weights, facts)
     return kept
 
 
@@ -206,48 +204,6 @@ def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: Adaptation
     if draws < len(frames):
         frames.draw_subset(max(1, draws), setup.seed)
     return max(1, min(setup.epochs, draws // len(frames)))
-
-
-def finish(
-    setup: "AdaptationSetup | Any",
-    log: RunLog,
-    model: DepthNet,
-    changes: Mapping[str, Change],
-    facts: Mapping[str, Any],
-) -> None:
-    """Write ``model/`` and ``run.json``, and say whether the change was kept.
-
-    Args:
-        setup: has ``folder``, ``weights`` and ``settings``.
-        log: what the person sees.
-        model: what is kept.
-        changes: metric -> its change on held-out frames; the first one decided.
-        facts: what was done, for ``run.json``.
-    """
-    deciding = next(iter(changes.values()))
-    kept = deciding.is_better
-    told = {name: vars(change) for name, change in changes.items()}
-    info = {"adapted_from": setup.weights, "held_out": told} if kept else {}
-    model.save_pretrained(setup.folder / "model", info=info)
-    record = {
-        "weights": setup.weights,
-        "weights_sha256": fingerprint(setup.weights),
-        "kept": kept,
-        "held_out": told,
-        **facts,
-        "config": dict(setup.settings),
-        **environment(),
-    }
-    write_json(setup.folder / RUN_FILE, record)
-    if kept:
-        log.say("kept: the held-out frames are better, and the interval excludes 0")
-    else:
-        log.say(
-            f"not kept: the held-out frames are not surely better, so {setup.folder / 'model'} holds the "
-            f"weights of {setup.weights} as they were"
-        )
-    log.say(f"written to {setup.folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
-    log.close()
 
 
 def write_held_out(folder: Path, before: Sequence[Sequence[Any]], after: Sequence[Sequence[Any]]) -> None:

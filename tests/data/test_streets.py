@@ -5,7 +5,7 @@ import pytest
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.streets import Streets
-from eldenet.simulation.street_views import FOCAL, render_street
+from eldenet.simulation.street_views import FOCAL, STREETS_VERSION, render_street
 
 SIZE = (24, 80)
 
@@ -26,6 +26,10 @@ def test_a_frame_is_its_street_to_a_millimeter(root):
     assert (frame.depth[~within] == 0).all()
     assert frame.depth.max() > 40
     assert (frame.depth == 0).any()  # the sky
+
+
+def test_stored_frames_are_named_by_the_version_of_the_streets():
+    assert Streets.generator.version == STREETS_VERSION
 
 
 def test_the_mask_leaves_out_what_is_beyond_80_meters(root):
