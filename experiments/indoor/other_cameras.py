@@ -1,7 +1,8 @@
 """Scores weights on the places of other cameras, unaligned with the focal length given and median-aligned.
 
-``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` prints a table in Markdown. Frames
-are those of ``$ELDENET_DATA/other_cameras``.
+``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` measures these weights, puts their rows into
+``other_cameras.csv`` and prints the whole table in Markdown; a name such as ``stage2=runs/indoor_tuned`` gives a folder a
+row of that name. Without weights it prints what is stored. Frames are those of ``$ELDENET_DATA/other_cameras``.
 """
 
 import os
@@ -15,7 +16,11 @@ import torch
 import eldenet
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.evaluation.evaluator import evaluate
+from eldenet.system.files import read_table, write_rows
 
+STORED = Path(__file__).with_name("other_cameras.csv")
+FIGURES = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
+COLUMNS = ("weights", "place", *FIGURES)
 #: Place -> intrinsics at the pictures' size [px], and the pictures' width / height.
 PLACES = {
     "hololens_office": ([440.5, 440.4, 239.6, 150.4], 3 / 2),
@@ -49,14 +54,25 @@ def score(source: str, place: str) -> tuple[float, float, float, float]:
 
 
 def main(sources: list[str]) -> None:
-    """Print the table of ``sources``."""
+    """Measure ``sources``, store their rows, and print the table."""
     torch.set_num_threads(1)
+    rows = (
+        {(row["weights"], row["place"]): row for row in read_table(STORED, COLUMNS)}
+        if STORED.exists()
+        else {}
+    )
+    for given in sources:
+        name, _, source = given.rpartition("=")
+        for place in PLACES:
+            figures = zip(FIGURES, score(source, place), strict=True)
+            named = {"weights": name or source, "place": place}
+            rows[name or source, place] = named | {title: f"{value:.4f}" for title, value in figures}
+            write_rows(STORED, COLUMNS, [[row[column] for column in COLUMNS] for row in rows.values()])
     print("| weights | place | δ1 unaligned | AbsRel unaligned | δ1 median-aligned | AbsRel median-aligned |")
     print("|---|---|---:|---:|---:|---:|")
-    for source in sources:
-        for place in PLACES:
-            cells = " | ".join(f"{value:.3f}" for value in score(source, place))
-            print(f"| {source} | {place} | {cells} |", flush=True)
+    for row in rows.values():
+        cells = " | ".join(f"{float(row[title]):.3f}" for title in FIGURES)
+        print(f"| {row['weights']} | {row['place']} | {cells} |")
 
 
 if __name__ == "__main__":
