@@ -1,8 +1,8 @@
 """Scores weights on the places of other cameras, unaligned with the focal length given and median-aligned.
 
-``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` measures these weights, puts their rows into
-``other_cameras.csv`` and prints the whole table in Markdown; a name such as ``stage2=runs/indoor_tuned`` gives a folder a
-row of that name. Without weights it prints what is stored. Frames are those of ``$ELDENET_DATA/other_cameras``.
+``python experiments/indoor/other_cameras.py eldenet_indoor eldenet_rooms`` measures these weights, puts their
+rows into ``other_cameras.csv`` and prints the whole table in Markdown. ``stage2=runs/indoor_tuned`` gives the
+weights of a folder a row of that name. Frames are those of ``$ELDENET_DATA/other_cameras``.
 """
 
 import os
