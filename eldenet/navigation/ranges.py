@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
@@ -20,16 +20,18 @@ def depth_to_ranges(
     *,
     camera_height: float = ROBOT.camera_height,
     low: np.ndarray | None = None,
+    robot: Robot = ROBOT,
+    heights: tuple[float, float] = (LOWEST, HIGHEST),
 ) -> np.ndarray:
     """Nearest range in each column of the field of view ``(columns,)`` [m], right to left.
 
-    This is the 10 % quantile of the horizontal ranges of a column's pixels between 15 and 60 cm above the
-    floor. A range also needs as many pixels as 8 % of what a surface at that distance fills of the column, so
-    that a few wrong pixels in an otherwise empty column are no obstacle.
+    This is the 10 % quantile of the horizontal ranges of a column's pixels between ``heights``. A range also
+    needs as many pixels as 8 % of what a surface at that distance fills of the column, so that a few wrong
+    pixels in an otherwise empty column are no obstacle.
 
     Infinite depth means nothing in range (ROS REP 117), negative infinite depth something too close. Unknown
     pixels (0, negative, nan) count as an object that stands on the floor right above the last visible floor
-    below them: small holes are lower than 15 cm and are ignored, a patch that could hide an obstacle is one.
+    below them: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
     Without visible floor below, the camera may be blind close up, and the column reads as near.
 
     Args:
@@ -38,6 +40,8 @@ def depth_to_ranges(
         camera_height: of the optical center above the floor [m].
         low: ``(H, W)`` [m], for how near things may be: ``depth`` decides which pixels are obstacles, ``low``
             how far they are.
+        robot: its field of view, columns, near and far end are those of the ranges.
+        heights: low and high end of what the robot can touch, above the floor [m].
 
     Raises:
         ValueError: the camera's field of view is too small, its pixels are too few for the columns, or its
@@ -46,21 +50,21 @@ def depth_to_ranges(
     height, width = depth.shape
     if not math.isfinite(camera_height):
         raise ValueError(f"camera_height={camera_height}: give meters above the floor")
-    column = check_view(width, intrinsics)
+    column = check_view(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
     close = np.isneginf(depth)
     known = (depth > 0) | close  # nan is not
     depth = np.where(np.isposinf(depth), _BEYOND, np.where(close, 0.0, depth))
     if not known.all():
-        depth = _standing_on_the_floor(depth, known, down, camera_height)
+        depth = _standing_on_the_floor(depth, known, down, camera_height, heights[0])
     above_floor = camera_height - down * depth
-    counts = (above_floor > LOWEST) & (above_floor < HIGHEST)
+    counts = (above_floor > heights[0]) & (above_floor < heights[1])
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
-    rows = _rows_at(down[:, 0], camera_height)
-    out = np.full(ROBOT.columns, ROBOT.far)
-    for number in range(ROBOT.columns):
+    rows = _rows_at(down[:, 0], camera_height, robot, heights)
+    out = np.full(robot.columns, robot.far)
+    for number in range(robot.columns):
         values = ranges[:, column == number]
         width, values = values.shape[1], np.sort(values[np.isfinite(values)])
         first = int(QUANTILE * values.size)
@@ -68,18 +72,20 @@ def depth_to_ranges(
         enough = np.flatnonzero(np.arange(first, values.size) + 1 > asked)
         if enough.size:
             out[number] = values[first + enough[0]]
-    return np.clip(out, ROBOT.near, ROBOT.far)
+    return np.clip(out, robot.near, robot.far)
 
 
-def _rows_at(down: np.ndarray, camera_height: float) -> tuple[np.ndarray, np.ndarray]:
+def _rows_at(
+    down: np.ndarray, camera_height: float, robot: Robot, heights: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Depths [m], and how many pixel rows see heights that can touch the robot there ``(20,)`` each."""
-    depths = np.geomspace(ROBOT.near, ROBOT.far, 20)
-    heights = camera_height - down * depths[:, None]
-    return depths, ((heights > LOWEST) & (heights < HIGHEST)).sum(axis=1)
+    depths = np.geomspace(robot.near, robot.far, 20)
+    above = camera_height - down * depths[:, None]
+    return depths, ((above > heights[0]) & (above < heights[1])).sum(axis=1)
 
 
 def _standing_on_the_floor(
-    depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float
+    depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float, lowest: float
 ) -> np.ndarray:
     """Depth ``(H, W)`` with unknown pixels at the distance of the last visible floor in their column."""
     with np.errstate(divide="ignore"):
@@ -89,12 +95,12 @@ def _standing_on_the_floor(
     for row in range(len(depth) - 1, -1, -1):
         at = np.where(known[row], np.nan, np.where(np.isnan(at), floor[row], at))
         below |= known[row]
-        hides = camera_height - down[row] * at > LOWEST
+        hides = camera_height - down[row] * at > lowest
         filled[row] = np.where(known[row], depth[row], np.where(~below & hides, 0.0, at))
     return filled
 
 
-def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
+def check_view(width: int, intrinsics: np.ndarray, robot: Robot = ROBOT) -> np.ndarray:
     """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
     Raises:
@@ -107,16 +113,16 @@ def check_view(width: int, intrinsics: np.ndarray) -> np.ndarray:
         )
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
-    step = ROBOT.field_of_view / ROBOT.columns
-    column = np.floor((bearing + ROBOT.field_of_view / 2) / step).astype(int)
-    empty = ROBOT.columns - len(np.intersect1d(column, np.arange(ROBOT.columns)))
+    step = robot.field_of_view / robot.columns
+    column = np.floor((bearing + robot.field_of_view / 2) / step).astype(int)
+    empty = robot.columns - len(np.intersect1d(column, np.arange(robot.columns)))
     if empty:
         left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
-        least = math.ceil(2 * math.tan(ROBOT.field_of_view / 2) / math.tan(step))
+        least = math.ceil(2 * math.tan(robot.field_of_view / 2) / math.tan(step))
         raise ValueError(
             f"a depth map {width} px wide that covers {left:.1f} degrees to the left and {right:.1f} to the "
-            f"right has no pixels in {empty} of the driver's {ROBOT.columns} columns: give one that covers "
-            f"{math.degrees(ROBOT.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
+            f"right has no pixels in {empty} of the driver's {robot.columns} columns: give one that covers "
+            f"{math.degrees(robot.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
         )
     return column
 

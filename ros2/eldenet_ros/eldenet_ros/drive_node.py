@@ -1,0 +1,115 @@
+"""Drives to a goal with the packaged policy: depth, odometry and a goal in; velocity out.
+
+Five times a second it publishes a command. It stops the robot at the goal, without a goal, when depth or
+odometry are older than ``stale`` or not finite, and says what is missing. After an error, Ctrl-C or SIGTERM a
+last command stops the robot. A process that hangs can send nothing: let the base stop by itself when commands
+end, let it limit speed and acceleration, and keep a hardware emergency stop within reach.
+
+Tested with stand-ins for ROS's modules, not in ROS and not on a robot. docs/navigation.md lists what the
+robot must be like.
+"""
+
+import signal
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from eldenet.navigation.policy import Navigator
+from eldenet_ros.driving import Pilot
+from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, seconds
+from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
+
+PERIOD = 0.2  # as in training [s]
+PARAMETERS = {
+    "policy": "",
+    "camera_height": 0.40,
+    "max_speed": 1.0,
+    "stale": 0.5,
+    "stamped": False,
+    "frame": "base_link",
+}
+
+
+class DriveNode(Node):
+    """``depth/image``, ``depth/camera_info``, ``odom``, ``goal_pose`` -> ``cmd_vel``."""
+
+    def __init__(self) -> None:
+        super().__init__("eldenet_drive")
+        chosen = self.settings = declared(self, PARAMETERS)
+        navigator = Navigator.load(chosen.policy or None)
+        navigator.step(np.full(40, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
+        navigator.reset()
+        self.pilot = Pilot(
+            navigator,
+            camera_height=chosen.camera_height,
+            max_speed=chosen.max_speed,
+            stale=chosen.stale,
+        )
+        self.info: Any = None
+        self.create_subscription(
+            message("sensor_msgs/msg/CameraInfo"), "depth/camera_info", self.on_info, LATEST
+        )
+        self.create_subscription(message("sensor_msgs/msg/Image"), "depth/image", self.on_depth, LATEST)
+        self.create_subscription(message("nav_msgs/msg/Odometry"), "odom", self.on_odometry, LATEST)
+        self.create_subscription(message("geometry_msgs/msg/PoseStamped"), "goal_pose", self.on_goal, 1)
+        kind = "geometry_msgs/msg/TwistStamped" if chosen.stamped else "geometry_msgs/msg/Twist"
+        self.velocity = self.create_publisher(message(kind), "cmd_vel", 1)
+        self.create_timer(PERIOD, self.decide)
+
+    def on_info(self, info: Any) -> None:
+        """Store the calibration of the depth."""
+        self.info = info
+
+    @reported
+    def on_depth(self, image: Any) -> None:
+        """Store a depth image."""
+        depth = read_depth(image)
+        intrinsics = None if self.info is None else read_intrinsics(self.info, depth.shape)
+        self.pilot.see(depth, intrinsics, seconds(image.header.stamp))
+
+    def on_odometry(self, odometry: Any) -> None:
+        """Store the pose."""
+        self.pilot.move(read_pose(odometry), odometry.header.frame_id, seconds(odometry.header.stamp))
+
+    def on_goal(self, goal: Any) -> None:
+        """Start towards a new goal; stop for one that is rejected."""
+        place = goal.pose.position
+        if wrong := self.pilot.aim(place.x, place.y, goal.header.frame_id):
+            self.get_logger().error(wrong)
+
+    def decide(self) -> None:
+        """Publish a command."""
+        command = self.pilot.decide(self.get_clock().now().nanoseconds * 1e-9)
+        if command.reason:
+            self.get_logger().info(f"stopped: {command.reason}", throttle_duration_sec=5.0)
+        self.send(command.speed, command.turn)
+
+    def send(self, speed: float, turn: float) -> None:
+        """Publish a velocity."""
+        header = None
+        if self.settings.stamped:
+            header = BUILDER.header(self.get_clock().now().to_msg(), self.settings.frame)
+        self.velocity.publish(BUILDER.velocity(speed, turn, header))
+
+
+def main() -> None:
+    """Run the node."""
+    # rclpy's own handlers would shut it down before the last command is sent
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    node = DriveNode()
+    try:
+        rclpy.spin(node)  # the timer wakes it up five times a second, so signals are seen
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.send(0.0, 0.0)
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

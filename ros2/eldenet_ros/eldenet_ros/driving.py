@@ -1,0 +1,120 @@
+"""What the driving node decides, and when it stops the robot. Needs no ROS."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from eldenet.navigation.policy import Navigator
+
+GOAL_RADIUS = 0.5  # as in training [m]
+
+
+@dataclass(frozen=True)
+class Command:
+    """Speed [m/s] and turn rate [rad/s, counter-clockwise], and why the robot stands; "" while it drives."""
+
+    speed: float = 0.0
+    turn: float = 0.0
+    reason: str = ""
+
+
+class Pilot:
+    """Drives to a goal, and stops without fresh depth and odometry.
+
+    Data are fresh while their stamp is less than ``stale`` from the clock, before or after it. So a topic
+    that falls silent, a camera that repeats one picture, a slow network and clocks that differ stop the
+    robot.
+
+    Args:
+        navigator: the driver.
+        camera_height: of the optical center above the floor [m].
+        max_speed: a faster command is slowed down, with its turn rate [m/s].
+        stale: age from which data stop the robot [s].
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+
+    def __init__(
+        self, navigator: "Navigator", *, camera_height: float, max_speed: float = 1.0, stale: float = 0.5
+    ) -> None:
+        for name, value in (("camera_height", camera_height), ("max_speed", max_speed), ("stale", stale)):
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name}={value}: give a number above 0")
+        self.navigator, self.camera_height = navigator, camera_height
+        self.max_speed, self.stale = max_speed, stale
+        self.depth: np.ndarray | None = None
+        self.intrinsics: np.ndarray | None = None
+        self.pose: tuple[float, float, float] | None = None
+        self.frame: str | None = None
+        self.goal: tuple[float, float] | None = None
+        self.stamps = {"depth": math.nan, "odometry": math.nan}
+
+    def see(self, depth: np.ndarray, intrinsics: np.ndarray | None, stamp: float) -> None:
+        """Take a depth image ``(H, W)`` [m] and its intrinsics ``(3, 3)`` [px]; ``stamp`` [s]."""
+        self.depth, self.intrinsics = depth, intrinsics
+        self.stamps["depth"] = stamp
+
+    def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
+        """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]."""
+        self.pose, self.frame = pose, frame
+        self.stamps["odometry"] = stamp
+
+    def aim(self, x: float, y: float, frame: str) -> str:
+        """Drive to a point [m] in the odometry's frame. Returns why it is rejected, or ""; then it stops."""
+        self.goal = None
+        if not (math.isfinite(x) and math.isfinite(y)):
+            return "goal rejected: its position is not finite"
+        if self.frame is None:
+            return "goal rejected: no odometry yet; send it again later"
+        if frame != self.frame:
+            return (
+                f"goal rejected: it is in frame '{frame}', the odometry in '{self.frame}': send it in that "
+                "frame (in RViz, set Fixed Frame to it)"
+            )
+        self.goal = (x, y)
+        self.navigator.reset()
+        return ""
+
+    def decide(self, now: float) -> Command:
+        """Return the command at ``now`` [s]; call this every 0.2 s."""
+        command = self._decide(now)
+        if not (math.isfinite(command.speed) and math.isfinite(command.turn)):
+            command = Command(reason="the driver's command is not finite")
+        if not (command.speed or command.turn):
+            self.navigator.observer.last[:] = 0.0  # it stands, whatever was chosen last
+        return command
+
+    def _decide(self, now: float) -> Command:
+        for name, stamp in self.stamps.items():
+            if math.isnan(stamp):
+                return Command(reason=f"no {name} yet")
+            if not abs(now - stamp) < self.stale:
+                late = f"{abs(now - stamp):.1f} s {'in the future' if stamp > now else 'old'}"
+                return Command(reason=f"{name} is {late}: check its publisher, its rate, and both clocks")
+        if self.intrinsics is None:
+            return Command(reason="no camera_info of the depth yet")
+        if self.goal is None or self.pose is None or self.depth is None:
+            return Command(reason="no goal")
+        x, y, yaw = self.pose
+        distance = math.dist((x, y), self.goal)
+        if distance < GOAL_RADIUS:
+            self.goal = None
+            return Command(reason="goal reached")
+        bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
+        bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
+        try:
+            speed, turn = self.navigator.step(
+                self.depth,
+                (distance, bearing),
+                self.pose,
+                intrinsics=self.intrinsics,
+                camera_height=self.camera_height,
+            )
+        except ValueError as error:  # such as a camera that sees too little
+            return Command(reason=str(error))
+        slower = min(1.0, self.max_speed / speed) if speed > 0 else 1.0
+        return Command(slower * speed, slower * turn, self.navigator.stop_reason or "")

@@ -1,0 +1,281 @@
+"""Arrays to ROS messages and back. Needs NumPy alone: ROS, or a library such as rosbags, gives the classes.
+
+Convention: REP 103 (an optical frame has x right, y down, z forward, and so have depth, points and boxes
+here; a frame without "optical" has x forward, y left, z up), REP 117 (inf: nothing in range) and REP 118
+(32FC1 is depth in meters with NaN for unknown, 16UC1 in millimeters with 0 for unknown).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Z_90 = 1.64  # standard deviations that hold 90 % on each side (Gaussian 1.64, Laplacian 1.63)
+COLORS = {  # encoding -> channels, and which of them are red, green and blue
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "mono8": (1, (0, 0, 0)),
+}
+DEPTHS = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001), "mono16": (np.uint16, 0.001)}
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
+FLOAT32 = 7  # sensor_msgs/PointField
+
+
+def seconds(stamp: Any) -> float:
+    """Time of a ``builtin_interfaces/Time`` [s]."""
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def read_color(image: Any) -> np.ndarray:
+    """``(H, W, 3)`` uint8 RGB of a ``sensor_msgs/Image``.
+
+    Raises:
+        ValueError: the encoding is not one of ``COLORS``, or the data do not fit their size.
+    """
+    if image.encoding not in COLORS:
+        raise ValueError(
+            f"image has encoding {image.encoding!r}: publish {', '.join(COLORS)} (image_proc converts)"
+        )
+    channels, order = COLORS[image.encoding]
+    pixels = _rows(image, channels).reshape(image.height, image.width, channels)
+    return np.ascontiguousarray(pixels[..., list(order)])
+
+
+def read_depth(image: Any) -> np.ndarray:
+    """``(H, W)`` float32 [m] of a ``sensor_msgs/Image``; 0 and NaN are unknown, inf is nothing in range.
+
+    Raises:
+        ValueError: the encoding is not one of ``DEPTHS``, or the data do not fit their size.
+    """
+    if image.encoding not in DEPTHS:
+        raise ValueError(f"depth has encoding {image.encoding!r}: publish {', '.join(DEPTHS)}")
+    kind, meters = DEPTHS[image.encoding]
+    stored = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
+    values = np.ascontiguousarray(_rows(image, stored.itemsize)).view(stored)
+    return np.asarray(values.astype(np.float32) * np.float32(meters))
+
+
+def _rows(image: Any, pixel_bytes: int) -> np.ndarray:
+    """Bytes of an image ``(H, W * pixel_bytes)``, without those that fill its rows."""
+    data = np.frombuffer(image.data, np.uint8)
+    used = image.width * pixel_bytes
+    if not (image.height and image.width) or image.step < used or data.size < image.height * image.step:
+        raise ValueError(
+            f"image of {image.height} x {image.width} {image.encoding} has step {image.step} and {data.size} "
+            f"bytes: its publisher must send at least {used} bytes a row"
+        )
+    return data[: image.height * image.step].reshape(image.height, image.step)[:, :used]
+
+
+def read_intrinsics(info: Any, size: tuple[int, int], *, rectified: bool = False) -> np.ndarray:
+    """Intrinsics ``(3, 3)`` [px] of pictures of ``(height, width)``: K, or P of rectified pictures.
+
+    Raises:
+        ValueError: the camera is not calibrated, or its calibration is for another size.
+    """
+    matrix = np.array(info.k, np.float64).reshape(3, 3)
+    if rectified:
+        matrix = np.array(info.p, np.float64).reshape(3, 4)[:, :3]
+    if not (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise ValueError(
+            f"camera_info has {'P' if rectified else 'K'} = {matrix.tolist()}: calibrate the camera "
+            "(ros2 run camera_calibration cameracalibrator)"
+        )
+    if (info.height, info.width) != tuple(size):
+        raise ValueError(
+            f"camera_info is for {info.height} x {info.width}, the picture has {size[0]} x {size[1]}: "
+            "publish the calibration of this size"
+        )
+    return matrix
+
+
+def is_distorted(info: Any) -> bool:
+    """Return whether the lens bends straight lines, so that only rectified pictures fit a pinhole camera."""
+    return bool(np.any(np.asarray(info.d, np.float64)))
+
+
+def read_pose(odometry: Any) -> tuple[float, float, float]:
+    """x, y [m] and heading [rad] of a ``nav_msgs/Odometry``; NaN of a quaternion that is no rotation."""
+    place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+    if not abs(math.hypot(turn.x, turn.y, turn.z, turn.w) - 1) < 0.1:
+        return place.x, place.y, math.nan
+    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z))
+    return place.x, place.y, yaw
+
+
+class Builder:
+    """Builds messages.
+
+    Args:
+        message: name such as "sensor_msgs/msg/Image" -> class, which takes every field by keyword.
+        sequence: array -> what the classes take for a sequence of numbers without a fixed length.
+    """
+
+    def __init__(
+        self,
+        message: Callable[[str], Callable[..., Any]],
+        sequence: Callable[[np.ndarray], Any] = np.ascontiguousarray,
+    ) -> None:
+        self.message, self.sequence = message, sequence
+
+    def header(self, stamp: Any, frame_id: str) -> Any:
+        """``std_msgs/Header`` at the time of another message."""
+        return self.message("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+
+    def depth_image(self, header: Any, depth: np.ndarray) -> Any:
+        """``sensor_msgs/Image`` 32FC1 of ``(H, W)`` [m]: depth, or its sigma."""
+        depth = np.ascontiguousarray(depth, dtype="<f4")
+        height, width = depth.shape
+        return self.message("sensor_msgs/msg/Image")(
+            header=header,
+            height=height,
+            width=width,
+            encoding="32FC1",
+            is_bigendian=0,
+            step=4 * width,
+            data=self.sequence(depth.view(np.uint8).ravel()),
+        )
+
+    def camera_info(self, header: Any, size: tuple[int, int], intrinsics: np.ndarray) -> Any:
+        """``sensor_msgs/CameraInfo`` of a pinhole camera without distortion, ``intrinsics (3, 3)`` [px]."""
+        matrix = np.array(intrinsics, dtype=np.float64)
+        window = self.message("sensor_msgs/msg/RegionOfInterest")(
+            x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        return self.message("sensor_msgs/msg/CameraInfo")(
+            header=header,
+            height=size[0],
+            width=size[1],
+            distortion_model="plumb_bob",
+            d=self.sequence(np.zeros(5)),
+            k=matrix.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.column_stack([matrix, np.zeros(3)]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=window,
+        )
+
+    def point_cloud(self, header: Any, points: np.ndarray, colors: np.ndarray) -> Any:
+        """``sensor_msgs/PointCloud2`` in the order of the picture; RViz shows its field "rgb".
+
+        Args:
+            header: of the picture.
+            points: ``(H, W, 3)`` [m] in the optical frame; one that is not finite or not in front is NaN.
+            colors: ``(H, W, 3)`` uint8 RGB.
+        """
+        height, width = points.shape[:2]
+        known = np.isfinite(points).all(-1) & (points[..., 2] > 0)
+        cloud = np.empty((height, width), POINT)
+        for axis, name in enumerate("xyz"):
+            cloud[name] = np.where(known, points[..., axis], np.nan)
+        red, green, blue = np.moveaxis(colors.astype(np.uint32), -1, 0)
+        cloud["rgb"] = red << 16 | green << 8 | blue
+        field = self.message("sensor_msgs/msg/PointField")
+        fields = [
+            field(name=name, offset=POINT.fields[name][1], datatype=FLOAT32, count=1)  # type: ignore[index]
+            for name in POINT.names or ()
+        ]
+        return self.message("sensor_msgs/msg/PointCloud2")(
+            header=header,
+            height=height,
+            width=width,
+            fields=fields,
+            is_bigendian=False,
+            point_step=POINT.itemsize,
+            row_step=POINT.itemsize * width,
+            data=self.sequence(cloud.view(np.uint8).ravel()),
+            is_dense=bool(known.all()),
+        )
+
+    def laser_scan(
+        self, header: Any, ranges: np.ndarray, half_angle: float, near: float, far: float, period: float
+    ) -> Any:
+        """``sensor_msgs/LaserScan``: ranges [m] from right to left; inf from ``far`` on.
+
+        Args:
+            header: whose frame has x forward and z up.
+            ranges: ``(N,)`` [m], each over an equal share of the view.
+            half_angle: of the view, to each side [rad].
+            near: least range [m].
+            far: greatest range [m].
+            period: between two scans [s].
+        """
+        step = 2 * half_angle / len(ranges)
+        free = np.where(ranges >= far, np.inf, ranges)
+        return self.message("sensor_msgs/msg/LaserScan")(
+            header=header,
+            angle_min=-half_angle + step / 2,
+            angle_max=half_angle - step / 2,
+            angle_increment=step,
+            time_increment=0.0,
+            scan_time=float(period),
+            range_min=float(near),
+            range_max=float(far),
+            ranges=self.sequence(free.astype(np.float32)),
+            intensities=self.sequence(np.zeros(0, np.float32)),
+        )
+
+    def detections(self, header: Any, boxes: Any) -> Any:
+        """``vision_msgs/Detection3DArray`` of :class:`eldenet.boxes.Boxes3D`.
+
+        A box's own axes are x along its length, y to its left, z up; its pose turns them into the optical
+        frame of ``header``. The covariance is that of the distance, where depth had a sigma; elsewhere it is
+        0, which ROS reads as unknown.
+        """
+        found = [self._detection(header, boxes, index) for index in range(len(boxes))]
+        return self.message("vision_msgs/msg/Detection3DArray")(header=header, detections=found)
+
+    def _detection(self, header: Any, boxes: Any, index: int) -> Any:
+        box = boxes[index]
+        # (length, left, up) axes -> optical: a quarter turn about x, then yaw about y
+        c, s = math.cos(box.yaw / 2), math.sin(box.yaw / 2)
+        half = math.sqrt(0.5)
+        turn = self.message("geometry_msgs/msg/Quaternion")(x=c * half, y=s * half, z=-s * half, w=c * half)
+        place = self.message("geometry_msgs/msg/Point")(
+            **dict(zip("xyz", map(float, box.center), strict=True))
+        )
+        pose = self.message("geometry_msgs/msg/Pose")(position=place, orientation=turn)
+        length, width, height = map(float, box.size)
+        size = self.message("geometry_msgs/msg/Vector3")(x=length, y=width, z=height)
+        hypothesis = self.message("vision_msgs/msg/ObjectHypothesis")(class_id=box.name, score=box.score)
+        uncertain = self.message("geometry_msgs/msg/PoseWithCovariance")(
+            pose=pose, covariance=_covariance(box).ravel()
+        )
+        result = self.message("vision_msgs/msg/ObjectHypothesisWithPose")(
+            hypothesis=hypothesis, pose=uncertain
+        )
+        return self.message("vision_msgs/msg/Detection3D")(
+            header=header,
+            results=[result],
+            bbox=self.message("vision_msgs/msg/BoundingBox3D")(center=pose, size=size),
+            id="" if boxes.track_id is None else str(boxes.track_id[index]),
+        )
+
+    def velocity(self, speed: float, turn: float, header: Any = None) -> Any:
+        """``geometry_msgs/Twist``, or TwistStamped with a header: speed [m/s], turn rate [rad/s].
+
+        A command that is not finite stops.
+        """
+        if not (math.isfinite(speed) and math.isfinite(turn)):
+            speed = turn = 0.0
+        vector = self.message("geometry_msgs/msg/Vector3")
+        twist = self.message("geometry_msgs/msg/Twist")(
+            linear=vector(x=float(speed), y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=float(turn))
+        )
+        if header is None:
+            return twist
+        return self.message("geometry_msgs/msg/TwistStamped")(header=header, twist=twist)
+
+
+def _covariance(box: Any) -> np.ndarray:
+    """``(6, 6)`` of a box's pose: of its distance along the ground, if the depth had a sigma."""
+    covariance = np.zeros((6, 6))
+    if box.interval is not None and box.distance > 0:
+        low, high = box.interval
+        ray = np.array([box.center[0], 0.0, box.center[2]]) / box.distance
+        covariance[:3, :3] = ((high - low) / 2 / Z_90) ** 2 * np.outer(ray, ray)
+    return covariance

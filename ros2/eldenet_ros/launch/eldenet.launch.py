@@ -1,0 +1,61 @@
+"""Depth and a scan of one camera; with ``detector:=`` boxes, with ``drive:=true`` the driver."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch_ros.actions import Node
+
+PACKAGE = "eldenet_ros"
+ARGUMENTS = {
+    "image": ("/camera/image_raw", "the camera's pictures"),
+    "camera_info": ("/camera/camera_info", "their calibration"),
+    "depth_image": ("/depth/image", "depth: of the network, or of a depth camera with depth:=false"),
+    "depth_info": ("/depth/camera_info", "its calibration"),
+    "depth": ("true", "predict depth; false: a depth camera publishes it"),
+    "scan": ("true", "publish a LaserScan for Nav2"),
+    "detector": ("", "an .onnx file: publish 3D boxes"),
+    "drive": ("false", "publish cmd_vel: the robot moves as soon as it gets a goal"),
+    "odom": ("/odom", "odometry of the driver"),
+    "cmd_vel": ("/cmd_vel", "its commands"),
+    "params": (str(Path(get_package_share_directory(PACKAGE)) / "config/eldenet.yaml"), "parameters"),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the nodes and their arguments."""
+    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    depth = [("depth/image", given["depth_image"]), ("depth/camera_info", given["depth_info"])]
+    picture = ("image", given["image"])
+
+    def node(name: str, condition: object, remappings: list, extra: dict | None = None) -> Node:
+        return Node(
+            package=PACKAGE,
+            executable=name,
+            name=f"eldenet_{name}",
+            output="screen",
+            condition=IfCondition(condition),
+            parameters=[given["params"], *([extra] if extra else [])],
+            remappings=remappings,
+        )
+
+    has_detector = PythonExpression(["'", given["detector"], "' != ''"])
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=value, description=text)
+                for name, (value, text) in ARGUMENTS.items()
+            ),
+            node("depth", given["depth"], [picture, ("camera_info", given["camera_info"]), *depth]),
+            node("scan", given["scan"], depth),
+            node("boxes", has_detector, [picture, *depth], {"detector": given["detector"]}),
+            node(
+                "drive",
+                given["drive"],
+                [*depth, ("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])],
+            ),
+        ]
+    )

@@ -1,0 +1,127 @@
+"""The driver moves for fresh and finite data alone."""
+
+import math
+
+import numpy as np
+import pytest
+from eldenet_ros.driving import Pilot
+
+from eldenet.geometry import pinhole
+from eldenet.navigation.policy import Navigator
+
+CAMERA = pinhole(110.0, 110.0, 80.0, 60.0)
+NAVIGATOR = Navigator.load()
+
+
+def fed(**more) -> Pilot:
+    pilot = Pilot(NAVIGATOR, camera_height=0.4, **more)
+    feed(pilot, 100.0)
+    assert pilot.aim(5.0, 0.0, "odom") == ""
+    return pilot
+
+
+def feed(pilot: Pilot, now: float, *, depth: float = 6.0, pose=(0.0, 0.0, 0.0), camera=CAMERA) -> None:
+    pilot.see(np.full((120, 160), depth), camera, now)
+    pilot.move(pose, "odom", now)
+
+
+def stands(pilot: Pilot, now: float, reason: str) -> bool:
+    command = pilot.decide(now)
+    assert reason in command.reason
+    assert (pilot.navigator.observer.last == 0).all()  # the policy knows that it stands
+    return (command.speed, command.turn) == (0.0, 0.0)
+
+
+def test_it_drives_to_the_goal_and_stands_there() -> None:
+    pilot = fed()
+    assert pilot.decide(100.1).speed > 0
+    feed(pilot, 100.2, pose=(4.6, 0.0, 0.0))
+    assert stands(pilot, 100.3, "goal reached")
+    assert stands(pilot, 100.3, "no goal")
+
+
+@pytest.mark.parametrize("name", ["depth", "odometry"])
+@pytest.mark.parametrize("age", [0.5, 3.0, 1e9, -0.5, -3.0, math.nan, math.inf, -math.inf])
+def test_data_that_are_not_fresh_stop_it_and_fresh_ones_let_it_go_on(name, age) -> None:
+    pilot = fed()
+    assert pilot.decide(100.1).speed > 0
+    pilot.stamps[name] = 100.1 - age
+    assert stands(pilot, 100.1, name)
+    feed(pilot, 100.2)
+    assert pilot.decide(100.3).speed > 0
+
+
+def test_a_camera_that_repeats_one_picture_stops_it() -> None:
+    pilot = fed()
+    for now in np.arange(100.1, 102.0, 0.2):
+        pilot.see(np.full((120, 160), 6.0), CAMERA, 100.0)  # the same stamp again and again
+        pilot.move((0.0, 0.0, 0.0), "odom", now)
+        moves = pilot.decide(now).speed > 0
+        assert moves == (now < 100.5)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_never_moves_it(wrong) -> None:
+    pilot = fed()
+    for place in range(3):
+        pose = [0.0, 0.0, 0.0]
+        pose[place] = wrong
+        feed(pilot, 100.0, pose=tuple(pose))
+        assert stands(pilot, 100.1, "")
+    for row, column in np.ndindex(3, 3):
+        camera = CAMERA.copy()
+        camera[row, column] = wrong
+        feed(pilot, 100.0, camera=camera)
+        assert stands(pilot, 100.1, "")
+    feed(pilot, math.nan)
+    assert stands(pilot, 100.1, "yet")
+    feed(pilot, 100.0)
+    assert stands(pilot, wrong, "")  # the clock
+    assert pilot.decide(100.1).speed > 0
+    assert "not finite" in pilot.aim(wrong, 0.0, "odom")
+    assert stands(pilot, 100.1, "no goal")
+
+
+@pytest.mark.parametrize("unknown", [math.nan, 0.0, -1.0])
+def test_depth_of_which_nothing_is_known_stops_it(unknown) -> None:
+    pilot = fed()
+    feed(pilot, 100.0, depth=unknown)
+    assert stands(pilot, 100.1, "no value of depth")
+
+
+def test_a_driver_whose_command_is_not_finite_stops_it(monkeypatch) -> None:
+    pilot = fed()
+    for command in ((math.nan, 0.0), (0.5, math.inf)):
+        monkeypatch.setattr(pilot.navigator, "step", lambda *_, command=command, **__: command)
+        assert stands(pilot, 100.1, "not finite")
+
+
+def test_a_camera_that_sees_too_little_stops_it_and_says_why() -> None:
+    pilot = fed()
+    feed(pilot, 100.0, camera=pinhole(400.0, 400.0, 80.0, 60.0))
+    assert stands(pilot, 100.1, "34.7 degrees to each side")
+
+
+def test_a_goal_in_another_frame_or_before_odometry_is_rejected() -> None:
+    assert "no odometry" in Pilot(NAVIGATOR, camera_height=0.4).aim(1.0, 1.0, "odom")
+    pilot = fed()
+    assert "'map'" in pilot.aim(1.0, 1.0, "map")
+    assert stands(pilot, 100.1, "no goal")
+
+
+def test_a_speed_limit_keeps_the_arc() -> None:
+    fast, slow = fed(), fed(max_speed=0.2)
+    fast.navigator.reset()
+    one = fast.decide(100.1)
+    slow.navigator.reset()
+    other = slow.decide(100.1)
+    assert one.speed > 0.3
+    assert other.speed == pytest.approx(0.2)
+    assert other.turn * one.speed == pytest.approx(one.turn * other.speed)
+
+
+@pytest.mark.parametrize("name", ["camera_height", "max_speed", "stale"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_settings_out_of_range_end_in_one_line(name, value) -> None:
+    with pytest.raises(ValueError, match=f"{name}=.*above 0"):
+        Pilot(NAVIGATOR, **{"camera_height": 0.4, name: value})

@@ -1,0 +1,322 @@
+"""The thin layer over ROS, with stand-ins for its modules: what is sent, and by which names."""
+
+import importlib
+import math
+import re
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from support.ros import BUILDER, STORE, complaints, header, image, stamp
+
+from eldenet.geometry import pinhole
+
+PACKAGE = Path(__file__).parents[2] / "ros2/eldenet_ros"
+NODES = ("depth", "boxes", "scan", "drive")
+K = pinhole(110.0, 110.0, 80.0, 60.0)
+PHOTO = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
+
+
+class Node:
+    """ROS's, as far as the nodes use it; publishers refuse what rclpy refuses."""
+
+    given: dict = {}  # noqa: RUF012
+
+    def __init__(self, name: str) -> None:
+        self.name, self.logger, self.sent, self.callbacks = name, MagicMock(), {}, {}
+        self.parameters: dict = {}
+        self.now = 12.3
+
+    def declare_parameter(self, name, default):
+        self.parameters[name] = default
+        return SimpleNamespace(value=self.given.get(name, default))
+
+    def get_logger(self):
+        return self.logger
+
+    def get_clock(self):
+        now = SimpleNamespace(nanoseconds=int(self.now * 1e9), to_msg=lambda: stamp(self.now))
+        return SimpleNamespace(now=lambda: now)
+
+    def create_subscription(self, kind, topic, callback, queue) -> None:
+        self.callbacks[topic] = callback
+
+    def create_timer(self, *arguments) -> None: ...
+
+    def destroy_node(self) -> None: ...
+
+    def create_publisher(self, kind, topic, queue):
+        sent = self.sent.setdefault(topic, [])
+
+        def publish(message) -> None:
+            assert isinstance(message, kind)
+            assert complaints(message) == []
+            sent.append(message)
+
+        return SimpleNamespace(publish=publish, get_subscription_count=lambda: 1)
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """Give a function that makes a node, by its file's name and its parameters."""
+    for name in ["rclpy", "rclpy.executors", "rclpy.node", "rclpy.qos", "rclpy.signals", "message_filters"]:
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    monkeypatch.setattr(sys.modules["rclpy.node"], "Node", Node)
+    for kind, message in STORE.types.items():
+        package, _, short = kind.split("/")
+        if f"{package}.msg" not in sys.modules:
+            monkeypatch.setitem(sys.modules, package, ModuleType(package))
+            monkeypatch.setitem(sys.modules, f"{package}.msg", ModuleType(f"{package}.msg"))
+        setattr(sys.modules[f"{package}.msg"], short, message)
+    names = [f"eldenet_ros.{name}" for name in ("ros", *(f"{each}_node" for each in NODES))]
+
+    def forget() -> None:
+        for name in names:
+            sys.modules.pop(name, None)
+
+    def make(name: str, **given):
+        forget()
+        monkeypatch.setattr(Node, "given", given)
+        return getattr(importlib.import_module(f"eldenet_ros.{name}_node"), f"{name.title()}Node")()
+
+    yield make
+    forget()
+
+
+def camera_info(intrinsics: np.ndarray = K, size: tuple[int, int] = (120, 160)):
+    return BUILDER.camera_info(header(), size, intrinsics)
+
+
+def odometry(x: float, when: float = 12.25):
+    types = STORE.types
+    place = types["geometry_msgs/msg/Point"](x=x, y=0.0, z=0.0)
+    turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = SimpleNamespace(pose=types["geometry_msgs/msg/Pose"](position=place, orientation=turn))
+    return SimpleNamespace(header=header(when, "odom"), pose=pose)
+
+
+def depth_image(meters: float, when: float = 12.25):
+    return image(np.full((120, 160), meters, np.float32), "32FC1", when=when)
+
+
+@pytest.fixture
+def drive(ros):
+    node = ros("drive")
+    node.on_info(camera_info())
+    node.on_depth(depth_image(6.0))
+    node.on_odometry(odometry(0.0))
+    node.on_goal(odometry(5.0).__class__(header=header(12.25, "odom"), pose=odometry(5.0).pose.pose))
+    return node
+
+
+def decision(node) -> tuple[float, float]:
+    node.decide()
+    twist = node.sent["cmd_vel"][-1]
+    return twist.linear.x, twist.angular.z
+
+
+def test_the_driver_moves_and_stops_while_its_data_are_not_finite(drive) -> None:
+    assert decision(drive)[0] > 0
+    for act, good, word in (
+        (lambda: drive.on_odometry(odometry(math.nan)), lambda: drive.on_odometry(odometry(0.1)), "odometry"),
+        (lambda: drive.on_odometry(odometry(math.inf)), lambda: drive.on_odometry(odometry(0.1)), "odometry"),
+        (lambda: drive.on_depth(depth_image(math.nan)), lambda: drive.on_depth(depth_image(6.0)), "no value"),
+        (lambda: drive.on_depth(depth_image(0.0)), lambda: drive.on_depth(depth_image(6.0)), "no value"),
+    ):
+        act()
+        assert decision(drive) == (0.0, 0.0)
+        assert word in drive.logger.info.call_args.args[0]
+        good()
+        assert decision(drive)[0] > 0
+
+
+@pytest.mark.parametrize("silent", ["depth", "odometry"])
+def test_the_driver_stops_when_a_topic_falls_silent(drive, silent) -> None:
+    assert decision(drive)[0] > 0
+    drive.now = 13.0
+    if silent == "depth":
+        drive.on_odometry(odometry(0.1, 12.95))
+    else:
+        drive.on_depth(depth_image(6.0, 12.95))
+    assert decision(drive) == (0.0, 0.0)
+    assert f"{silent} is 0.8 s old" in drive.logger.info.call_args.args[0]
+
+
+def test_a_depth_image_that_cannot_be_read_is_logged_and_does_not_count(drive) -> None:
+    drive.now = 13.0
+    drive.on_odometry(odometry(0.1, 12.95))
+    drive.on_depth(image(np.zeros((120, 160, 3), np.uint8), "rgb8", when=12.95))
+    assert "publish 32FC1" in drive.logger.error.call_args.args[0]
+    assert decision(drive) == (0.0, 0.0)
+
+
+def test_stamped_commands_have_the_time_and_the_frame(ros) -> None:
+    node = ros("drive", stamped=True, frame="base")
+    node.decide()
+    (message,) = node.sent["cmd_vel"]
+    assert (message.header.frame_id, message.header.stamp.sec) == ("base", 12)
+    assert message.twist.linear.x == 0.0
+
+
+def test_the_last_command_of_the_driver_stops_the_robot(ros, monkeypatch) -> None:
+    ros("drive")
+    module = sys.modules["eldenet_ros.drive_node"]
+    nodes = []
+    monkeypatch.setattr(module, "DriveNode", lambda make=module.DriveNode: nodes.append(make()) or nodes[0])
+    monkeypatch.setattr(module.signal, "signal", MagicMock())
+
+    def crash(node) -> None:
+        node.send(0.7, 0.1)
+        raise RuntimeError
+
+    module.rclpy.spin = crash
+    with pytest.raises(RuntimeError):
+        module.main()
+    assert [message.linear.x for message in nodes[0].sent["cmd_vel"]] == [0.7, 0.0]
+
+
+@pytest.mark.parametrize("checkpoint", ["eldenet_indoor", "model_folder"])
+def test_depth_and_cloud_have_the_pictures_stamp_frame_and_meters(ros, request, checkpoint) -> None:
+    if checkpoint == "model_folder":
+        checkpoint = str(request.getfixturevalue(checkpoint))
+    node = ros("depth", checkpoint=checkpoint)
+    node.on_info(camera_info())
+    node.on_image(image(PHOTO, "rgb8"))
+    (depth,), (info,), (cloud,) = (node.sent[f"depth/{name}"] for name in ("image", "camera_info", "points"))
+    for message in (depth, info, cloud):
+        assert (message.header.stamp.sec, message.header.frame_id) == (12, "camera_optical")
+    meters = np.frombuffer(depth.data, np.float32).reshape(120, 160)
+    assert (cloud.height, cloud.width) == (60, 80)
+    z = np.frombuffer(cloud.data, np.float32).reshape(60, 80, 4)[..., 2]
+    assert (z == meters[::2, ::2]).all()
+    assert (info.height, info.width) == (120, 160)
+    assert (info.k == K.ravel()).all()
+    assert "depth/sigma" not in node.sent
+
+
+def test_twice_the_focal_length_is_twice_the_depth(ros) -> None:
+    depths = []
+    for focal in (110.0, 220.0):
+        node = ros("depth")  # the default network has a canonical camera
+        node.on_info(camera_info(pinhole(focal, focal, 80.0, 60.0)))
+        node.on_image(image(PHOTO, "rgb8"))
+        depths.append(np.frombuffer(node.sent["depth/image"][0].data, np.float32))
+    assert depths[1] == pytest.approx(2 * depths[0], rel=1e-4)
+
+
+def test_a_picture_without_calibration_is_logged(ros) -> None:
+    node = ros("depth")
+    node.on_image(image(PHOTO, "rgb8"))
+    assert "no camera_info" in node.logger.error.call_args.args[0]
+    assert node.sent["depth/image"] == []
+
+
+def test_sigma_is_published_where_the_network_knows_it_and_unsure_points_are_left_out(ros, tmp_path) -> None:
+    import eldenet
+
+    model = eldenet.load("eldenet_s", overrides=["model/head=uncertain"])
+    model.info["input_size"] = (64, 96)
+    model.save_pretrained(tmp_path / "model")
+    node = ros("depth", checkpoint=str(tmp_path / "model"), cloud_step=1)
+    node.on_info(camera_info())
+    node.on_image(image(PHOTO, "rgb8"))
+    depth, sigma = (
+        np.frombuffer(node.sent[name][0].data, np.float32) for name in ("depth/image", "depth/sigma")
+    )
+    assert (sigma > 0).all()
+    z = np.frombuffer(node.sent["depth/points"][0].data, np.float32).reshape(-1, 4)[:, 2]
+    assert (np.isnan(z) == (sigma > 0.3 * depth)).all()
+
+
+def test_boxes_are_published_with_a_number_in_the_pictures_frame(ros, tmp_path, monkeypatch) -> None:
+    import eldenet.perception.onnx_detector
+    from eldenet.boxes import Detections2D
+    from eldenet.perception.detectors import FixedDetections
+
+    seen = Detections2D(np.array([[60.0, 40.0, 100.0, 80.0]]), np.array([0.8]), np.array([0]), ("car",))
+    monkeypatch.setattr(
+        eldenet.perception.onnx_detector, "OnnxDetector", lambda path, **_: FixedDetections([seen] * 3)
+    )
+    node = ros("boxes", detector="any.onnx", sigma_distribution="laplace")
+    node.on_info(camera_info())
+    for number in range(3):
+        when = 12.25 + number / 10
+        parts = [image(PHOTO, "rgb8", when=when)]
+        parts += [image(np.full((120, 160), value, np.float32), "32FC1", when=when) for value in (6.0, 0.5)]
+        node.on_picture(*parts)
+    found = node.sent["detections"][-1]
+    assert (found.header.frame_id, found.header.stamp.nanosec) == ("camera_optical", 450_000_000)
+    (car,) = found.detections
+    assert car.results[0].hypothesis.class_id == "car"
+    assert car.id.isdigit()
+    assert 5 < car.bbox.center.position.z < 9
+
+
+def test_boxes_without_a_detector_end_in_one_line(ros) -> None:
+    with pytest.raises(ValueError, match=r"detector is empty: .*\.onnx"):
+        ros("boxes")
+
+
+def test_a_scan_has_the_stamp_of_its_depth_and_a_frame_of_its_own(ros) -> None:
+    node = ros("scan", frame="camera_link")
+    node.on_info(camera_info())
+    node.on_depth(depth_image(2.0))
+    node.on_depth(depth_image(2.0, 12.5))
+    scan = node.sent["scan"][-1]
+    assert (scan.header.stamp.nanosec, scan.header.frame_id) == (500_000_000, "camera_link")
+    assert scan.scan_time == pytest.approx(0.25)
+    assert min(scan.ranges) == pytest.approx(2.0, rel=0.01)
+
+
+def test_the_yaml_has_every_parameter_with_its_default(ros) -> None:
+    stored = OmegaConf.to_container(OmegaConf.load(PACKAGE / "config/eldenet.yaml"))
+    assert list(stored) == [f"eldenet_{name}" for name in ("depth", "scan", "boxes", "drive")]
+    for name in NODES:
+        try:
+            ros(name)
+        except ValueError:
+            assert name == "boxes"
+        defaults = sys.modules[f"eldenet_ros.{name}_node"].PARAMETERS
+        assert stored[f"eldenet_{name}"]["ros__parameters"] == defaults
+
+
+def test_the_launch_file_starts_the_installed_nodes_with_their_topics(ros, monkeypatch) -> None:
+    for name in ("ament_index_python.packages", "launch", "launch.actions", "launch.conditions",
+                 "launch.substitutions", "launch_ros.actions"):  # fmt: skip
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: PACKAGE
+    sys.modules["launch.substitutions"].LaunchConfiguration = lambda name: f"${name}"
+    started: list[dict] = []
+    sys.modules["launch_ros.actions"].Node = lambda **options: started.append(options)
+    launch = runpy.run_path(str(PACKAGE / "launch/eldenet.launch.py"))
+    launch["generate_launch_description"]()
+    assert Path(launch["ARGUMENTS"]["params"][0]).is_file()
+    setup: dict = {}
+    monkeypatch.setitem(
+        sys.modules, "setuptools", SimpleNamespace(setup=lambda **options: setup.update(options))
+    )
+    runpy.run_path(str(PACKAGE / "setup.py"))
+    scripts = dict(line.split(" = ") for line in setup["entry_points"]["console_scripts"])
+    for options in started:
+        target, function = scripts[options["executable"]].split(":")
+        assert f"def {function}(" in (PACKAGE / f"{target.replace('.', '/')}.py").read_text()
+        assert options["name"] == f"eldenet_{options['executable']}"
+        source = (PACKAGE / f"eldenet_ros/{options['executable']}_node.py").read_text()
+        for topic, argument in options["remappings"]:
+            assert f'"{topic}"' in source
+            assert argument.removeprefix("$") in launch["ARGUMENTS"]
+
+
+def test_the_package_names_what_it_imports() -> None:
+    named = set(re.findall(r"<exec_depend>(\w+)<", (PACKAGE / "package.xml").read_text()))
+    for file in [*PACKAGE.glob("eldenet_ros/*.py"), *PACKAGE.glob("launch/*.py")]:
+        text = file.read_text()
+        imported = set(re.findall(r"^(?:from|import) (\w+)", text, re.M))
+        imported |= {kind.split("/")[0] for kind in re.findall(r'"(\w+/msg)/\w+"', text)}
+        ours = {"eldenet", "eldenet_ros", "numpy", *sys.stdlib_module_names}
+        assert imported - ours <= named, file.name

@@ -1,0 +1,62 @@
+"""A scan of any camera, for Nav2."""
+
+import math
+
+import numpy as np
+import pytest
+from eldenet_ros.scan import scan_depth
+
+from eldenet.geometry import back_project, pinhole
+
+OPTIONS = {"camera_height": 0.4, "heights": (0.15, 0.6), "near": 0.3, "far": 10.0}
+
+
+def room(width: int, focal: float, wall: float, *, thing: tuple[float, float] | None = None) -> np.ndarray:
+    """Depth ``(96, width)`` of a floor and a wall ahead, and of something upright at x, z [m]."""
+    rays = back_project(np.ones((96, width)), pinhole(focal, focal, (width - 1) / 2, 47.5))
+    down = np.maximum(rays[..., 1], 1e-9)
+    depth = np.minimum(0.4 / down, wall)
+    if thing is not None:
+        hit = (abs(rays[..., 0] * thing[1] - thing[0]) < 0.15) & (thing[1] < depth)
+        depth = np.where(hit, thing[1], depth)
+    return depth
+
+
+@pytest.mark.parametrize(("width", "focal"), [(128, 60.0), (128, 200.0), (640, 460.0)])
+def test_a_wall_is_where_it_is_for_wide_and_narrow_cameras(width, focal) -> None:
+    ranges, half = scan_depth(
+        room(width, focal, 4.0), pinhole(focal, focal, (width - 1) / 2, 47.5), **OPTIONS
+    )
+    assert half == pytest.approx(math.atan(width / 2 / focal))
+    angles = (np.arange(len(ranges)) + 0.5) * 2 * half / len(ranges) - half
+    assert ranges == pytest.approx(np.minimum(4.0 / np.cos(angles), 10.0), rel=0.03)
+
+
+def test_something_on_the_right_is_in_the_first_beams() -> None:
+    ranges, _ = scan_depth(room(160, 110.0, 9.0, thing=(0.8, 2.0)), pinhole(110, 110, 79.5, 47.5), **OPTIONS)
+    assert ranges.min() == pytest.approx(math.hypot(0.65, 2.0), rel=0.05)
+    assert ranges.argmin() < len(ranges) / 2
+    assert ranges[len(ranges) // 2 :].min() > 8
+
+
+def test_nothing_reads_far_and_a_blind_camera_near() -> None:
+    camera = pinhole(110, 110, 79.5, 47.5)
+    free = np.where(room(160, 110.0, 50.0) < 20, room(160, 110.0, 50.0), np.inf)
+    assert (scan_depth(free, camera, **OPTIONS)[0] == 10.0).all()
+    assert (scan_depth(np.full((96, 160), np.nan), camera, **OPTIONS)[0] == 0.3).all()
+
+
+def test_only_heights_that_the_robot_can_touch_count() -> None:
+    camera = pinhole(110, 110, 79.5, 47.5)
+    depth = room(160, 110.0, 8.0)
+    depth[:25] = 3.0  # hangs from above: from 1.0 m on
+    assert scan_depth(depth, camera, **OPTIONS)[0].min() > 7
+    assert scan_depth(depth, camera, **{**OPTIONS, "heights": (0.15, 1.3)})[0].max() < 4
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"near": 0.0}, {"far": 0.2}, {"heights": (0.6, 0.15)}, {"far": math.inf}, {"near": math.nan}]
+)
+def test_numbers_out_of_range_end_in_one_line(wrong) -> None:
+    with pytest.raises(ValueError, match="give meters"):
+        scan_depth(room(160, 110.0, 8.0), pinhole(110, 110, 79.5, 47.5), **{**OPTIONS, **wrong})
