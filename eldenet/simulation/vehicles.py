@@ -101,7 +101,13 @@ def cyclist(d: Draw, p: Paint, m: Materials, b: Body, length: float, width: floa
         for start, end in zip(rim[:-1], rim[1:], strict=True):
             b.limb(start, end, tire, p.rubber)
     pedals, saddle, head = (0.0, -0.05, 0.3), (0.0, -0.22, 0.88), (0.0, hubs[1][1] - 0.22, 0.92)
-    for start, end in ((hubs[0], pedals), (hubs[0], saddle), (pedals, saddle), (pedals, head), (saddle, head)):
+    for start, end in (
+        (hubs[0], pedals),
+        (hubs[0], saddle),
+        (pedals, saddle),
+        (pedals, head),
+        (saddle, head),
+    ):
         b.limb(start, end, 0.02, paint)
     b.limb(head, hubs[1], 0.02, paint)
     grip = width / 2 - 0.05
@@ -111,7 +117,11 @@ def cyclist(d: Draw, p: Paint, m: Materials, b: Body, length: float, width: floa
     b.limb((-0.13, 0.08, shoulder), (0.13, 0.08, shoulder), 0.08, shirt)
     turn = d.uniform(0, 2 * np.pi)
     for s in (-1, 1):
-        foot = (s * 0.1, -0.05 + 0.16 * np.cos(turn + s * np.pi / 2), 0.3 + 0.16 * np.sin(turn + s * np.pi / 2))
+        foot = (
+            s * 0.1,
+            -0.05 + 0.16 * np.cos(turn + s * np.pi / 2),
+            0.3 + 0.16 * np.sin(turn + s * np.pi / 2),
+        )
         knee = (s * 0.12, 0.22, 0.5 + 0.5 * foot[2])
         b.limb((s * 0.1, -0.18, 0.95), knee, 0.08, trousers)
         b.limb(knee, foot, 0.06, trousers)
