@@ -154,7 +154,8 @@ class Boxes3D(ArrayRows):
         names: of the classes.
         quality: ``(N,)`` arrays on how each box was found: ``points`` (foreground pixels used),
             ``depth_scale`` (fitted factor on the depth), ``truncated``, ``occluded`` (share of its 2D box),
-            ``fallback`` (1 if the method could not be used), ``cost`` (of the fit); for tracks ``heading``
+            ``fallback`` (1 if the method could not be used), ``cost`` (of the fit), ``doubtful`` (1 if that
+            cost stands far out); for tracks ``heading``
             (1 if front and back are known); of depth with sigma ``distance_low`` and ``distance_high`` [m],
             the interval of the distance.
         track_id: ``(N,)``, or None.
@@ -190,6 +191,11 @@ class Boxes3D(ArrayRows):
     def classes(self) -> list[str]:
         """Class names of the boxes."""
         return [self.names[label] for label in self.label]
+
+    @property
+    def doubtful(self) -> np.ndarray:
+        """``(N,)`` bool: the cues of the box contradict each other."""
+        return np.asarray(self.quality.get("doubtful", np.zeros(len(self))) == 1)
 
     @property
     def corners(self) -> np.ndarray:

@@ -855,6 +855,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         ValueError: a setting or the source is wrong.
         FileNotFoundError: there is no such source.
     """
+    from eldenet.data.kitti_calibration import object_camera
     from eldenet.deploy import runtimes
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
@@ -899,7 +900,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
-    if "ply" in formats and not camera:
+    calibrated = bool(camera) or (
+        not source.is_video and not given and all(object_camera(Path(path)) for path in source.names)
+    )
+    if "ply" in formats and not calibrated:
         raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
     results = Results(
         output,
@@ -914,6 +918,11 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
+    if config.boxes and not calibrated:
+        raise ValueError(
+            "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or pictures in KITTI's layout "
+            "(image_2/000001.png with calib/000001.txt)"
+        )
     boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
     by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
     return _filled(
@@ -933,14 +942,13 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
     """Return what adds 3D boxes to the results of ``predict``: detector, lifter and, for a video, tracker.
 
     Raises:
-        ValueError: no intrinsics or no detector were given.
+        ValueError: no detector was given.
     """
+    from eldenet.data.kitti_calibration import CAMERA_HEIGHT
     from eldenet.geometry import PinholeCamera, pinhole
     from eldenet.perception.box_results import box_results
     from eldenet.perception.scene import Perception
 
-    if camera is None:
-        raise ValueError("boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
     if config.perception.detector.get("path", "") is None:
         raise ValueError(
             "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
@@ -948,8 +956,10 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
     detector = instantiate(config.perception.detector)
     lifter = instantiate(config.perception.lifter)
     tracker = instantiate(config.perception.tracker) if is_video else None
-
-    perception = Perception(None, detector, lifter, PinholeCamera(pinhole(*camera)), tracker=tracker)
+    known = None if camera is None else PinholeCamera(pinhole(*camera))
+    if known is None and lifter.camera_height is None:  # KITTI's pictures, each with its own calibration
+        lifter.camera_height = CAMERA_HEIGHT
+    perception = Perception(None, detector, lifter, known, tracker=tracker)
     return functools.partial(box_results, perception, is_video=is_video)
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.array_files import read_bytes, read_text
-from eldenet.geometry import nearest_points
+from eldenet.geometry import PinholeCamera, nearest_points
 
+#: Height of the cameras above the road [m]: IJRR 2013, figure 3.
+CAMERA_HEIGHT = 1.65
 CAM_TO_CAM, VELO_TO_CAM = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 PROJECTIONS = ("camera", "eigen")
 
@@ -50,6 +52,21 @@ def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
             f"{path}: {key} has {numbers.size} numbers, wanted {np.prod(shape)} finite ones: fetch it again"
         )
     return numbers.reshape(shape)
+
+
+def object_camera(picture: Path) -> PinholeCamera | None:
+    """Return the camera of a picture of the object benchmark, in the frame of rectified camera 0.
+
+    ``image_2/000001.png`` has its own ``calib/000001.txt``, whose P2 is the camera. None: no such file.
+
+    Raises:
+        ValueError: the calibration is not complete.
+    """
+    folder, _, number = picture.parent.name.partition("_")
+    calibration = picture.parent.parent / "calib" / f"{picture.stem}.txt"
+    if folder != "image" or number not in ("0", "1", "2", "3") or not calibration.is_file():
+        return None
+    return PinholeCamera.from_projection(entry(calibration, f"P{number}", (3, 4)))
 
 
 def rectified_intrinsics(folder: Path, camera: int) -> np.ndarray:

@@ -1,9 +1,13 @@
-"""Which lens ``eldenet.predict`` assumes: the given one, else the one in the EXIF, else the canonical."""
+"""Which lens ``eldenet.predict`` assumes.
+
+The given one, else the one of KITTI's calibration or in the EXIF, else the canonical.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
 from eldenet.geometry import focal_of_film, focal_of_fov
 
@@ -42,6 +46,8 @@ class Lens:
         focal, origin = self.focal, "given"
         if focal is None and self.fov is not None:
             focal = focal_of_fov(self.fov, size[1])
+        if focal is None and path is not None and (camera := object_camera(path)) is not None:
+            focal, origin = float(camera.intrinsics[0, 0]), "from calib/"
         if focal is None and path is not None:
             focal, origin = exif_focal(path, size), "from EXIF"
         shown = "the canonical camera: give intrinsics=, focal= or fov= if you know it"

@@ -13,7 +13,7 @@ import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.deploy.predictor import to_millimeters
-from eldenet.geometry import back_project, check_intrinsics
+from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.disk import disk_errors
 from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
@@ -38,7 +38,7 @@ class Results:
     Attributes:
         folder: of all results.
         formats: some of "depth", "color", "ply", "sigma".
-        intrinsics: ``(3, 3)`` of the source's pictures [px], for point clouds and 3D boxes.
+        intrinsics: ``(3, 3)`` of all pictures of the source [px], for point clouds and 3D boxes.
         depth_range: (near, far) of the colors [m]; None: each picture's own.
         overwrite: replace files of the same name.
         images: pictures or frames written so far.
@@ -49,7 +49,7 @@ class Results:
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
             same command goes on after it was stopped. None: it starts again.
-        also: receives the name, photo, depth and time of each picture too.
+        also: receives the name, photo, depth, time and camera of each picture too.
     """
 
     folder: Path
@@ -65,7 +65,7 @@ class Results:
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
     settings: dict[str, Any] | None = None
-    also: Callable[[str, np.ndarray, Any, float | None], None] | None = None
+    also: Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
         """Files of the picture or video ``name``; the folder of a video's frames stands for its files."""
@@ -121,11 +121,12 @@ class Results:
         formats: Sequence[str],
         *,
         time: float | None = None,
+        camera: PinholeCamera | None = None,
     ) -> None:
         """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
         Of an estimate with sigma, the picture in color is gray where it is unsure.
-        ``time`` is when a video's frame was taken [s], from any zero.
+        ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is the picture's own.
 
         Raises:
             ValueError: intrinsics were given, and this picture has another size than they or the first one.
@@ -141,10 +142,12 @@ class Results:
                     f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
                     "one set of intrinsics fits one size, so predict them in separate folders"
                 )
-            check_intrinsics(self.intrinsics, self.size)
+        intrinsics = self.intrinsics if camera is None else camera.intrinsics
+        if intrinsics is not None:
+            check_intrinsics(intrinsics, (height, width))
         file = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
-        if "ply" in formats and self.intrinsics is not None:
-            write_ply(file["ply"], back_project(estimate.depth, self.intrinsics), photo)
+        if "ply" in formats and intrinsics is not None:
+            write_ply(file["ply"], back_project(estimate.depth, intrinsics), photo)
         if "depth" in formats:
             steps = to_millimeters(estimate.depth)
             self.too_far += int(((steps == 0) & (estimate.depth > 1)).sum())
@@ -162,7 +165,7 @@ class Results:
             self.unsure += int(estimate.unsure.sum())
             self.pixels += estimate.depth.size
         if self.also is not None:
-            self.also(name, photo, depth, time)
+            self.also(name, photo, depth, time, camera)
         self.images += 1
 
     def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:

@@ -55,7 +55,7 @@ class PredictionSetup:
         resources: threads and device.
         skip_unreadable: list pictures that cannot be read instead of stopping.
         intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
-        boxes: ``boxes(results, names, log, seconds)`` is entered before the pictures are predicted, and gives
+        boxes: ``boxes(results, names, log, predictor)`` is entered before the pictures are predicted, and gives
             what :attr:`Results.also` calls; None: no 3D boxes.
     """
 
@@ -94,7 +94,7 @@ def predict(setup: PredictionSetup) -> Results:
     network = open_predictor(setup, log)
     lens = Lens(network.canonical_px, intrinsics=setup.intrinsics, focal=setup.focal, fov=setup.fov)
     predictor = Timed(network, lens)
-    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor.seconds)
+    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor)
     broken = ""
     done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
     with GracefulStop() as stop, boxes as results.also:
@@ -121,10 +121,12 @@ class Timed:
 
     Attributes:
         seconds: of each of the last pictures.
+        object_error: of the network, see :class:`~eldenet.deploy.predictor.DepthPredictor`.
     """
 
     def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
         self.predictor, self.lens = predictor, lens
+        self.object_error = predictor.object_error
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:
@@ -223,6 +225,7 @@ def predict_pictures(
 ) -> None:
     """Predict the pictures that are not ``done``; unreadable ones stop it or are listed at the end."""
     from eldenet.data.io import read_image
+    from eldenet.data.kitti_calibration import object_camera
 
     results = setup.results
     pictures = {path: name for path, name in setup.source.names.items() if path not in done}
@@ -242,7 +245,8 @@ def predict_pictures(
                     raise
                 results.skipped.append(str(error))
             else:
-                results.write(name, photo, predictor(photo, Path(path)), results.formats)
+                camera = object_camera(Path(path)) if results.intrinsics is None else None
+                results.write(name, photo, predictor(photo, Path(path)), results.formats, camera=camera)
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate
     if pictures and not results.images and not stop:

@@ -1,18 +1,20 @@
 """Results of ``python -m eldenet.predict boxes=true``: images with 3D boxes, and KITTI result files."""
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldenet.deploy.outputs import in_time, open_video
+from eldenet.geometry import PinholeCamera
 from eldenet.perception.drawing import bev_reach
 from eldenet.visualization import write_picture
 
 if TYPE_CHECKING:
     from eldenet.deploy.outputs import Results
+    from eldenet.deploy.prediction import Timed
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
 
@@ -27,11 +29,11 @@ def box_results(
     results: "Results",
     names: Sequence[str],
     log: "RunLog",
-    depth_seconds: Collection[float] = (),
+    predictor: "Timed | None" = None,
     *,
     is_video: bool = False,
-) -> Iterator[Callable[[str, np.ndarray, Any, float | None], None]]:
-    """Yield a function that writes the boxes of an image: ``(name, image, depth, time)``.
+) -> Iterator[Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None]]:
+    """Yield a function that writes the boxes of an image: ``(name, image, depth, time, camera)``.
 
     An image gets ``<name>_boxes.png`` and ``<name>_boxes.txt``; a video gets ``<name>_boxes.mp4`` and a text
     file per frame. Where the depth has a sigma, ``<name>_distances.csv`` has the interval of each distance.
@@ -43,7 +45,7 @@ def box_results(
         results: the folder of the results.
         names: of the images, or of the video.
         log: for the times.
-        depth_seconds: that the depth of each image took; read at the end.
+        predictor: of the depth: its error, and the time that each image took.
         is_video: the images are frames of a video or a camera.
 
     Raises:
@@ -55,13 +57,19 @@ def box_results(
     show: Callable[[np.ndarray, float], None] | None = None
     last: float | None = None
     reach: float | None = None
+    found = unsure = 0
+    if predictor is not None:
+        perception.lifter = perception.lifter.for_network(predictor.object_error)
 
-    def write(name: str, image: np.ndarray, depth: Any, taken: float | None) -> None:
-        nonlocal show, last, reach
+    def write(
+        name: str, image: np.ndarray, depth: Any, taken: float | None, camera: PinholeCamera | None = None
+    ) -> None:
+        nonlocal show, last, reach, found, unsure
         rate = results.frames_per_second
         interval = 1 / rate if taken is None or last is None else max(taken - last, MIN_INTERVAL)
         last = taken
-        scene = perception(image, depth=depth, seconds=interval)
+        scene = perception(image, depth=depth, seconds=interval, camera=camera)
+        found, unsure = found + len(scene.boxes), unsure + int(scene.boxes.doubtful.sum())
         for stage, seconds in scene.seconds.items():
             spent.setdefault(stage, deque(maxlen=MAX_TIMES)).append(seconds)
         if taken is None:
@@ -79,7 +87,7 @@ def box_results(
 
     with ExitStack() as stack:
         yield write
-    spent["depth"] = deque(depth_seconds)  # the depth came with each image
+    spent["depth"] = deque([] if predictor is None else predictor.seconds)  # the depth came with each image
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
@@ -87,3 +95,7 @@ def box_results(
     ]
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
+    if unsure:
+        log.say(
+            f"boxes: {unsure} of {found} are doubtful (dashed, occluded = 3): their cues contradict each other"
+        )

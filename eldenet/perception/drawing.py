@@ -32,14 +32,15 @@ def draw_boxes(
     front: bool | np.ndarray = False,
     labels: bool = True,
 ) -> np.ndarray:
-    """Draw the twelve edges of every box on a copy of ``image (H, W, 3)`` uint8 RGB.
+    """Draw the twelve edges of every box on a copy of ``image (H, W, 3)`` uint8 RGB; doubtful ones are dashed.
 
     Args:
         image: to draw on.
         boxes: in the camera's level frame.
         camera: of the image.
         front: shade the front face of all boxes, or of those chosen ``(N,)``: for boxes whose front is known.
-        labels: write class and distance [m] above each box, with its interval if it has one.
+        labels: write class and distance [m] above each box, with its interval if it has one, and a question
+            mark if it is doubtful.
     """
     picture = np.ascontiguousarray(image).copy()
     thick = max(1, round(image.shape[0] / 300))
@@ -56,14 +57,15 @@ def draw_boxes(
         if not len(edges):
             continue
         for ends in edges:
-            start, end = _fixed(_pixels(ends, camera))
-            cv2.line(picture, start.tolist(), end.tolist(), color, thick, cv2.LINE_AA, 4)
+            _line(picture, _pixels(ends, camera), color, thick, dashed=bool(boxes.doubtful[index]))
         if labels:
             pixels = _pixels(edges.reshape(-1, 3), camera)
             box = boxes[int(index)]
             text = f"{box.name} {box.distance:.1f} m"
             if box.interval is not None:
                 text += " ({:.1f}-{:.1f})".format(*box.interval)
+            if boxes.doubtful[index]:
+                text += " ?"
             if boxes.track_id is not None:
                 text = f"#{boxes.track_id[index]} {text}"
             _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), color)
@@ -93,7 +95,7 @@ def draw_bev(
     reach: float | None = None,
     truth: Boxes3D | None = None,
 ) -> np.ndarray:
-    """Draw boxes in a bird's-eye view, with the camera at the bottom and a grid in round meters.
+    """Draw boxes in a bird's-eye view: the camera is at the bottom, the grid in round meters, doubtful boxes dashed.
 
     Args:
         boxes: in the level frame; tracked boxes get an arrow to where they are in a second.
@@ -130,7 +132,8 @@ def draw_bev(
             cv2.polylines(panel, [_fixed(place(corners))], True, (150, 150, 150), 2, cv2.LINE_AA, 4)
     for index, corners in enumerate(footprints(boxes.bev)):
         color = tuple(int(0.75 * part) for part in color_of(boxes.names[boxes.label[index]]))
-        cv2.polylines(panel, [_fixed(place(corners))], True, color, 2, cv2.LINE_AA, 4)
+        for ends in zip(place(corners), place(np.roll(corners, -1, axis=0)), strict=True):
+            _line(panel, np.stack(ends), color, 2, dashed=bool(boxes.doubtful[index]))
         if boxes.velocity is not None:
             ends = boxes.center[index, [0, 2]] + np.array([[0, 0], boxes.velocity[index, [0, 2]]])
             start, end = place(ends).round().astype(int)
@@ -163,6 +166,17 @@ def _pixels(points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Pixels ``(K, 2)`` of camera points ``(K, 3)`` in front, clipped to what OpenCV can draw."""
     pixels = (points / points[:, 2:]) @ camera.intrinsics.T
     return np.asarray(np.clip(pixels[:, :2], -20000, 20000))
+
+
+def _line(
+    picture: np.ndarray, ends: np.ndarray, color: tuple[int, ...], thick: int, *, dashed: bool = False
+) -> None:
+    """Draw a line between the pixels ``ends (2, 2)``; a dashed one has five dashes."""
+    shares = np.arange(0, 9, 2)[:, None] / 9 if dashed else np.zeros((1, 1))
+    step = (ends[1] - ends[0]) * (1 / 9 if dashed else 1)
+    for start in ends[0] + shares * (ends[1] - ends[0]):
+        first, last = _fixed(np.stack([start, start + step]))
+        cv2.line(picture, first.tolist(), last.tolist(), color, thick, cv2.LINE_AA, 4)
 
 
 def _fixed(points: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ _KITTI_OF = {
     "car": "Car", "van": "Van", "truck": "Truck", "bus": "Truck", "person": "Pedestrian",
     "pedestrian": "Pedestrian", "cyclist": "Cyclist", "train": "Tram", "tram": "Tram",
 }  # fmt: skip
+UNKNOWN = 3  # of ``occluded``
 KITTI_NAMES = (
     "Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "DontCare",
 )  # fmt: skip
@@ -118,7 +119,7 @@ def read_labels(path: Path) -> KittiLabels:
 
 
 def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = None) -> KittiLabels:
-    """Convert boxes to KITTI's results, with KITTI's class names.
+    """Convert boxes to KITTI's results, with KITTI's class names; a doubtful one is ``occluded`` 3, "unknown".
 
     KITTI's frame has the camera's axes, but its origin is camera 0, not the color camera (P2's fourth column
     is the offset). So boxes are rotated and keep the origin of the level frame.
@@ -137,7 +138,7 @@ def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = No
     alpha = (alpha + np.pi) % (2 * np.pi) - np.pi
     types = tuple(_KITTI_OF.get(name.lower(), name.replace(" ", "_")) for name in boxes.classes)
     return KittiLabels(
-        types, np.full(count, -1.0), np.full(count, -1), alpha, np.asarray(xyxy, np.float64).reshape(-1, 4),
+        types, np.full(count, -1.0), np.where(boxes.doubtful, UNKNOWN, -1), alpha, np.asarray(xyxy, np.float64).reshape(-1, 4),
         boxes.size, location, yaw, boxes.score,
     )  # fmt: skip
 

@@ -2,8 +2,9 @@
 
 import warnings
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -21,6 +22,11 @@ METHODS = get_args(Method)
 DISTANCE_LEVEL = 0.9  # of a box's distance interval
 SIGMA_RANGE = (0.01, 0.5)  # of an object, relative
 SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
+#: Relative errors of objects of ``LARGE_SIDE`` and ``SMALL_SIDE`` pixels by what the depth comes from, chosen on
+#: rendered streets (experiments/table4_centres/defaults.md).
+NETWORK_SIGMA, SENSOR_SIGMA = (0.06, 0.27), (0.01, 0.01)
+DOUBTFUL_COST = 6.0  # of a fit whose cues contradict each other
+_SPARSE = 0.25  # of the pixels: a map of which fewer are known is a LiDAR's
 _MAX_MEDIAN_DEPTH = 500.0  # [m]: beyond, the depth is probably in millimeters
 
 
@@ -48,8 +54,9 @@ class BoxLifter:
         ground: "fit" it to the depth, a known plane, or None for no ground.
         camera_height: above the ground [m], if known: "no_depth" needs it, and "refine" weighs it against
             the fitted plane.
-        depth_sigma: relative depth error of whole objects, measured on validation data; with ``small_sigma``,
-            of objects whose shorter side is ``LARGE_SIDE`` pixels or more.
+        depth_sigma: relative depth error of whole objects; with ``small_sigma``, of objects whose shorter
+            side is ``LARGE_SIDE`` pixels or more. None: both are those of the depth's source: of a sparse map
+            a LiDAR's, else those that the network states (:meth:`for_network`), else ``NETWORK_SIGMA``.
         small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
             Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
             all. Both are for depth without sigma: where the network knows its sigma, that of an object is the
@@ -67,7 +74,7 @@ class BoxLifter:
         priors: Mapping[str, ClassPrior] = PRIORS,
         ground: Literal["fit"] | GroundPlane | None = "fit",
         camera_height: float | None = None,
-        depth_sigma: float = 0.08,
+        depth_sigma: float | None = None,
         small_sigma: float | None = None,
         occlusion_mask: bool = True,
     ) -> None:
@@ -79,15 +86,32 @@ class BoxLifter:
         for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
+        if depth_sigma is None and small_sigma is not None:
+            raise ValueError(f"small_sigma={small_sigma} without depth_sigma: give both, or neither")
         self.method, self.priors, self.ground = method, priors, ground
         self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
+        self.network_sigma = NETWORK_SIGMA
         self.occlusion_mask = occlusion_mask
+
+    def for_network(self, object_error: tuple[float, float] | None) -> Self:
+        """The same lifter for a network whose objects have this error, see ``NETWORK_SIGMA``; None: unknown."""
+        lifter = copy(self)
+        lifter.network_sigma = object_error or self.network_sigma
+        return lifter
+
+    def sigma_of(self, depth: np.ndarray) -> tuple[float, float | None]:
+        """``depth_sigma`` and ``small_sigma`` for a map ``(H, W)`` [m] without sigma."""
+        if self.depth_sigma is not None:
+            return self.depth_sigma, self.small_sigma
+        known = np.isfinite(depth) & (depth > 0)
+        return SENSOR_SIGMA if known.mean() < _SPARSE else self.network_sigma
 
     def __call__(
         self, depth: np.ndarray | DepthEstimate, detections: Detections2D, camera: PinholeCamera
     ) -> Boxes3D:
         """Lift all objects of one image.
 
+        ``quality["doubtful"]`` is 1 where points, 2D box, ground and class contradict each other.
         With sigma, certain pixels weigh more, and ``quality`` has ``distance_low`` and ``distance_high`` [m],
         the interval of ``DISTANCE_LEVEL`` of each box's distance.
 
@@ -123,15 +147,13 @@ class BoxLifter:
         plane = self.ground if isinstance(self.ground, GroundPlane) else nominal
         if self.ground == "fit" and self.method in ("refine", "lshape"):
             plane = fit_ground(depth, camera) or nominal
+        whole, small = self.sigma_of(depth)
         if estimate.sigma is None:
-            sigma, whole = (
-                sigma_by_side(detections.xyxy, self.depth_sigma, self.small_sigma),
-                self.depth_sigma,
-            )
+            sigma = sigma_by_side(detections.xyxy, whole, small)
         else:
             with np.errstate(divide="ignore", invalid="ignore"):  # where the depth is unknown
                 spread = np.where(depth > 0, estimate.spread, np.nan)
-            whole = float(np.nanmedian(spread)) if (depth > 0).any() else self.depth_sigma
+            whole = float(np.nanmedian(spread)) if (depth > 0).any() else whole
             sigma = sigma_in_boxes(spread, detections.xyxy, whole)
         foreground = gather(
             estimate,
@@ -154,6 +176,7 @@ class BoxLifter:
             "points": foreground.count,
             "depth_scale": raw.depth_scale,
             "cost": raw.cost,
+            "doubtful": (raw.cost > DOUBTFUL_COST).astype(float),
             "fallback": raw.fallback.astype(float) * (self.method != "no_depth"),
             "occluded": hidden,
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),

@@ -117,7 +117,7 @@ class Perception:
             the depth.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
-        camera: of the images.
+        camera: of the images; None: every call gives it.
         tracker: gives the boxes of a video identities and velocities; None: each image on its own.
     """
 
@@ -126,16 +126,21 @@ class Perception:
         depth_model: Callable[[np.ndarray], Any] | None,
         detector: Detector,
         lifter: BoxLifter,
-        camera: PinholeCamera,
+        camera: PinholeCamera | None,
         *,
         tracker: BoxTracker | None = None,
     ) -> None:
-        self.depth_model = None if depth_model is None else for_camera(depth_model, camera.intrinsics)
-        self.detector, self.lifter = detector, lifter
+        self.depth_model, self.detector = depth_model, detector
+        self.lifter = lifter.for_network(getattr(depth_model, "object_error", None))
         self.camera, self.tracker = camera, tracker
 
     def __call__(
-        self, image: np.ndarray, *, depth: np.ndarray | DepthEstimate | None = None, seconds: float = 1 / 30
+        self,
+        image: np.ndarray,
+        *,
+        depth: np.ndarray | DepthEstimate | None = None,
+        seconds: float = 1 / 30,
+        camera: PinholeCamera | None = None,
     ) -> Scene:
         """Perceive one image.
 
@@ -143,17 +148,21 @@ class Perception:
             image: ``(H, W, 3)`` uint8 RGB.
             depth: ``(H, W)`` [m] with or without sigma, if already known; else the depth model predicts it.
             seconds: since the previous image, for the tracker.
+            camera: of this image, if it has its own.
 
         Raises:
-            ValueError: the image is not uint8 RGB, or depth or intrinsics do not fit it.
+            ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or no camera is known.
         """
         check_frame(image)
-        check_intrinsics(self.camera.intrinsics, (image.shape[0], image.shape[1]))
+        camera = camera or self.camera
+        if camera is None:
+            raise ValueError("Perception has no camera: give camera=")
+        check_intrinsics(camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
         if depth is None:
             if self.depth_model is None:
                 raise ValueError("Perception has no depth model: give depth=")
-            depth = self.depth_model(image)
+            depth = for_camera(self.depth_model, camera.intrinsics)(image)
         clock.append(time.perf_counter())
         estimate = as_estimate(depth)
         if estimate.depth.shape != image.shape[:2]:
@@ -162,10 +171,10 @@ class Perception:
             )
         detections = self.detector(image)
         clock.append(time.perf_counter())
-        boxes = self.lifter(estimate, detections, self.camera)
+        boxes = self.lifter(estimate, detections, camera)
         clock.append(time.perf_counter())
         if self.tracker is not None:
-            boxes = self.tracker(boxes, seconds)
+            boxes = self.tracker(boxes, seconds, detections.xyxy)
         clock.append(time.perf_counter())
         spans = dict(zip(STAGES, np.diff(clock).tolist(), strict=True))
-        return Scene(image, estimate.depth, detections, boxes, self.camera, spans)
+        return Scene(image, estimate.depth, detections, boxes, camera, spans)

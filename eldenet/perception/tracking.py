@@ -1,7 +1,9 @@
 """Boxes over time: identities, velocities and, for a camera that stands still, headings.
 
 A constant-velocity Kalman filter per object and an optimal assignment per frame, following Weng et al., "3D
-Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper.
+Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper. A detection
+belongs to the track that is near in bird's-eye view and whose 2D box overlaps it: depth is often wrong where
+the 2D box is right, and 2D boxes of a hidden and a hiding object overlap where their depths differ.
 """
 
 from dataclasses import dataclass, field, replace
@@ -9,11 +11,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eldenet.boxes import Boxes3D
+from eldenet.perception.iou import iou_2d
 
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
 _MEASURED = 7
 _FORBIDDEN = 1e6  # cost of a pair that must not be assigned
 _MOVING = 1.0  # [m/s]: a lower speed may be noise
+_LEAST_OVERLAP = 0.2  # of a track's 2D box with a detection: with less, only the distance counts
+_FAR = 0.3  # of the distance: what overlaps in the image may be this much farther away than predicted
+_BEV_SHARE = 0.5  # of the cost comes from the distance where 2D boxes overlap
+_SMOOTHING, _SPEED_SMOOTHING = 0.7, 0.3  # shares of a 2D box's surprise that its place and its speed take
 
 
 @dataclass
@@ -30,6 +37,7 @@ class Track:
         missed: frames since then.
         quality: of the last detection.
         heading_known: its motion has shown where its front is.
+        xyxy: ``(4,)`` its 2D box [px], and ``xyxy_speed`` [px/s]; None: not known.
     """
 
     number: int
@@ -41,10 +49,12 @@ class Track:
     missed: int = 0
     quality: dict[str, float] = field(default_factory=dict)
     heading_known: bool = False
+    xyxy: np.ndarray | None = None
+    xyxy_speed: np.ndarray = field(default_factory=lambda: np.zeros(4))
 
 
 class BoxTracker:
-    """``tracker(boxes, seconds) -> Boxes3D`` with identities and velocities.
+    """``tracker(boxes, seconds, xyxy) -> Boxes3D`` with identities and velocities.
 
     Velocities are relative to the frame of the boxes: from a moving camera, a parked car approaches. Only
     if that frame stands still (``still_camera``) do objects drive where their velocity points; their yaw then
@@ -85,8 +95,13 @@ class BoxTracker:
         self._last_number = 0
         self._frames = 0
 
-    def __call__(self, boxes: Boxes3D, seconds: float) -> Boxes3D:
+    def __call__(self, boxes: Boxes3D, seconds: float, xyxy: np.ndarray | None = None) -> Boxes3D:
         """Add the boxes of a frame, taken ``seconds`` after the previous one.
+
+        Args:
+            boxes: of the frame.
+            seconds: since the previous frame.
+            xyxy: ``(N, 4)`` their 2D boxes [px]; None: only distances associate them.
 
         Raises:
             ValueError: ``seconds`` is not above 0.
@@ -98,11 +113,15 @@ class BoxTracker:
             self._predict(track, seconds)
             track.missed += 1
         unassigned = set(range(len(boxes)))
-        for row, column in self._assign(boxes):
+        for row, column in self._assign(boxes, xyxy):
+            if xyxy is not None:
+                _follow(self.tracks[row], xyxy[column], seconds)
             self._update(self.tracks[row], boxes, column)
             unassigned.remove(column)
         for column in sorted(unassigned):
             self.tracks.append(self._begin(boxes, column))
+            if xyxy is not None:
+                self.tracks[-1].xyxy = np.array(xyxy[column], np.float64)
         self.tracks = [track for track in self.tracks if track.missed < self.max_age]
         return self._report(boxes)
 
@@ -116,20 +135,31 @@ class BoxTracker:
             noise += np.outer(gain, gain) * (self.acceleration * (0.1 if axis == 1 else 1.0)) ** 2
         track.mean = move @ track.mean
         track.covariance = move @ track.covariance @ move.T + noise
+        if track.xyxy is not None:
+            track.xyxy = track.xyxy + track.xyxy_speed * seconds
 
-    def _assign(self, boxes: Boxes3D) -> list[tuple[int, int]]:
-        """Index pairs of tracks and boxes of one class with the least total distance."""
+    def _assign(self, boxes: Boxes3D, xyxy: np.ndarray | None) -> list[tuple[int, int]]:
+        """Index pairs of tracks and boxes of one class with the least total cost.
+
+        The cost is the distance as a share of the reach; where 2D boxes overlap, it is less by the overlap.
+        """
         from scipy.optimize import linear_sum_assignment
 
         if not self.tracks or not len(boxes):
             return []
         expected = np.stack([track.mean[:3] for track in self.tracks])
-        cost = np.linalg.norm(expected[:, None, [0, 2]] - boxes.center[None][:, :, [0, 2]], axis=-1)
+        distance = np.linalg.norm(expected[:, None, [0, 2]] - boxes.center[None][:, :, [0, 2]], axis=-1)
         same = np.array([track.name for track in self.tracks])[:, None] == np.array(boxes.classes)[None]
         # the reach grows with the track's uncertainty: a new track has no velocity yet
         variance = [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
-        reach = self.max_distance + np.sqrt(variance)
-        cost = np.where(same & (cost < reach[:, None]), cost, _FORBIDDEN)
+        reach = (self.max_distance + np.sqrt(variance))[:, None]
+        cost = np.where(same & (distance < reach), 1 + distance / reach, _FORBIDDEN)
+        if xyxy is not None:
+            nowhere = np.full(4, -1e6)
+            overlap = iou_2d(np.stack([nowhere if t.xyxy is None else t.xyxy for t in self.tracks]), xyxy)
+            far = reach + _FAR * np.linalg.norm(expected[:, None, [0, 2]], axis=-1)
+            seen = same & (overlap >= _LEAST_OVERLAP) & (distance < far)
+            cost = np.where(seen, 1 - overlap + _BEV_SHARE * np.minimum(distance / reach, 1), cost)
         pairs = np.stack(linear_sum_assignment(cost), axis=1).tolist()
         return [(row, column) for row, column in pairs if cost[row, column] < _FORBIDDEN]
 
@@ -190,3 +220,14 @@ class BoxTracker:
             track_id=np.array([track.number for track in shown]),
             velocity=mean[:, 7:],
         )
+
+
+def _follow(track: Track, measured: np.ndarray, seconds: float) -> None:
+    """Move a track's 2D box toward the ``measured (4,)`` one: an alpha-beta filter of its edges."""
+    if track.xyxy is None:
+        track.xyxy = np.array(measured, np.float64)
+        return
+    surprise = measured - track.xyxy
+    share = 1.0 if track.hits == 1 else _SPEED_SMOOTHING  # the second detection shows the first speed
+    track.xyxy = track.xyxy + _SMOOTHING * surprise
+    track.xyxy_speed = track.xyxy_speed + share * surprise / (seconds * track.missed)

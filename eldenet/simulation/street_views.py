@@ -26,8 +26,10 @@ STREETS_VERSION = 1
 #: Kinds of scenes and names of objects for a 2D detector.
 KINDS = ("street", "hall", "room")
 NAMES = (*STREET_NAMES, "furniture")
+#: Names of the boxes: cyclists are in crossings, which are no kind for a detector.
+BOX_NAMES = (*NAMES, "cyclist")
 #: fx [widths]: KITTI's field of view outdoors, a wide robot's camera in halls.
-FOCAL = {"street": 0.58, "hall": 0.62}
+FOCAL = {"street": 0.58, "hall": 0.62, "crossing": 0.58}
 _ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
 _MIN_PIXELS = 30  # of an object in a street or hall
 _MIN_PIXELS_ROOM = 60
@@ -91,14 +93,14 @@ def render_street(
         split: "train", "val" or "test".
         index: of the scene.
         size: ``(height, width)`` of the frame [px].
-        kind: "street" or "hall".
+        kind: "street", "hall" or "crossing": a street with more people, and with cyclists.
         focal: range of fx [widths], of which each scene draws its own; None: ``FOCAL`` of its kind.
     """
     scene = generate_scene(split, index, kind)
     compiled = CompiledRoom(scene.room)
     height, width = size
     fx = width * (FOCAL[kind] if focal is None else Draw((STREAM, SPLITS[split], index, 3)).uniform(*focal))
-    matrix = pinhole(fx, fx, (width - 1) / 2, (height - 1) * (0.47 if kind == "street" else 0.5))
+    matrix = pinhole(fx, fx, (width - 1) / 2, (height - 1) * (0.5 if kind == "hall" else 0.47))
     camera = RayCamera(size, matrix, far=FAR[kind])
     position = np.array([0.0, 0.0, scene.camera_height])
     rotation = camera_rotation(0.0, *scene.tilt)
@@ -111,7 +113,7 @@ def render_street(
     numbers, pixels = np.unique(instance[instance >= 0], return_counts=True)
     kept = numbers[pixels >= _MIN_PIXELS].tolist()
     seen = [_visibility(compiled, camera, position, rotation, instance == number, number) for number in kept]
-    label = np.array([STREET_NAMES.index(scene.names[number]) for number in kept], np.int64)
+    label = np.array([BOX_NAMES.index(scene.names[number]) for number in kept], np.int64)
     xyxy = np.array([extent_of(*np.nonzero(instance == number)) for number in kept]).reshape(-1, 4)
     renumber = np.full(len(scene.names) + 1, -1)
     renumber[kept] = np.arange(len(kept))
@@ -120,7 +122,7 @@ def render_street(
         hits.depth.astype(np.float32).reshape(size),
         PinholeCamera(matrix),
         _boxes(compiled, kept, label, position, rotation),
-        Detections2D(xyxy, np.ones(len(kept)), label, STREET_NAMES),
+        Detections2D(xyxy, np.ones(len(kept)), label, BOX_NAMES),
         np.array([visible for visible, _ in seen]),
         np.array([truncated for _, truncated in seen], bool),
         renumber[instance],
@@ -223,7 +225,7 @@ def _boxes(
         size[row] = long, wide, tall
         front = _LABEL_AXES @ turn[:, 1]  # +y of the body
         yaw[row] = np.arctan2(-front[2], front[0])
-    return Boxes3D(center, size, yaw, np.ones(len(kept)), label, NAMES)
+    return Boxes3D(center, size, yaw, np.ones(len(kept)), label, BOX_NAMES)
 
 
 def _extent(model: Any, body: int) -> tuple[np.ndarray, np.ndarray]:

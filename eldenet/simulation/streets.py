@@ -15,9 +15,9 @@ from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw
 from eldenet.simulation.rendering.textures import variants
 
-KINDS = ("street", "hall")
-NAMES = ("car", "van", "truck", "person", "box", "pillar")
-FAR = {"street": 120.0, "hall": 40.0}  # [m]
+KINDS = ("street", "hall", "crossing")
+NAMES = ("car", "van", "truck", "person", "box", "pillar")  # cyclists are in crossings alone
+FAR = {"street": 120.0, "hall": 40.0, "crossing": 120.0}  # [m]
 STREAM = 7
 
 Range = tuple[float, float]
@@ -25,6 +25,7 @@ Range = tuple[float, float]
 _SIZES: dict[str, tuple[Range, Range, Range]] = {
     "car": ((3.90, 0.43), (1.61, 0.11), (1.52, 0.12)),
     "van": ((4.93, 0.45), (1.86, 0.12), (2.16, 0.25)),
+    "cyclist": ((1.77, 0.10), (0.60, 0.05), (1.71, 0.07)),
     "truck": ((8.0, 1.5), (2.45, 0.15), (3.1, 0.3)),
     "box": ((0.8, 0.25), (0.6, 0.15), (0.7, 0.25)),
     "pillar": ((0.4, 0.08), (0.4, 0.08), (2.6, 0.3)),
@@ -76,7 +77,7 @@ class _Builder:
 
     def build(self) -> Scene:
         d = self.d
-        if self.kind == "street":
+        if self.kind != "hall":
             self._street()
             room = Room("street", (400.0, 400.0, 200.0), ambient=d.uniform(0.35, 0.6))
             sun = (d.uniform(-60, 20), d.uniform(-60, 60), 120.0)
@@ -94,7 +95,10 @@ class _Builder:
         return Scene(room, self.names, (0.55 * tone, 0.7 * tone, 0.95 * tone), camera, tilt)
 
     def _street(self) -> None:
-        """A road with parked and driving cars, people on the sidewalks, houses behind them."""
+        """A road with parked and driving cars, people on the sidewalks, houses behind them.
+
+        A crossing has more people, also on the road, and cyclists.
+        """
         d = self.d
         gray = jitter(d, (0.22, 0.22, 0.23), 0.06)
         asphalt = self.m.palette.add([gray, (0.3, 0.3, 0.3), (0.15, 0.15, 0.15)], variants("speckle")[0], 1.5)
@@ -119,11 +123,22 @@ class _Builder:
                 self._put("person", x, y, d.uniform(0, 360))
             if d.chance(0.5):
                 self._put("pillar", d.uniform(6, 40), side * (half + d.uniform(1.3, 2.2)), 0.0)
+        if self.kind == "crossing":
+            self._walkers(half)
         self._row(1, 1.6, parked=False)
         self._row(-1, 3.2, parked=False)
         for _ in range(d.integer(0, 2)):  # crossing or turning
             name = d.pick(("car", "van", "person"))
             self._put(name, d.uniform(10, 45), d.uniform(-3, 3), d.uniform(0, 360))
+
+    def _walkers(self, half: float) -> None:
+        """People who cross or wait, and cyclists along the road."""
+        d = self.d
+        for _ in range(d.integer(4, 10)):
+            self._put("person", d.uniform(6, 40), d.uniform(-half - 4, half + 4), d.uniform(0, 360))
+        for _ in range(d.integer(4, 9)):
+            yaw = d.pick((90.0, 90.0, -90.0, -90.0, d.uniform(0, 360))) + d.uniform(-8, 8)
+            self._put("cyclist", d.uniform(6, 45), d.uniform(-half, half), yaw)
 
     def _row(self, side: int, away: float, *, parked: bool) -> None:
         """Vehicles in a row along the road."""
@@ -161,7 +176,7 @@ class _Builder:
             length, width, tall = 0.6, 0.6, 1.75
         else:
             length, width, tall = (mean + d.uniform(-1.6, 1.6) * std for mean, std in _SIZES[name])
-        radius = max(width, length / 2 if name in ("car", "van", "truck") else length) * 0.6
+        radius = max(width, length if name in ("person", "box", "pillar") else length / 2) * 0.6
         front = np.array([-np.sin(np.radians(yaw)), np.cos(np.radians(yaw))])
         reach = max(0.0, length / 2 - radius)
         circles = [(x + s * reach * front[0], y + s * reach * front[1], radius) for s in (-1.0, 0.0, 1.0)]
@@ -174,6 +189,8 @@ class _Builder:
         body = Body((x, y, 0), yaw)
         if name == "person":
             household.person(d, self.m, body, width, length)
+        elif name == "cyclist":
+            vehicles.cyclist(d, self.paint, self.m, body, length, width, tall)
         else:
             _MAKERS[name](d, self.paint, body, length, width, tall)
         self.bodies.append(body)

@@ -1,4 +1,4 @@
-"""Cars, vans, trucks, pillars and cartons of boxes and cylinders.
+"""Cars, vans, trucks, cyclists, pillars and cartons of boxes, cylinders and capsules.
 
 A maker fills a :class:`~.rendering.mjcf.Body` whose front faces +y: lengths run along y, widths along x.
 The geoms touch the box ``length`` x ``width`` x ``height`` on all sides.
@@ -6,12 +6,15 @@ The geoms touch the box ``length`` x ``width`` x ``height`` on all sides.
 
 from typing import NamedTuple
 
-from eldenet.simulation.rendering.materials import any_color
+import numpy as np
+
+from eldenet.simulation.rendering.materials import Materials, any_color
 from eldenet.simulation.rendering.mjcf import Body, Draw, Palette
 from eldenet.simulation.rendering.textures import variants
 
 Range = tuple[float, float]
 _SLICES = 5  # of a slanted windshield
+_RIM = 10  # straight pieces of a bicycle's wheel
 
 
 class Paint(NamedTuple):
@@ -85,6 +88,47 @@ def pillar(d: Draw, p: Paint, b: Body, length: float, width: float, height: floa
         b.cylinder((0, 0, 0), width / 2, height, d.pick(p.card))
     else:
         b.box((0, 0, 0), (width, length, height), d.pick(p.card))
+
+
+def cyclist(d: Draw, p: Paint, m: Materials, b: Body, length: float, width: float, height: float) -> None:
+    """A bicycle whose wheels can be seen through, and its rider."""
+    paint, shirt, trousers = d.pick(p.bodies), d.pick(m.clothes), d.pick((*m.clothes, m.dark))
+    radius, tire = 0.33, 0.02
+    hubs = [(0.0, s * (length / 2 - radius - tire), radius + tire) for s in (-1, 1)]
+    for _, y, z in hubs:
+        angles = np.linspace(0, 2 * np.pi, _RIM + 1).tolist()
+        rim = [(0.0, y + radius * np.cos(angle), z + radius * np.sin(angle)) for angle in angles]
+        for start, end in zip(rim[:-1], rim[1:], strict=True):
+            b.limb(start, end, tire, p.rubber)
+    pedals, saddle, head = (0.0, -0.05, 0.3), (0.0, -0.22, 0.88), (0.0, hubs[1][1] - 0.22, 0.92)
+    for start, end in (
+        (hubs[0], pedals),
+        (hubs[0], saddle),
+        (pedals, saddle),
+        (pedals, head),
+        (saddle, head),
+    ):
+        b.limb(start, end, 0.02, paint)
+    b.limb(head, hubs[1], 0.02, paint)
+    grip = width / 2 - 0.05
+    b.limb((-grip, head[1], 1.0), (grip, head[1], 1.0), 0.02, p.rubber)
+    shoulder = height - 0.34
+    b.limb((0, -0.2, 0.98), (0, 0.05, shoulder - 0.06), 0.15, shirt)
+    b.limb((-0.13, 0.08, shoulder), (0.13, 0.08, shoulder), 0.08, shirt)
+    turn = d.uniform(0, 2 * np.pi)
+    for s in (-1, 1):
+        foot = (
+            s * 0.1,
+            -0.05 + 0.16 * np.cos(turn + s * np.pi / 2),
+            0.3 + 0.16 * np.sin(turn + s * np.pi / 2),
+        )
+        knee = (s * 0.12, 0.22, 0.5 + 0.5 * foot[2])
+        b.limb((s * 0.1, -0.18, 0.95), knee, 0.08, trousers)
+        b.limb(knee, foot, 0.06, trousers)
+        elbow = (s * (width / 2 - 0.05), 0.28, 0.5 * (shoulder + 1.0))
+        b.limb((s * 0.2, 0.08, shoulder), elbow, 0.05, shirt)
+        b.limb(elbow, (s * grip, head[1], 1.0), 0.045, d.pick((m.skin, shirt)))
+    b.ellipsoid((0, 0.14, height - 0.12), (0.08, 0.1, 0.12), d.pick((m.skin, m.hair)))
 
 
 def _chassis(d: Draw, p: Paint, b: Body, length: float, width: float, waist: float, paint: int) -> None:

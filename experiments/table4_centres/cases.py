@@ -14,8 +14,8 @@ from eldenet.perception.lifter import LARGE_SIDE, SMALL_SIDE
 from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
 
-SIZES = {"street": (256, 832), "hall": (240, 320)}
-HEIGHTS = {"street": 1.65, "hall": 1.0}  # nominal height of the camera above the ground [m]
+SIZES = {"street": (256, 832), "crossing": (256, 832), "hall": (240, 320)}
+HEIGHTS = {"street": 1.65, "crossing": 1.65, "hall": 1.0}  # nominal height of the camera above the ground [m]
 LEAST_HEIGHT = 18  # least height of simulated objects [px]: KITTI's 25 at the simulated size
 EXACT_SIGMA = 0.01  # relative error of exact and LiDAR depth, from pixels of other objects
 
