@@ -495,6 +495,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
 
     names = ("physics", "goal", "time_limit", "seed", "range_filter")
     episode = {name: settings[name] for name in names if name in settings}
+    episode |= {f"robot_{name}": value for name, value in settings.get("robot", {}).items()}
     check_arguments(EpisodeSettings, episode)
     common: dict[str, Any] = {
         "mode": config.mode,
@@ -523,6 +524,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     common |= {
         "make_policy": lambda robots: policy(robots=robots),
         "split": config.split,
+        "kind": config.arena.kind,
         "pedestrians": config.pedestrians,
     }
     if config.mode == "record":

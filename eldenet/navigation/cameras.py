@@ -9,7 +9,14 @@ from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, extent_of
 from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
-from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance
+from eldenet.navigation.sensors import (
+    FED_BY,
+    Drift,
+    Observation,
+    SensorInstance,
+    as_drift,
+    check_latency,
+)
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
@@ -54,6 +61,7 @@ class Camera:
         size: of the frame, ``(height, width)`` [px].
         light: brightness of the lamps, relative to a normal day.
         drift: of the odometry.
+        latency: from a scan until its command takes effect [s].
 
     Attributes:
         sources: name -> name and file of each network, for ``run.json``.
@@ -71,6 +79,7 @@ class Camera:
         size: tuple[int, int] = (96, 128),
         light: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+        latency: float = 0.0,
     ) -> None:
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which turns its detections into boxes")
@@ -80,7 +89,7 @@ class Camera:
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
         self.lifter, self.detector = lifter, detector
         self.size, self.light = (height, width), light
-        self.drift = Drift(**drift) if isinstance(drift, dict) else drift
+        self.drift, self.latency = as_drift(drift), check_latency(latency)
         self.sources: dict[str, tuple[str, Any]] = {}
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
@@ -178,9 +187,10 @@ def camera(
     size: tuple[int, int] = (96, 128),
     light: float = 1.0,
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    latency: float = 0.0,
 ) -> Camera:
     """A camera with a network as :func:`depth_network` takes it; None: true depth."""
-    sensor = Camera(depth_network(checkpoint), size=size, light=light, drift=drift)
+    sensor = Camera(depth_network(checkpoint), size=size, light=light, drift=drift, latency=latency)
     if checkpoint is not None:
         sensor.sources["depth"] = (checkpoint, checkpoint)
     return sensor
@@ -195,9 +205,10 @@ def objects(
     size: tuple[int, int] = (96, 128),
     light: float = 1.0,
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    latency: float = 0.0,
 ) -> Camera:
     """A camera with depth and the near faces of 3D boxes; see :class:`Camera` and :class:`BoxLifter`."""
-    sensor = camera(checkpoint, size=size, light=light, drift=drift)
+    sensor = camera(checkpoint, size=size, light=light, drift=drift, latency=latency)
     ground = flat_ground(ROBOT.camera_height)
     sensor.lifter = BoxLifter(method, priors=ARENA_PRIORS, ground=ground, depth_sigma=depth_sigma)
     sensor.detector = detector

@@ -50,9 +50,11 @@ class EpisodeSettings:
         time_limit: [s].
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
         range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`.
+        robot_size: of its footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`; no driver knows it.
+        robot_speed: speed and turn rate that it reaches, relative to the commands; no driver knows it.
 
     Raises:
-        ValueError: unknown physics or goal.
+        ValueError: unknown physics or goal, or a size or speed out of range.
     """
 
     physics: str = "kinematic"
@@ -60,10 +62,15 @@ class EpisodeSettings:
     time_limit: float = TIME_LIMIT
     seed: int = 0
     range_filter: bool = False
+    robot_size: float = 1.0
+    robot_speed: float = 1.0
 
     def __post_init__(self) -> None:
         one_of("physics", self.physics, PHYSICS)
         one_of("goal", self.goal, GOALS)
+        for name, value in (("size", self.robot_size), ("speed", self.robot_speed)):
+            if not 0.5 <= value <= 1.5:
+                raise ValueError(f"robot.{name}={value}: give a factor from 0.5 to 1.5")
 
 
 class Episodes:
@@ -90,6 +97,7 @@ class Episodes:
         self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # true ones
         self.travelled = np.zeros(count)  # [m]
+        self._commands: list[list[tuple[float, float]]] = [[] for _ in range(count)]  # since the start
         self._waypoint = np.zeros(count, np.intp)
         self._steps = np.zeros(count, np.intp)
 
@@ -100,7 +108,7 @@ class Episodes:
             world.arena = arena
             world.place(arena.start)
         else:
-            world = self.worlds[slot] = ArenaWorld(arena, self.settings.physics)
+            world = self.worlds[slot] = ArenaWorld(arena, self.settings.physics, self.settings.robot_size)
         stream = np.random.SeedSequence(tuple(seed))
         rng = np.random.Generator(np.random.PCG64(stream))
         self._sensors[slot] = self.sensor.begin(world, rng)
@@ -112,6 +120,7 @@ class Episodes:
             self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
         self.poses[slot] = world.pose
         self.travelled[slot] = 0.0
+        self._commands[slot] = []
         self._waypoint[slot] = self._steps[slot] = 0
 
     @property
@@ -176,19 +185,27 @@ class Episodes:
             speed, turn = commands[slot].tolist()
             if not (math.isfinite(speed) and math.isfinite(turn)):
                 raise ValueError(f"the driver commands {speed} m/s and {turn} rad/s: give finite numbers")
-            progress[slot], events[slot] = self._drive(slot, speed, turn)
+            self._commands[slot].append((speed, turn))
+            progress[slot], events[slot] = self._drive(slot)
         return progress, events
 
-    def _drive(self, slot: int, speed: float, turn: float) -> tuple[float, Event]:
+    def _command(self, slot: int, substep: int) -> tuple[float, float]:
+        """Command that takes effect in a part of the current period: it is as old as the sensor's latency."""
+        late = math.ceil((self.sensor.latency - substep * ROBOT.period / SUBSTEPS) / ROBOT.period - 1e-9)
+        number = len(self._commands[slot]) - 1 - max(late, 0)
+        speed, turn = self._commands[slot][number] if number >= 0 else (0.0, 0.0)
+        return speed * self.settings.robot_speed, turn * self.settings.robot_speed
+
+    def _drive(self, slot: int) -> tuple[float, Event]:
         """Drive one robot for one period; progress is towards the way-point at its start."""
         world = self._world(slot)
         goal = self.goal(slot)
         distance = before = math.dist(self.poses[slot, :2], goal)
         event = Event.NONE
         self._steps[slot] += 1
-        for _ in range(SUBSTEPS):
+        for substep in range(SUBSTEPS):
             last = world.pose
-            collided = world.advance(speed, turn, ROBOT.period / SUBSTEPS)
+            collided = world.advance(*self._command(slot, substep), ROBOT.period / SUBSTEPS)
             pose = world.pose
             self.travelled[slot] += math.dist(last[:2], pose[:2])
             self._odometry[slot].move(last, pose)  # type: ignore[union-attr]

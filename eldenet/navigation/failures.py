@@ -17,7 +17,8 @@ from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy
 from eldenet.navigation.observer import HORIZON, Observer
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.visualization import Scene
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 KINDS = {

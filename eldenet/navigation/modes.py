@@ -61,6 +61,7 @@ class RecordSetup(ModeSetup):
         pedestrians: number of walking people.
         world: number of the arena.
         split: seed stream of the arena.
+        kind: "open", "rooms" or "traps".
         course: "triangle" instead of a random arena, or None.
         arena_file: YAML file of an arena instead, or None.
         video: "gif" or "mp4".
@@ -71,6 +72,7 @@ class RecordSetup(ModeSetup):
     pedestrians: int
     world: int
     split: str
+    kind: str
     course: str | None
     arena_file: str | None
     video: str
@@ -85,12 +87,14 @@ class ArenasSetup(ModeSetup):
         episodes: arenas per density.
         split: their seed stream.
         pedestrians: number of walking people in each.
+        kind: "open", "rooms" or "traps".
     """
 
     densities: Sequence[int]
     episodes: int
     split: str = "val"
     pedestrians: int = 0
+    kind: str = "open"
 
     def __post_init__(self) -> None:
         if not self.densities or self.episodes < 1:
@@ -98,7 +102,9 @@ class ArenasSetup(ModeSetup):
 
     def arenas(self, density: int) -> Sequence[Arena]:
         """Return the arenas of one density."""
-        return frozen_arenas(density, self.episodes, split=self.split, pedestrians=self.pedestrians)
+        return frozen_arenas(
+            density, self.episodes, split=self.split, pedestrians=self.pedestrians, kind=self.kind
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +196,9 @@ def record(setup: RecordSetup, log: RunLog) -> None:
             raise ValueError(f"course={setup.course} and arena.file={setup.arena_file}: give one of them")
         arena = read_arena(setup.arena_file)
     elif setup.course is None:
-        arena = generate_arena(setup.split, setup.density, setup.world, pedestrians=setup.pedestrians)
+        arena = generate_arena(
+            setup.split, setup.density, setup.world, pedestrians=setup.pedestrians, kind=setup.kind
+        )
     else:
         one_of("course", setup.course, ("triangle",))
         arena = triangle_course()
@@ -219,7 +227,7 @@ def evaluate(setup: EvaluationSetup, log: RunLog) -> None:
     write_record(setup, sensor, policy, {"metrics": metrics, "arenas": hashes})
     title = (
         f"{policy.name}, {setup.episode.physics}, goal {setup.episode.goal}, {setup.episodes} {setup.split} "
-        f"arenas per density: {setup.folder / RUN_FILE}"
+        f"arenas ({setup.kind}) per density: {setup.folder / RUN_FILE}"
     )
     log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
 

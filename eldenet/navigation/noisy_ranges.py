@@ -6,7 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.navigation.range_errors import RangeErrors, segments
-from eldenet.navigation.sensors import Drift, Observation, Ranges, SensorInstance
+from eldenet.navigation.sensors import (
+    Drift,
+    Observation,
+    Ranges,
+    SensorInstance,
+    as_drift,
+    check_latency,
+)
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
@@ -36,6 +43,7 @@ class NoisyRanges:
             above; "packaged": those of the packaged network ``eldenet_arenas``.
         share: of the episodes with errors; the others have true ranges, so that a driver learns from both.
         drift: of the odometry, in all episodes.
+        latency: from a scan until its command takes effect [s].
 
     Raises:
         ValueError: an argument is out of range.
@@ -50,6 +58,7 @@ class NoisyRanges:
         errors: str | RangeErrors | None = None,
         share: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+        latency: float = 0.0,
     ) -> None:
         if min(scale, smooth, column) < 0 or not 0 <= memory < 1 or not 0 <= share <= 1:
             raise ValueError(
@@ -68,7 +77,7 @@ class NoisyRanges:
             e = self.errors
             scale, smooth, column, memory = e.scale, e.smooth, e.column, e.memory
         self.scale, self.smooth, self.column, self.memory = scale, smooth, column, memory
-        self.drift = Drift(**drift) if isinstance(drift, dict) else drift
+        self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance with an error process of its own, or one without errors."""

@@ -41,12 +41,15 @@ class Senses(NamedTuple):
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
         cautious: ``(N, columns)`` [m] how near things may be, where a camera's network knows its sigma;
             None: as ``ranges`` says.
+        scanned_from: ``(N, 3)`` pose of the wheels at the scan, where ``odometry`` is that of a later time;
+            None: the same.
     """
 
     ranges: np.ndarray
     odometry: np.ndarray
     goal: np.ndarray
     cautious: np.ndarray | None = None
+    scanned_from: np.ndarray | None = None
 
     def of(self, robots: np.ndarray) -> "Senses":
         """The senses of some robots."""
@@ -149,14 +152,19 @@ class Observer:
             ValueError: a sense of these robots is not finite; nothing was remembered.
         """
         who = np.arange(self.robots) if robots is None else robots
-        ranges, odometry, goal, cautious = seen = senses.of(who)
+        ranges, odometry, goal, cautious, scanned_from = seen = senses.of(who)
         if seen.fault:
             raise ValueError(f"{seen.fault}: stop the robot until they are")
         distance, bearing = goal.T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
         cautious = ranges if cautious is None else np.minimum(cautious, ranges)
-        self.speeds[who] = self._speeds(distance, cautious.min(axis=1))
-        self.memory.add(who, ranges, odometry, cautious)
+        least = cautious.min(axis=1)
+        if scanned_from is None:
+            scanned_from = odometry
+        else:  # by then things may be nearer
+            least = least - np.hypot(*(odometry - scanned_from)[:, :2].T)
+        self.speeds[who] = self._speeds(distance, least)
+        self.memory.add(who, ranges, scanned_from, cautious)
         columns = [
             np.sqrt(nearest / ROBOT.far),
             np.minimum(distance / 20.0, 1.0)[:, None],

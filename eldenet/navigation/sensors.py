@@ -7,6 +7,7 @@ A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which retur
 """
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
+MAX_LATENCY = 1.0  # [s]
 
 
 class Observation(NamedTuple):
@@ -59,9 +61,16 @@ class SensorInstance(Protocol):
 
 
 class Sensor(Protocol):
-    """Starts a :class:`SensorInstance` for each episode; ``drift`` is that of the odometry used with it."""
+    """Starts a :class:`SensorInstance` for each episode.
+
+    Attributes:
+        drift: of the odometry used with it.
+        latency: from a scan until the command that was decided on it takes effect [s], in steps of 0.1 s;
+            until then earlier commands last, and at the start the robot stands.
+    """
 
     drift: "Drift"
+    latency: float
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance: ...  # noqa: D102
 
@@ -79,6 +88,22 @@ class Drift(NamedTuple):
 
 
 EXACT = Drift(0.0, 0.0)
+
+
+def as_drift(drift: Drift | Mapping[str, float]) -> Drift:
+    """Return a drift from its two values by name, or as it is."""
+    return drift if isinstance(drift, Drift) else Drift(**drift)
+
+
+def check_latency(latency: float) -> float:
+    """Return a latency [s].
+
+    Raises:
+        ValueError: it is out of range.
+    """
+    if not 0 <= latency <= MAX_LATENCY:
+        raise ValueError(f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s")
+    return latency
 
 
 class Odometry:
@@ -101,21 +126,29 @@ class Odometry:
 
 
 class Ranges:
-    """The simulator's own ranges and exact odometry; on request with wrong readings.
+    """The simulator's own ranges and exact odometry; on request with wrong readings, drift and latency.
 
     Args:
         false_near: share of the columns, drawn anew in each scan, that read as nearest.
         false_far: share of the columns, drawn anew in each scan, that read as if nothing were there.
         stuck: columns, drawn once per episode, that always read as nearest.
+        drift: of the odometry.
+        latency: from a scan until its command takes effect [s].
 
     Raises:
-        ValueError: a share is not in [0, 1], together they exceed 1, or there are not so many columns.
+        ValueError: a share is not in [0, 1], together they exceed 1, there are not so many columns, or the
+            latency is out of range.
     """
 
-    FAULTS = ("false_near", "false_far", "stuck")
-    drift = EXACT
-
-    def __init__(self, *, false_near: float = 0.0, false_far: float = 0.0, stuck: int = 0) -> None:
+    def __init__(
+        self,
+        *,
+        false_near: float = 0.0,
+        false_far: float = 0.0,
+        stuck: int = 0,
+        drift: Drift | Mapping[str, float] = EXACT,
+        latency: float = 0.0,
+    ) -> None:
         if min(false_near, false_far) < 0 or false_near + false_far > 1:
             raise ValueError(
                 f"false_near={false_near}, false_far={false_far}: give shares of the columns, 0 to 1 together"
@@ -123,6 +156,7 @@ class Ranges:
         if not 0 <= stuck <= ROBOT.columns:
             raise ValueError(f"stuck={stuck}: give 0 to {ROBOT.columns} columns")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
+        self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""

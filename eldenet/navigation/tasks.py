@@ -5,8 +5,9 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import Arena, clearance_map, draw_start_and_goal, generate_arena
+from eldenet.simulation.arenas import KINDS, Arena, clearance_map, draw_start_and_goal, generate_arena
 from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.system.checks import one_of
 
 TASK_STREAM = 103  # next to arenas.SPLITS: further start and goal pairs of training arenas
 
@@ -24,6 +25,7 @@ class TrainingArenas:
         repeats: episodes per arena.
         min_distance: between start and goal [m].
         split: seed stream.
+        kind: "open", "rooms" or "traps"; see :func:`~eldenet.simulation.arenas.generate_arena`.
         curriculum: share of the training during which the greatest number of obstacles grows from a quarter
             of its range to the whole; 0: it is the whole from the start.
 
@@ -38,9 +40,11 @@ class TrainingArenas:
     repeats: int = 4
     min_distance: float = 6.0
     split: str = "train"
+    kind: str = "open"
     curriculum: float = 0.0
 
     def __post_init__(self) -> None:
+        one_of("kind", self.kind, tuple(KINDS))
         low, high = self.densities
         shares = 0 <= self.dense_share <= 1 and 0 <= self.curriculum <= 1
         if not 0 <= low <= high <= 120 or self.repeats < 1 or not shares:
@@ -72,8 +76,9 @@ class TrainingArenas:
             pedestrians = int(rng.integers(0, self.pedestrians + 1))
             index = int(rng.integers(2**31))
             self._arena = generate_arena(
-                self.split, density, index, pedestrians=pedestrians, min_distance=self.min_distance
-            )
+                self.split, density, index, pedestrians=pedestrians, min_distance=self.min_distance,
+                kind=self.kind,
+            )  # fmt: skip
             self._left = self.repeats - 1
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
@@ -83,6 +88,10 @@ class TrainingArenas:
         return self._arena if ends is None else replace(self._arena, start=ends[0], waypoints=(ends[1],))
 
 
-def frozen_arenas(density: int, count: int, *, split: str = "test", pedestrians: int = 0) -> Sequence[Arena]:
-    """Arenas 0 to ``count - 1`` of a split at one density, the same on every machine."""
-    return [generate_arena(split, density, index, pedestrians=pedestrians) for index in range(count)]
+def frozen_arenas(
+    density: int, count: int, *, split: str = "test", pedestrians: int = 0, kind: str = "open"
+) -> Sequence[Arena]:
+    """Arenas 0 to ``count - 1`` of a split, a kind and a density, the same on every machine."""
+    return [
+        generate_arena(split, density, index, pedestrians=pedestrians, kind=kind) for index in range(count)
+    ]

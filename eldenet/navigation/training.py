@@ -12,7 +12,7 @@ from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.provenance import TRAINING_VERSION
-from eldenet.navigation.sensors import Ranges, Sensor
+from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import environment, read_record
@@ -22,6 +22,15 @@ PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80
 #: Settings that a checkpoint and the training that continues it have in common.
 COMPARED = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
+#: Settings, with the values that change nothing: trainings of earlier versions have none of them.
+IDLE: Mapping[str, tuple[Any, ...]] = {
+    "false_near": (0.0,),
+    "false_far": (0.0,),
+    "stuck": (0,),
+    "latency": (0.0,),
+    "drift": ({"distance": 0.0, "heading": 0.0},),
+    "kind": ("open",),
+}
 
 
 def train(
@@ -98,14 +107,16 @@ def train(
 
 
 def comparable(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that two trainings must have in common; faults of ranges only where there are some."""
+    """Settings that two trainings must have in common, without those that change nothing."""
     settings = {name: config[name] for name in COMPARED if name in config}
-    sensor = settings.get("sensor")
-    if isinstance(sensor, Mapping):
-        settings["sensor"] = {
-            name: value for name, value in sensor.items() if value or name not in Ranges.FAULTS
-        }
-    return settings
+    return {name: _without_idle(value) for name, value in settings.items()}
+
+
+def _without_idle(settings: Any) -> Any:
+    if not isinstance(settings, Mapping):
+        return settings
+    named = {name: _without_idle(value) for name, value in settings.items()}
+    return {name: value for name, value in named.items() if name not in IDLE or value not in IDLE[name]}
 
 
 def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.sensors import Observation, Sensor
 from eldenet.perception.drawing import draw_boxes
 from eldenet.simulation.arena_view import ArenaView, robot_intrinsics
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.files import part_file
 from eldenet.visualization import color_depth, visible_range

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.simulation.arenas import INFLATION, RESOLUTION, SIDE, Arena, Obstacle, Point, clearance_map
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, clearance_map
+from eldenet.simulation.obstacle import SIDE, Obstacle, Point
 from eldenet.system.checks import one_of
 from eldenet.system.files import read_yaml
 

@@ -6,7 +6,8 @@ its wheels touch both.
 
 from typing import TYPE_CHECKING
 
-from eldenet.simulation.arenas import SPLITS, Arena, Obstacle
+from eldenet.simulation.arenas import SPLITS, Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.rendering.mjcf import Body, Draw, number, numbers
 from eldenet.simulation.robot import ROBOT
 
@@ -25,7 +26,7 @@ _CHASSIS = (
 )
 
 
-def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False) -> str:
+def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False, size: float = 1.0) -> str:
     """Return the MJCF text of an arena.
 
     Args:
@@ -33,6 +34,7 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False) -> 
         robot: "planar" (two slides and a hinge, moved by writing its pose), "wheels" (free body, two driven
             wheels and a caster on the floor) or "none" (for the camera's model).
         visual: add materials, a ceiling and the hall for :mod:`eldenet.simulation.arena_view`.
+        size: of the robot's footprint and track, relative to :data:`~eldenet.simulation.robot.ROBOT`.
 
     Raises:
         ValueError: unknown robot.
@@ -53,7 +55,8 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False) -> 
         if o.path
     ]
     assets = materials.palette.assets() if materials is not None else ""
-    inner = "\n".join([*walls, *bodies, {"none": "", "planar": _planar(), "wheels": _wheels()}[robot]])
+    body = {"none": "", "planar": _planar(size), "wheels": _wheels(size)}[robot]
+    inner = "\n".join([*walls, *bodies, body])
     return (
         '<mujoco model="arena">\n<compiler angle="radian"/>\n'
         f'<option timestep="{TIMESTEP}" integrator="implicitfast"/>\n<size memory="256K"/>\n'
@@ -117,20 +120,20 @@ def _geom(
     return f'<geom type="{kind}" pos="{numbers(center)}" size="{numbers(size)}"{turn} {bits}{material}/>'
 
 
-def _chassis(low: float) -> str:
-    half = (ROBOT.length / 2, ROBOT.width / 2, (ROBOT.height - low) / 2)
+def _chassis(low: float, size: float) -> str:
+    half = (size * ROBOT.length / 2, size * ROBOT.width / 2, (ROBOT.height - low) / 2)
     return _CHASSIS.format(z=number((ROBOT.height + low) / 2), half=numbers(half))
 
 
-def _planar() -> str:
+def _planar(size: float) -> str:
     """Return two slides and a hinge: ``qpos`` is the pose."""
     return (
         '<body name="robot"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
-        f'<joint type="hinge" axis="0 0 1"/>{_chassis(0.06)}</body>'
+        f'<joint type="hinge" axis="0 0 1"/>{_chassis(0.06, size)}</body>'
     )
 
 
-def _wheels() -> str:
+def _wheels(size: float) -> str:
     """Return a free body on two driven wheels and a frictionless caster behind them."""
     shared = 'contype="0" conaffinity="3" group="5"'
     wheels = "".join(
@@ -138,7 +141,7 @@ def _wheels() -> str:
         f'<joint name="{name}" type="hinge" axis="0 1 0" damping="0.05" armature="0.02"/>'
         f'<geom type="cylinder" size="{WHEEL_RADIUS} 0.02" euler="1.5708 0 0" condim="3" friction="1.1" '
         f'{shared} mass="1"/></body>'
-        for name, y in (("left", WHEEL_TRACK / 2), ("right", -WHEEL_TRACK / 2))
+        for name, y in (("left", size * WHEEL_TRACK / 2), ("right", -size * WHEEL_TRACK / 2))
     )
     caster = (
         f'<geom name="caster" type="sphere" pos="-0.22 0 0.05" size="0.05" condim="1" {shared} mass="0.5"/>'
@@ -148,7 +151,7 @@ def _wheels() -> str:
         '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" '
         'contype="0" conaffinity="0" group="5" mass="14"/>'
     )
-    return f'<body name="robot"><freejoint/>{_chassis(0.06)}{battery}{caster}{wheels}</body>'
+    return f'<body name="robot"><freejoint/>{_chassis(0.06, size)}{battery}{caster}{wheels}</body>'
 
 
 # A speed controller on each wheel, with the torque of a 90 W motor behind a gear [N m].

@@ -25,18 +25,19 @@ class ArenaWorld:
         arena: the world.
         physics: "kinematic" moves the pose along arcs, at bounded acceleration, and checks for contacts
             (about 4 us each); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
+        size: of the robot's footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`.
 
     Raises:
         ValueError: unknown physics.
     """
 
-    def __init__(self, arena: Arena, physics: str = "kinematic") -> None:
+    def __init__(self, arena: Arena, physics: str = "kinematic", size: float = 1.0) -> None:
         import mujoco
 
         if physics not in PHYSICS:
             raise ValueError(f"physics={physics!r}: choose one of {', '.join(PHYSICS)}")
-        self.arena, self.physics = arena, physics
-        text = arena_mjcf(arena, "planar" if physics == "kinematic" else "wheels")
+        self.arena, self.physics, self.size = arena, physics, size
+        text = arena_mjcf(arena, "planar" if physics == "kinematic" else "wheels", size=size)
         self.model: Any = mujoco.MjModel.from_xml_string(text)
         self.data: Any = mujoco.MjData(self.model)
         self._kinematics, self._collide = mujoco.mj_kinematics, mujoco.mj_collision
@@ -96,7 +97,7 @@ class ArenaWorld:
         return bool(self.data.ncon > 0)
 
     def _drive(self, speed: float, turn: float, steps: int) -> bool:
-        difference = turn * WHEEL_TRACK / 2
+        difference = turn * self.size * WHEEL_TRACK / 2
         self.data.ctrl[:] = (speed - difference) / WHEEL_RADIUS, (speed + difference) / WHEEL_RADIUS
         for _ in range(steps):
             self.time += TIMESTEP

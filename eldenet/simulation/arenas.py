@@ -1,6 +1,6 @@
 """Walled arenas with cylinders, boxes, vehicles and people, a start and a goal that can be reached.
 
-An arena depends on ``(split, density, pedestrians, index)`` alone and is the same on every machine
+An arena depends on ``(kind, split, density, pedestrians, index)`` alone and is the same on every machine
 (:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). The splits share no seed, so no arena is in
 two of them.
 """
@@ -8,88 +8,26 @@ two of them.
 import hashlib
 import json
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
-from itertools import accumulate
 
 import numpy as np
 
+from eldenet.simulation.arena_walls import OPEN, Walls, draw_rooms, draw_trap
+from eldenet.simulation.obstacle import SIDE, Obstacle, Point
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 #: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
-SIDE = 20.0  # of the arena [m]
+#: Kinds of arenas, each with the number that ends its seeds; open ones have none.
+KINDS = {"open": (), "rooms": (1,), "traps": (2,)}
 RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
 PEDESTRIAN_CLEARANCE = 3.0  # from the start to where a pedestrian's path begins [m]
 MAX_CLEARANCE = 1.6  # of a clearance map [m]
-
-Point = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """An upright object on the floor.
-
-    Attributes:
-        kind: "cylinder", "person" (both round), "box" or "vehicle".
-        x: of its center [m].
-        y: of its center [m].
-        yaw: counter-clockwise [rad].
-        half: half extents along its own axes [m]; the radius twice if it is round.
-        height: [m].
-        path: corners of the closed path on which a pedestrian walks; empty for a standing obstacle.
-        speed: along the path [m/s].
-    """
-
-    kind: str
-    x: float
-    y: float
-    yaw: float
-    half: Point
-    height: float
-    path: tuple[Point, ...] = ()
-    speed: float = 0.0
-
-    @property
-    def round(self) -> bool:
-        """Whether the footprint is a circle."""
-        return self.kind in ("cylinder", "person")
-
-    @property
-    def radius(self) -> float:
-        """Radius of the circle around the footprint [m]."""
-        return self.half[0] if self.round else math.hypot(*self.half)
-
-    def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the distance from points on the floor to the footprint [m], 0 inside."""
-        dx, dy = x - self.x, y - self.y
-        if self.round:
-            return np.maximum(np.hypot(dx, dy) - self.half[0], 0.0)
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        along, across = np.abs(c * dx + s * dy) - self.half[0], np.abs(c * dy - s * dx) - self.half[1]
-        return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-
-    def position(self, time: float) -> Point:
-        """Return the center ``time`` [s] after the start."""
-        if not self.path:
-            return self.x, self.y
-        lengths, starts = self._legs
-        along = (time * self.speed) % starts[-1]
-        leg = min(bisect_right(starts, along) - 1, len(lengths) - 1)
-        share = (along - starts[leg]) / lengths[leg]
-        (x, y), (to_x, to_y) = self.path[leg], self.path[(leg + 1) % len(self.path)]
-        return x + share * (to_x - x), y + share * (to_y - y)
-
-    @cached_property
-    def _legs(self) -> tuple[list[float], list[float]]:
-        """Length of every leg of the path, and the distance walked before each and after the last [m]."""
-        lengths = [math.dist(a, b) for a, b in zip(self.path, (*self.path[1:], self.path[0]), strict=True)]
-        return lengths, [0.0, *accumulate(lengths)]
 
 
 @dataclass(frozen=True)
@@ -98,12 +36,13 @@ class Arena:
 
     Attributes:
         split: whose seed it has; "" for one that was written by hand.
-        density: number of standing obstacles.
+        density: number of standing obstacles beside the walls.
         index: within the split and density.
         obstacles: standing ones, then pedestrians.
         start: x, y [m] and heading [rad] of the robot.
         waypoints: to be reached in this order, the goal last [m].
         side: of the square around the origin [m].
+        kind: "open"; "rooms" with doors; "traps": a U-shaped wall between start and goal.
     """
 
     split: str
@@ -113,6 +52,7 @@ class Arena:
     start: tuple[float, float, float]
     waypoints: tuple[Point, ...]
     side: float = SIDE
+    kind: str = "open"
 
     @property
     def pedestrians(self) -> tuple[Obstacle, ...]:
@@ -121,13 +61,20 @@ class Arena:
 
     @property
     def name(self) -> str:
-        """Unique over splits and densities."""
+        """Unique over kinds, splits and densities."""
         moving = f"+{len(self.pedestrians)}" if self.pedestrians else ""
-        return f"{self.split or 'course'}-{self.density}{moving}-{self.index}"
+        kind = "" if self.kind == "open" else f"{self.kind}-"
+        return f"{self.split or 'course'}-{kind}{self.density}{moving}-{self.index}"
 
 
 def generate_arena(
-    split: str, density: int, index: int, *, pedestrians: int = 0, min_distance: float = 10.0
+    split: str,
+    density: int,
+    index: int,
+    *,
+    pedestrians: int = 0,
+    min_distance: float = 10.0,
+    kind: str = "open",
 ) -> Arena:
     """Generate arena ``index`` of a split.
 
@@ -138,34 +85,42 @@ def generate_arena(
         density: number of standing obstacles, 0 to 120.
         index: from 0.
         pedestrians: number of walking people.
-        min_distance: from start to goal, as the crow flies [m].
+        min_distance: from start to goal, as the crow flies [m]; in traps it is always 10 m or more.
+        kind: "open"; "rooms": nine rooms with doors 1.1 to 1.5 m wide; "traps": a U-shaped wall opens towards
+            the start and hides the goal.
 
     Raises:
         ValueError: an argument is out of its range.
     """
     if split not in SPLITS:
         raise ValueError(f"split={split!r}: use one of {list(SPLITS)}")
+    one_of("arena.kind", kind, tuple(KINDS))
     if index < 0 or not 0 <= density <= 120 or not 0 <= pedestrians <= 40:
         raise ValueError(
             f"density={density}, pedestrians={pedestrians}, index={index}: give 0 to 120 obstacles, "
             "0 to 40 pedestrians, and an index from 0"
         )
-    draw = Draw((SPLITS[split], density, pedestrians, index))
+    draw = Draw((SPLITS[split], density, pedestrians, index, *KINDS[kind]))
     while True:
-        obstacles = draw_obstacles(draw, density)
+        walls = {"open": lambda _: OPEN, "rooms": draw_rooms, "traps": draw_trap}[kind](draw)
+        obstacles = draw_obstacles(draw, density, walls)
         if obstacles is None:
             continue
+        obstacles = (*walls.boxes, *obstacles)
         clearance = clearance_map(obstacles)
-        endpoints = draw_start_and_goal(draw, clearance, min_distance)
-        if endpoints is None:
+        endpoints = walls.ends or draw_start_and_goal(draw, clearance, min_distance)
+        if endpoints is None or not (walls.ends is None or connected(clearance, *walls.ends)):
             continue
         start, goal = endpoints
         walking = [_draw_pedestrian(draw, start) for _ in range(pedestrians)]
-        return Arena(split, density, index, (*obstacles, *walking), start, (goal,))
+        return Arena(split, density, index, (*obstacles, *walking), start, (goal,), kind=kind)
 
 
-def draw_obstacles(draw: Draw, count: int) -> tuple[Obstacle, ...] | None:
-    """Draw obstacles whose bounding circles do not overlap; None if one found no free place."""
+def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacle, ...] | None:
+    """Draw obstacles whose bounding circles do not overlap; None if one found no free place.
+
+    They keep 0.2 m from ``walls`` and leave free what these keep clear.
+    """
     obstacles: list[Obstacle] = []
     for _ in range(count):
         share = draw.unit()
@@ -183,7 +138,9 @@ def draw_obstacles(draw: Draw, count: int) -> tuple[Obstacle, ...] | None:
         limit = SIDE / 2 - 0.5
         for _ in range(100):
             x, y = round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4)
-            if all(math.hypot(x - o.x, y - o.y) > reach + o.radius for o in obstacles):
+            if all(math.hypot(x - o.x, y - o.y) > reach + o.radius for o in obstacles) and walls.leave_room(
+                x, y, reach
+            ):
                 obstacles.append(Obstacle(kind, x, y, round(yaw, 4), half, round(height, 4)))
                 break
         else:
@@ -237,6 +194,16 @@ def draw_start_and_goal(
     return None
 
 
+def connected(clearance: np.ndarray, start: Sequence[float], goal: Point) -> bool:
+    """Whether start and goal are clear, and the grid, inflated by :data:`INFLATION`, connects them."""
+    from skimage.measure import label
+
+    regions = label(clearance >= INFLATION, connectivity=1)
+    cells = [tuple(int((value + SIDE / 2) / RESOLUTION) for value in (at[1], at[0])) for at in (start, goal)]
+    clear = clearance[cells[0]] >= START_CLEARANCE and clearance[cells[1]] >= GOAL_CLEARANCE
+    return bool(clear and regions[cells[0]] == regions[cells[1]] > 0)
+
+
 def cell_center(row: int, column: int) -> Point:
     """Return the center of a grid cell in the world [m]: rows run along y, columns along x."""
     x, y = ((int(cell) + 0.5) * RESOLUTION - SIDE / 2 for cell in (column, row))
@@ -272,7 +239,11 @@ def clearance_map(
 
 def arenas_hash(arenas: Sequence[Arena]) -> str:
     """Return the SHA-256 of all numbers of some arenas: the identity of a test set."""
-    text = json.dumps([asdict(arena) for arena in arenas], sort_keys=True)
+    contents = [asdict(arena) for arena in arenas]
+    for content in contents:
+        if content["kind"] == "open":  # as before there were others
+            del content["kind"]
+    text = json.dumps(contents, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

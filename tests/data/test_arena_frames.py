@@ -12,7 +12,8 @@ from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP
 from eldenet.simulation import arena_view
 from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
-from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+from eldenet.simulation.arenas import Arena, generate_arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 SIZE = (36, 48)

@@ -30,7 +30,8 @@ from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.simulation.arena_world import arc
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 WINDOW = DynamicWindow()

@@ -12,7 +12,8 @@ from eldenet.navigation.episodes import Episodes, Event
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import TrainingArenas
-from eldenet.simulation.arenas import Arena, Obstacle, triangle_course
+from eldenet.simulation.arenas import Arena, triangle_course
+from eldenet.simulation.obstacle import Obstacle
 
 gym = pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, make_sensor, reward  # noqa: E402

@@ -14,7 +14,8 @@ from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.sensors import Drift, Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, Obstacle
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 

@@ -9,7 +9,8 @@ from eldenet.navigation.failures import draw_worst, trace
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import Obstacle
 
 
 def straight(robots: int) -> Straight:

@@ -127,6 +127,7 @@ class Broken:
     """A sensor whose second scan is not a number."""
 
     drift = EXACT
+    latency = 0.0
 
     def begin(self, world, rng):
         self.scans = 0

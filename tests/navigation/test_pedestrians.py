@@ -8,7 +8,8 @@ import pytest
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.pedestrians import MAX_AGE, RADIUS, Walkers
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, Obstacle
+from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 WALKER = Obstacle("person", 4.0, -1.5, 0.0, (0.25, 0.25), 1.7, ((4.0, -1.5), (4.0, 4.5)), 0.8)

@@ -136,6 +136,7 @@ class Blinking:
     """A sensor with one unknown column."""
 
     drift = EXACT
+    latency = 0.0
 
     def begin(self, world, rng):
         return self

@@ -9,7 +9,8 @@ from eldenet.navigation.policy import as_ranges
 from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
 from eldenet.simulation.arena_view import ArenaView
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, Obstacle, generate_arena, triangle_course
+from eldenet.simulation.arenas import Arena, generate_arena, triangle_course
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 

@@ -39,7 +39,8 @@ from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter
 from eldenet.simulation.arena_view import ArenaView
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena, Obstacle, generate_arena
+from eldenet.simulation.arenas import Arena, generate_arena
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import DepthEstimate
 

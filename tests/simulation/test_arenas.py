@@ -15,12 +15,12 @@ from eldenet.simulation.arenas import (
     RESOLUTION,
     START_CLEARANCE,
     Arena,
-    Obstacle,
     arenas_hash,
     clearance_map,
     generate_arena,
     triangle_course,
 )
+from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 
 # The first five test arenas of every density: if one changes, it is another test set.
