@@ -92,7 +92,9 @@ def test_links_lead_to_files_and_headings_that_exist():
                 assert not anchor or anchor in anchors(target), f"{page.relative_to(REPOSITORY)}: {link}"
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/results.md", "docs/training.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/index.md", "docs/concepts.md", "docs/results.md", "docs/training.md"]
+)
 def test_lines_and_tables_are_short(page):
     text = (REPOSITORY / page).read_text()
     assert [line for line in text.splitlines() if len(line) > 120] == []

@@ -160,7 +160,8 @@ class ArenaNavEnv(gym.Env):
             each time.
         arenas: source of the new ones.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
-        sensor, physics, time_limit, goal, observer: as in :class:`ArenaNavVectorEnv`.
+
+    ``sensor``, ``physics``, ``time_limit``, ``goal``, ``observer``: as in :class:`ArenaNavVectorEnv`.
 
     Raises:
         ValueError: an argument is none of its choices.

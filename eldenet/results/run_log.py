@@ -17,7 +17,7 @@ from eldenet.results.loggers import LOGGERS, Logger
 from eldenet.system.disk import disk_errors
 from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
-from eldenet.system.progress import Bar, progress_bar
+from eldenet.system.progress import Bar, on_terminal, progress_bar
 
 SHORTEST_NAME = 12  # characters of a row's name on a line
 GAP = 2  # between the columns of a table
@@ -49,7 +49,7 @@ class RunLog:
     ) -> None:
         self.folder, self.quiet, self.loggers = folder, quiet, loggers
         self.console = Console(quiet=quiet)
-        if not self.console.is_terminal and "COLUMNS" not in os.environ:
+        if not on_terminal(self.console) and "COLUMNS" not in os.environ:
             self.console.width = 500  # a file has no width: tables keep all columns
         self._open: list[Logger] | None = None
         self._first_step = first_step

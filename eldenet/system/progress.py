@@ -10,12 +10,17 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 LINE_EVERY_S = 15.0
 
 
+def on_terminal(console: Console) -> bool:
+    """Whether someone watches: rich's own answer is yes in every notebook and wherever FORCE_COLOR is set."""
+    return console.is_terminal and console.file.isatty()
+
+
 @contextmanager
 def progress_bar(
     console: Console, title: str, total: int, done: int = 0, unit: str = "img"
 ) -> Iterator["Bar"]:
     """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
-    if console.quiet or not console.is_terminal:
+    if console.quiet or not on_terminal(console):
         yield Bar(console, title, total, done, None, unit)
         return
     columns = (

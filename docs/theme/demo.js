@@ -1,0 +1,16 @@
+// A click on the button starts the demo in its place.
+for (const box of document.querySelectorAll(".demo")) {
+  box.addEventListener("click", (event) => {
+    const link = event.target.closest("a");
+    if (!link || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    const frame = document.createElement("iframe");
+    frame.src = link.href;
+    frame.title = "eldenet in the browser";
+    frame.addEventListener("load", () => {
+      const page = frame.contentDocument.documentElement;
+      new ResizeObserver(() => { frame.style.height = `${page.scrollHeight}px`; }).observe(page);
+    });
+    box.replaceChildren(frame);
+  });
+}
