@@ -232,21 +232,20 @@ def reference_pages() -> dict[str, str]:
 
 def notebook_page() -> dict[str, str | bytes]:
     """Return the notebook as a page, with the pictures among its outputs."""
-    cells = json.loads(NOTEBOOK.read_text())["cells"]
     name = f"notebooks/{NOTEBOOK.stem}"
     files: dict[str, str | bytes] = {}
     parts = []
-    for place, cell in enumerate(cells):
+    for place, cell in enumerate(json.loads(NOTEBOOK.read_text())["cells"]):
         text = "".join(cell["source"])
-        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
-        for output in cell.get("outputs", []):
-            data = output.get("data", {})
-            if "image/jpeg" in data:
-                picture = f"{name}-{place}.jpg"
-                files[picture] = base64.b64decode(data["image/jpeg"])
-                parts.append(f"![Output of this cell]({posixpath.basename(picture)})")
-            else:
-                printed = "".join(output.get("text", data.get("text/plain", "")))
-                parts.append(f"```text\n{printed.rstrip()}\n```")
+        if cell["cell_type"] == "markdown":
+            parts.append(text)
+            continue
+        parts.append(f"```{'bash' if text.startswith('%%bash') else 'python'}\n{text}\n```")
+        outputs = cell["outputs"]
+        if printed := "".join("".join(output.get("text", "")) for output in outputs):
+            parts.append(f"```text\n{printed.rstrip()}\n```")
+        for picture in (output["data"]["image/jpeg"] for output in outputs if "data" in output):
+            files[f"{name}-{place}.jpg"] = base64.b64decode(picture)
+            parts.append(f"![Output of this cell]({NOTEBOOK.stem}-{place}.jpg)")
     parts.append(f"[Download this notebook]({NOTEBOOK.name})")
     return {f"{name}.md": "\n\n".join(parts), **files}

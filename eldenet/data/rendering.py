@@ -137,12 +137,10 @@ def render_missing(
         RuntimeError: a worker process failed.
         DiskError: the disk is full.
     """
-    from rich.console import Console
-
-    from eldenet.system.progress import progress_bar
+    from eldenet.system.progress import open_console, progress_bar
 
     title = f"rendering {generator.name}/{split} {size[1]}x{size[0]}"
-    with progress_bar(Console(stderr=True), title, len(scenes) * VIEWS, unit="frames") as bar:
+    with progress_bar(open_console(stderr=True), title, len(scenes) * VIEWS, unit="frames") as bar:
         if workers == 0:
             store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)
             for scene in scenes:

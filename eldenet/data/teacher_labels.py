@@ -15,7 +15,7 @@ from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_imag
 from eldenet.data.paths import default_cache, find_root
 from eldenet.geometry import pinhole, resize_image
 from eldenet.system.files import part_file, write_json
-from eldenet.system.progress import progress_bar
+from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
 
 BATCH = 16
@@ -125,10 +125,9 @@ class TeacherLabels(FileDataset):
         if not missing:
             return
         write_json(self.folder / "teacher.json", self.note)
-        from rich.console import Console
 
         title = f"labeling pictures in {self.root.name}"
-        with progress_bar(Console(stderr=True), title, len(missing), unit="pictures") as bar:
+        with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
             for start in range(0, len(missing), BATCH):
                 indices = missing[start : start + BATCH]
                 pictures = [read_image(self.root / self.files[index][0]) for index in indices]

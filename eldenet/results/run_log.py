@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -17,7 +16,7 @@ from eldenet.results.loggers import LOGGERS, Logger
 from eldenet.system.disk import disk_errors
 from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
-from eldenet.system.progress import Bar, on_terminal, progress_bar
+from eldenet.system.progress import Bar, open_console, progress_bar
 
 SHORTEST_NAME = 12  # characters of a row's name on a line
 GAP = 2  # between the columns of a table
@@ -48,8 +47,8 @@ class RunLog:
         loggers: Sequence[str] = ("tensorboard",),
     ) -> None:
         self.folder, self.quiet, self.loggers = folder, quiet, loggers
-        self.console = Console(quiet=quiet)
-        if not on_terminal(self.console) and "COLUMNS" not in os.environ:
+        self.console = open_console(quiet=quiet)
+        if not self.console.is_terminal and "COLUMNS" not in os.environ:
             self.console.width = 500  # a file has no width: tables keep all columns
         self._open: list[Logger] | None = None
         self._first_step = first_step

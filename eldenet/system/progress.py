@@ -1,5 +1,6 @@
 """Progress for people: a bar on a terminal, elsewhere a line every 15 seconds."""
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,9 +11,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 LINE_EVERY_S = 15.0
 
 
-def on_terminal(console: Console) -> bool:
-    """Whether someone watches: rich's own answer is yes in every notebook and wherever FORCE_COLOR is set."""
-    return console.is_terminal and console.file.isatty()
+def open_console(*, quiet: bool = False, stderr: bool = False) -> Console:
+    """A console that draws bars and bold letters on terminals alone.
+
+    Rich would also draw them wherever FORCE_COLOR is set, as in a notebook, where a bar becomes many lines.
+    """
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(quiet=quiet, stderr=stderr, force_terminal=stream.isatty())
 
 
 @contextmanager
@@ -20,7 +25,7 @@ def progress_bar(
     console: Console, title: str, total: int, done: int = 0, unit: str = "img"
 ) -> Iterator["Bar"]:
     """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
-    if console.quiet or not on_terminal(console):
+    if console.quiet or not console.is_terminal:
         yield Bar(console, title, total, done, None, unit)
         return
     columns = (
