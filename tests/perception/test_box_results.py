@@ -103,7 +103,7 @@ def test_speeds_follow_from_the_times_of_frames_that_a_live_camera_dropped(tmp_p
     frames = [7 + 0.2 * step for step in range(15)]
     tracker, seen = BoxTracker(), []
 
-    def perceive(image, *, depth, seconds):
+    def perceive(image, *, depth, seconds, camera=None):
         seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
         depth, none = np.ones(BLANK.shape[:2], np.float32), Detections2D.empty(("car",))
         return Scene(BLANK, depth, none, seen[-1], CAMERA, {})
