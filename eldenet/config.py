@@ -861,6 +861,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy import runtimes
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
+    from eldenet.deploy.viewer import check_installed
     from eldenet.geometry import focal_of_fov, pinhole
     from eldenet.results.fingerprints import fingerprint
 
@@ -914,7 +915,13 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         (span[0], span[1]) if span else None,
         bool(config.overwrite),
     )
-    if not config.boxes and not source.is_live:
+    recording = None
+    if config.viewer is not None:
+        one_of("viewer", str(config.viewer), ("rerun",))
+        check_installed()
+        recording = output / "predict.rrd"
+        results.refuse_to_overwrite([], [recording])
+    if not (config.boxes or recording or source.is_live):
         deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "intrinsics", "depth_range")
         results.settings = {name: str(config[name]) for name in deciding}
         results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
@@ -936,6 +943,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         input_size=size,
         intrinsics=camera,
         boxes=boxes,
+        recording=recording,
         skip_unreadable=config.on_error == "skip",
     )
 
@@ -962,7 +970,8 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
     if known is None and lifter.camera_height is None:  # KITTI's pictures, each with its own calibration
         lifter.camera_height = CAMERA_HEIGHT
     perception = Perception(None, detector, lifter, known, tracker=tracker)
-    return functools.partial(box_results, perception, is_video=is_video)
+    by_depth = config.perception.lifter.get("method") != "no_depth"
+    return functools.partial(box_results, perception, is_video=is_video, check_sizes=by_depth)
 
 
 def build_export(config: DictConfig) -> "ExportSetup":

@@ -19,7 +19,13 @@ from eldenet.system import checks, files
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = sorted(
     page
-    for pattern in ("*.md", "docs/**/*.md", "experiments/README.md", "experiments/*/README.md", "ros2/*/README.md")
+    for pattern in (
+        "*.md",
+        "docs/**/*.md",
+        "experiments/README.md",
+        "experiments/*/README.md",
+        "ros2/*/README.md",
+    )
     for page in REPOSITORY.glob(pattern)
 )
 CODE = re.compile(r"```.*?```|`[^`\n]+`", re.S)

@@ -20,6 +20,7 @@ from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
 
 if TYPE_CHECKING:
+    from eldenet.deploy.viewer import RerunViewer
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import GracefulStop
 
@@ -49,6 +50,7 @@ class Results:
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
             same command goes on after it was stopped. None: it starts again.
+        viewer: shows each picture too, or None.
         also: receives the name, photo, depth, time and camera of each picture too.
     """
 
@@ -65,6 +67,7 @@ class Results:
     size: tuple[int, int] | None = None
     frames_per_second: float = 30.0
     settings: dict[str, Any] | None = None
+    viewer: "RerunViewer | None" = None
     also: Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None] | None = None
 
     def files(self, name: str, *, is_video: bool = False) -> list[Path]:
@@ -164,6 +167,9 @@ class Results:
         if estimate.sigma is not None:
             self.unsure += int(estimate.unsure.sum())
             self.pixels += estimate.depth.size
+        if self.viewer is not None:
+            seen_by = None if intrinsics is None else camera or PinholeCamera(intrinsics)
+            self.viewer.show(name, photo, estimate, time, seen_by)
         if self.also is not None:
             self.also(name, photo, depth, time, camera)
         self.images += 1

@@ -17,6 +17,7 @@ from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
+from eldenet.deploy.viewer import RerunViewer, open_recording
 from eldenet.uncertainty import NO_SIGMA
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ class PredictionSetup:
         resources: threads and device.
         skip_unreadable: list pictures that cannot be read instead of stopping.
         intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
+        recording: ``.rrd`` file for the Rerun viewer, or None.
         boxes: ``boxes(results, names, log, predictor)`` is entered before the pictures are predicted, and gives
             what :attr:`Results.also` calls; None: no 3D boxes.
     """
@@ -63,6 +65,7 @@ class PredictionSetup:
     results: Results
     resources: "Resources"
     skip_unreadable: bool
+    recording: Path | None
     boxes: Callable[..., AbstractContextManager[Any]] | None
     intrinsics: Sequence[float] | None
     focal: float | None
@@ -94,10 +97,17 @@ def predict(setup: PredictionSetup) -> Results:
     network = open_predictor(setup, log)
     lens = Lens(network.canonical_px, intrinsics=setup.intrinsics, focal=setup.focal, fov=setup.fov)
     predictor = Timed(network, lens)
-    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor)
+    boxes: AbstractContextManager[Any] = nullcontext()
+    viewer: AbstractContextManager[RerunViewer | None] = nullcontext()
+    if setup.boxes is not None:
+        boxes = setup.boxes(results, names, log, predictor)
+    if setup.recording is not None:
+        viewer = open_recording(
+            setup.recording, points=results.intrinsics is not None or setup.boxes is not None
+        )
     broken = ""
     done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
-    with GracefulStop() as stop, boxes as results.also:
+    with GracefulStop() as stop, viewer as results.viewer, boxes as results.also:
         if source.is_video:
             ((path, name),) = source.names.items()
             broken = predict_video(
@@ -107,6 +117,8 @@ def predict(setup: PredictionSetup) -> Results:
             predict_pictures(setup, predictor, log, stop, done)
     if results.images and (line := lens.describe()):
         log.say(line)
+    if results.images and setup.recording is not None:
+        log.say(f"recording: rerun {setup.recording}")
     if not stop or source.is_live:
         results.end()
     if broken:
@@ -122,11 +134,12 @@ class Timed:
     Attributes:
         seconds: of each of the last pictures.
         object_error: of the network, see :class:`~eldenet.deploy.predictor.DepthPredictor`.
+        max_depth: of the network [m], or None.
     """
 
     def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
         self.predictor, self.lens = predictor, lens
-        self.object_error = predictor.object_error
+        self.object_error, self.max_depth = predictor.object_error, predictor.max_depth
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:

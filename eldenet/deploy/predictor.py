@@ -127,6 +127,13 @@ class DepthPredictor:
         stated = getattr(self.model, "info", {}).get("object_error")
         return None if stated is None else (float(stated[0]), float(stated[1]))
 
+    @property
+    def max_depth(self) -> float | None:
+        """Largest depth that the network can answer [m], of its canonical camera if it has one; None: any."""
+        if isinstance(self.model, Runtime):
+            return self.model.max_depth
+        return getattr(getattr(self.model, "head", None), "max_depth", None)
+
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` [px] at which the network sees a frame of ``height`` x ``width``."""
         if self.input_size is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from eldenet.deploy.outputs import in_time, open_video
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.drawing import bev_reach
+from eldenet.perception.size_check import SizeCheck
 from eldenet.visualization import write_picture
 
 if TYPE_CHECKING:
@@ -32,12 +33,14 @@ def box_results(
     predictor: "Timed | None" = None,
     *,
     is_video: bool = False,
+    check_sizes: bool = True,
 ) -> Iterator[Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None]]:
     """Yield a function that writes the boxes of an image: ``(name, image, depth, time, camera)``.
 
     An image gets ``<name>_boxes.png`` and ``<name>_boxes.txt``; a video gets ``<name>_boxes.mp4`` and a text
     file per frame. Where the depth has a sigma, ``<name>_distances.csv`` has the interval of each distance.
-    At the end, the log shows the median time of each stage. The times [s] of the frames set
+    At the end, the log shows the median time of each stage, and a note if depth and sizes contradict each
+    other (:class:`~eldenet.perception.size_check.SizeCheck`). The times [s] of the frames set
     speeds and how long the video shows each frame, whatever frames were dropped in between.
 
     Args:
@@ -47,6 +50,7 @@ def box_results(
         log: for the times.
         predictor: of the depth: its error, and the time that each image took.
         is_video: the images are frames of a video or a camera.
+        check_sizes: whether the boxes come from the depth, which must then fit the sizes.
 
     Raises:
         ValueError: a result exists already.
@@ -57,6 +61,7 @@ def box_results(
     show: Callable[[np.ndarray, float], None] | None = None
     last: float | None = None
     reach: float | None = None
+    sizes = SizeCheck(None if predictor is None else predictor.max_depth)
     found = unsure = 0
     if predictor is not None:
         perception.lifter = perception.lifter.for_network(predictor.object_error)
@@ -70,6 +75,9 @@ def box_results(
         last = taken
         scene = perception(image, depth=depth, seconds=interval, camera=camera)
         found, unsure = found + len(scene.boxes), unsure + int(scene.boxes.doubtful.sum())
+        sizes.add(scene.depth, scene.detections, scene.camera)
+        if results.viewer is not None:
+            results.viewer.show_boxes(scene.boxes)
         for stage, seconds in scene.seconds.items():
             spent.setdefault(stage, deque(maxlen=MAX_TIMES)).append(seconds)
         if taken is None:
@@ -99,3 +107,5 @@ def box_results(
         log.say(
             f"boxes: {unsure} of {found} are doubtful (dashed, occluded = 3): their cues contradict each other"
         )
+    if check_sizes and (line := sizes.warning()):
+        log.say(line)

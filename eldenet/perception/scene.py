@@ -10,6 +10,7 @@ import numpy as np
 
 from eldenet.boxes import Box3D, Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
+from eldenet.deploy.viewer import WORLD, log_boxes, log_camera, log_depth
 from eldenet.geometry import PinholeCamera, check_intrinsics
 from eldenet.perception.detectors import Detector, check_frame
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
@@ -86,26 +87,14 @@ class Scene:
         """The boxes one by one."""
         return [self.boxes[index] for index in range(len(self.boxes))]
 
-    def log_to_rerun(self, path: str = "world") -> None:
+    def log_to_rerun(self, path: str = WORLD) -> None:
         """Send the scene to a rerun viewer (``pip install rerun-sdk``); call ``rerun.init`` before."""
         import rerun as rr
 
-        height, width = self.depth.shape
-        rr.log(path, rr.ViewCoordinates.RDF, static=True)
-        pose = rr.Transform3D(translation=self.camera.translation, mat3x3=self.camera.rotation)
-        rr.log(f"{path}/camera", pose)
-        pinhole = rr.Pinhole(image_from_camera=self.camera.intrinsics, width=width, height=height)
-        rr.log(f"{path}/camera", pinhole)
+        log_camera(rr.log, self.camera, (self.depth.shape[0], self.depth.shape[1]), path)
         rr.log(f"{path}/camera/image", rr.Image(self.image))
-        rr.log(f"{path}/camera/depth", rr.DepthImage(self.depth, meter=1.0))
-        turns = [rr.RotationAxisAngle(axis=(0, 1, 0), radians=float(yaw)) for yaw in self.boxes.yaw]
-        boxes: Any = rr.Boxes3D(
-            centers=self.boxes.center,
-            sizes=self.boxes.size[:, [0, 2, 1]],
-            rotation_axis_angles=turns,
-            labels=self.boxes.classes,
-        )
-        rr.log(f"{path}/boxes", boxes)
+        log_depth(rr.log, DepthEstimate(self.depth), path)
+        log_boxes(rr.log, self.boxes, path)
 
 
 class Perception:

@@ -36,6 +36,7 @@ def run(model_folder, tmp_path):
 
 
 def write_image(path: Path) -> Path:
+    path.parent.mkdir(exist_ok=True)
     cv2.imwrite(str(path), np.full((128, 256, 3), 90, np.uint8))
     return path
 
@@ -50,6 +51,24 @@ def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
     assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
     with pytest.raises(ValueError, match="exist already"):
         run(source, "formats=[color]")
+
+
+def test_depth_that_contradicts_known_sizes_is_said_and_boxes_are_recorded(run, tmp_path, capsys):
+    chunk = pytest.importorskip("rerun.chunk", reason="pip install 'eldenet[viewer]'")
+    source = write_image(tmp_path / "photo.png")
+    buses = ("perception.detector.names=[bus,bus,bus]", "intrinsics=[900,900,128,64]")
+    run(source, *buses)
+    assert "known size" not in capsys.readouterr().out  # two are too few
+    for name in ("a", "b"):
+        write_image(tmp_path / f"photos/{name}.png")
+    run(tmp_path / "photos", *buses, "viewer=rerun")
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"note: 4 objects of known size are at 0\.\d+ times .*weights are for rooms", said)
+    entities = [part.entity_path for part in chunk.RrdReader(tmp_path / "out/predict.rrd").stream()]
+    assert "/world/boxes" in entities
+    run(tmp_path / "photos", *buses, "overwrite=true", "perception.lifter.method=no_depth",
+        "perception.lifter.camera_height=1.5")  # fmt: skip
+    assert "known size" not in capsys.readouterr().out
 
 
 def test_images_without_objects_get_empty_files(run, tmp_path):
@@ -84,7 +103,7 @@ def test_speeds_follow_from_the_times_of_frames_that_a_live_camera_dropped(tmp_p
     frames = [7 + 0.2 * step for step in range(15)]
     tracker, seen = BoxTracker(), []
 
-    def perceive(image, *, depth, seconds):
+    def perceive(image, *, depth, seconds, camera=None):
         seen.append(tracker(boxes([0.0, 0.8, 10 + frames[len(seen)] - frames[0]]), seconds))
         depth, none = np.ones(BLANK.shape[:2], np.float32), Detections2D.empty(("car",))
         return Scene(BLANK, depth, none, seen[-1], CAMERA, {})

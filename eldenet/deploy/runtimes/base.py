@@ -61,6 +61,12 @@ class Runtime:
         return None if focal is None else float(focal) * float(width)
 
     @property
+    def max_depth(self) -> float | None:
+        """Largest depth that the network can answer [m]; None: not stated."""
+        found = metadata_value(self.metadata, "max_depth")
+        return None if found is None else float(found)
+
+    @property
     def distribution(self) -> str | None:
         """Distribution of the error of ln depth, "laplace" or "gaussian"; None: it knows no sigma."""
         found: str | None = metadata_value(self.metadata, "distribution")
