@@ -55,7 +55,7 @@ class PredictionSetup:
         resources: threads and device.
         skip_unreadable: list pictures that cannot be read instead of stopping.
         intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
-        boxes: ``boxes(results, names, log, predictor)`` is entered before the pictures are predicted, and gives
+        boxes: ``boxes(results, names, log, seconds)`` is entered before the pictures are predicted, and gives
             what :attr:`Results.also` calls; None: no 3D boxes.
     """
 
@@ -94,7 +94,7 @@ def predict(setup: PredictionSetup) -> Results:
     network = open_predictor(setup, log)
     lens = Lens(network.canonical_px, intrinsics=setup.intrinsics, focal=setup.focal, fov=setup.fov)
     predictor = Timed(network, lens)
-    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor)
+    boxes = nullcontext() if setup.boxes is None else setup.boxes(results, names, log, predictor.seconds)
     broken = ""
     done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
     with GracefulStop() as stop, boxes as results.also:
@@ -121,12 +121,10 @@ class Timed:
 
     Attributes:
         seconds: of each of the last pictures.
-        object_error: of the network, see :class:`~eldenet.deploy.predictor.DepthPredictor`.
     """
 
     def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
         self.predictor, self.lens = predictor, lens
-        self.object_error = predictor.object_error
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:

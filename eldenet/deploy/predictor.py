@@ -121,12 +121,6 @@ class DepthPredictor:
         """Focal length of the network's canonical camera [px]; None: it knows no focal lengths."""
         return getattr(self.model, "canonical_px", None)
 
-    @property
-    def object_error(self) -> tuple[float, float] | None:
-        """Relative error of its depth of objects of 100 and of 10 pixels; None: the network does not state it."""
-        stated = getattr(self.model, "info", {}).get("object_error")
-        return None if stated is None else (float(stated[0]), float(stated[1]))
-
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` [px] at which the network sees a frame of ``height`` x ``width``."""
         if self.input_size is not None:

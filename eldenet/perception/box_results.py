@@ -1,7 +1,7 @@
 """Results of ``python -m eldenet.predict boxes=true``: images with 3D boxes, and KITTI result files."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ from eldenet.visualization import write_picture
 
 if TYPE_CHECKING:
     from eldenet.deploy.outputs import Results
-    from eldenet.deploy.prediction import Timed
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
 
@@ -29,7 +28,7 @@ def box_results(
     results: "Results",
     names: Sequence[str],
     log: "RunLog",
-    predictor: "Timed | None" = None,
+    depth_seconds: Collection[float] = (),
     *,
     is_video: bool = False,
 ) -> Iterator[Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None]]:
@@ -45,7 +44,7 @@ def box_results(
         results: the folder of the results.
         names: of the images, or of the video.
         log: for the times.
-        predictor: of the depth: its error, and the time that each image took.
+        depth_seconds: that the depth of each image took; read at the end.
         is_video: the images are frames of a video or a camera.
 
     Raises:
@@ -58,8 +57,6 @@ def box_results(
     last: float | None = None
     reach: float | None = None
     found = unsure = 0
-    if predictor is not None:
-        perception.lifter = perception.lifter.for_network(predictor.object_error)
 
     def write(
         name: str, image: np.ndarray, depth: Any, taken: float | None, camera: PinholeCamera | None = None
@@ -87,7 +84,7 @@ def box_results(
 
     with ExitStack() as stack:
         yield write
-    spent["depth"] = deque([] if predictor is None else predictor.seconds)  # the depth came with each image
+    spent["depth"] = deque(depth_seconds)  # the depth came with each image
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
@@ -96,6 +93,4 @@ def box_results(
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
     if unsure:
-        log.say(
-            f"boxes: {unsure} of {found} are doubtful (dashed, occluded = 3): their cues contradict each other"
-        )
+        log.say(f"boxes: {unsure} of {found} are doubtful (dashed; occluded is 3): their cues disagree")

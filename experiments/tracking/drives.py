@@ -18,7 +18,13 @@ from eldenet.simulation.streets import FAR, generate_scene
 
 SIZE = (128, 416)
 SECONDS = 0.1  # between frames
-SPEEDS = {"person": (0.8, 1.8), "cyclist": (3.0, 6.0), "car": (4.0, 10.0), "van": (4.0, 10.0), "truck": (4.0, 8.0)}
+SPEEDS = {
+    "person": (0.8, 1.8),
+    "cyclist": (3.0, 6.0),
+    "car": (4.0, 10.0),
+    "van": (4.0, 10.0),
+    "truck": (4.0, 8.0),
+}
 ROAD = 3.6  # [m]: vehicles nearer to the camera's path drive, the others are parked
 LEAST_PIXELS, LEAST_HEIGHT = 25, 7.0
 VISIBLE = 0.3  # share of an object's 2D box that its pixels must fill to be found
@@ -105,7 +111,10 @@ def detect(
     boxes, labels = [], []
     for number, box in zip(numbers, xyxy, strict=True):
         filled = (instance == number).sum() / np.prod(box[2:] - box[:2])
-        if filled < VISIBLE * (0.5 if names[number] in ("person", "cyclist") else 1.0) or rng.random() < MISSED:
+        if (
+            filled < VISIBLE * (0.5 if names[number] in ("person", "cyclist") else 1.0)
+            or rng.random() < MISSED
+        ):
             continue
         side = np.tile(box[2:] - box[:2], 2)
         boxes.append(box + np.clip(rng.normal(0, 1, 4), -2, 2) * (0.4 + 0.02 * side))

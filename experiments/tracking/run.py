@@ -107,7 +107,11 @@ def score(frames: list[Frame], numbered: Numbered) -> tuple[dict, dict]:
     }  # fmt: skip
     with contextlib.redirect_stdout(io.StringIO()):
         clear, hota = CLEAR({"PRINT_CONFIG": False}), HOTA()
-        return {**clear.eval_sequence(data), "ids": len(true_ids), "boxes": data["num_gt_dets"]}, hota.eval_sequence(data)
+        return {
+            **clear.eval_sequence(data),
+            "ids": len(true_ids),
+            "boxes": data["num_gt_dets"],
+        }, hota.eval_sequence(data)
 
 
 def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argparse.Namespace) -> None:
@@ -115,7 +119,9 @@ def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argpars
     command = " ".join(["python experiments/tracking/run.py", *sys.argv[1:]])
     rows = []
     for (error, name), scored in parts.items():
-        clear = CLEAR({"PRINT_CONFIG": False}).combine_sequences({i: part for i, (part, _) in enumerate(scored)})
+        clear = CLEAR({"PRINT_CONFIG": False}).combine_sequences(
+            {i: part for i, (part, _) in enumerate(scored)}
+        )
         hota = HOTA().combine_sequences({i: part for i, (_, part) in enumerate(scored)})
         rows.append([
             error, name, int(clear["IDSW"]), f"{100 * clear['MOTA']:.1f}", f"{100 * np.mean(hota['HOTA']):.1f}",
