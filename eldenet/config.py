@@ -903,9 +903,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
-    calibrated = bool(camera) or (
-        not source.is_video and not given and all(object_camera(Path(path)) for path in source.names)
-    )
+    asked = (config.boxes or "ply" in formats) and not given and not source.is_video
+    calibrated = bool(camera) or (asked and all(object_camera(Path(path)) for path in source.names))
     if "ply" in formats and not calibrated:
         raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
     results = Results(
@@ -929,8 +928,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
     if config.boxes and not calibrated:
         raise ValueError(
-            "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or pictures in KITTI's layout "
-            "(image_2/000001.png with calib/000001.txt)"
+            "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or KITTI's "
+            "image_2/000001.png with calib/000001.txt"
         )
     boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
     by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)

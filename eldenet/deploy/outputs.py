@@ -139,12 +139,11 @@ class Results:
         estimate = as_estimate(depth)
         height, width = estimate.depth.shape
         self.size = self.size or (height, width)
-        if self.intrinsics is not None:
-            if self.size != (height, width):
-                raise ValueError(
-                    f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
-                    "one set of intrinsics fits one size, so predict them in separate folders"
-                )
+        if self.intrinsics is not None and self.size != (height, width):
+            raise ValueError(
+                f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
+                "one set of intrinsics fits one size, so predict them in separate folders"
+            )
         intrinsics = self.intrinsics if camera is None else camera.intrinsics
         if intrinsics is not None:
             check_intrinsics(intrinsics, (height, width))

@@ -57,8 +57,8 @@ class PredictionSetup:
         skip_unreadable: list pictures that cannot be read instead of stopping.
         intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
         recording: ``.rrd`` file for the Rerun viewer, or None.
-        boxes: ``boxes(results, names, log, predictor)`` is entered before the pictures are predicted, and gives
-            what :attr:`Results.also` calls; None: no 3D boxes.
+        boxes: ``boxes(results, names, log, seconds, max_depth)`` is entered before the pictures are predicted,
+            and gives what :attr:`Results.also` calls; None: no 3D boxes.
     """
 
     source: Source
@@ -100,7 +100,7 @@ def predict(setup: PredictionSetup) -> Results:
     boxes: AbstractContextManager[Any] = nullcontext()
     viewer: AbstractContextManager[RerunViewer | None] = nullcontext()
     if setup.boxes is not None:
-        boxes = setup.boxes(results, names, log, predictor)
+        boxes = setup.boxes(results, names, log, predictor.seconds, predictor.max_depth)
     if setup.recording is not None:
         viewer = open_recording(
             setup.recording, points=results.intrinsics is not None or setup.boxes is not None
@@ -133,13 +133,12 @@ class Timed:
 
     Attributes:
         seconds: of each of the last pictures.
-        object_error: of the network, see :class:`~eldenet.deploy.predictor.DepthPredictor`.
         max_depth: of the network [m], or None.
     """
 
     def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
         self.predictor, self.lens = predictor, lens
-        self.object_error, self.max_depth = predictor.object_error, predictor.max_depth
+        self.max_depth = predictor.max_depth
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:

@@ -122,12 +122,6 @@ class DepthPredictor:
         return getattr(self.model, "canonical_px", None)
 
     @property
-    def object_error(self) -> tuple[float, float] | None:
-        """Relative error of its depth of objects of 100 and of 10 pixels; None: the network does not state it."""
-        stated = getattr(self.model, "info", {}).get("object_error")
-        return None if stated is None else (float(stated[0]), float(stated[1]))
-
-    @property
     def max_depth(self) -> float | None:
         """Largest depth that the network can answer [m], of its canonical camera if it has one; None: any."""
         if isinstance(self.model, Runtime):

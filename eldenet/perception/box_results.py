@@ -1,7 +1,7 @@
 """Results of ``python -m eldenet.predict boxes=true``: images with 3D boxes, and KITTI result files."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ from eldenet.visualization import write_picture
 
 if TYPE_CHECKING:
     from eldenet.deploy.outputs import Results
-    from eldenet.deploy.prediction import Timed
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
 
@@ -30,7 +29,8 @@ def box_results(
     results: "Results",
     names: Sequence[str],
     log: "RunLog",
-    predictor: "Timed | None" = None,
+    depth_seconds: Collection[float] = (),
+    max_depth: float | None = None,
     *,
     is_video: bool = False,
     check_sizes: bool = True,
@@ -48,7 +48,8 @@ def box_results(
         results: the folder of the results.
         names: of the images, or of the video.
         log: for the times.
-        predictor: of the depth: its error, and the time that each image took.
+        depth_seconds: that the depth of each image took; read at the end.
+        max_depth: that the network can answer [m]; None: any.
         is_video: the images are frames of a video or a camera.
         check_sizes: whether the boxes come from the depth, which must then fit the sizes.
 
@@ -61,10 +62,8 @@ def box_results(
     show: Callable[[np.ndarray, float], None] | None = None
     last: float | None = None
     reach: float | None = None
-    sizes = SizeCheck(None if predictor is None else predictor.max_depth)
+    sizes = SizeCheck(max_depth)
     found = unsure = 0
-    if predictor is not None:
-        perception.lifter = perception.lifter.for_network(predictor.object_error)
 
     def write(
         name: str, image: np.ndarray, depth: Any, taken: float | None, camera: PinholeCamera | None = None
@@ -95,7 +94,7 @@ def box_results(
 
     with ExitStack() as stack:
         yield write
-    spent["depth"] = deque([] if predictor is None else predictor.seconds)  # the depth came with each image
+    spent["depth"] = deque(depth_seconds)  # the depth came with each image
     parts = [
         f"{stage} {1000 * float(np.median(times)):.1f} ms"
         for stage, times in spent.items()
@@ -104,8 +103,6 @@ def box_results(
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
     if unsure:
-        log.say(
-            f"boxes: {unsure} of {found} are doubtful (dashed, occluded = 3): their cues contradict each other"
-        )
+        log.say(f"boxes: {unsure} of {found} are doubtful (dashed; occluded is 3): their cues disagree")
     if check_sizes and (line := sizes.warning()):
         log.say(line)

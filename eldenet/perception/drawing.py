@@ -32,7 +32,7 @@ def draw_boxes(
     front: bool | np.ndarray = False,
     labels: bool = True,
 ) -> np.ndarray:
-    """Draw the twelve edges of every box on a copy of ``image (H, W, 3)`` uint8 RGB; doubtful ones are dashed.
+    """Draw the edges of every box, dashed if it is doubtful, on a copy of ``image (H, W, 3)`` uint8 RGB.
 
     Args:
         image: to draw on.
@@ -95,10 +95,11 @@ def draw_bev(
     reach: float | None = None,
     truth: Boxes3D | None = None,
 ) -> np.ndarray:
-    """Draw boxes in a bird's-eye view: the camera is at the bottom, the grid in round meters, doubtful boxes dashed.
+    """Draw boxes in a bird's-eye view, with the camera at the bottom and a grid in round meters.
 
     Args:
-        boxes: in the level frame; tracked boxes get an arrow to where they are in a second.
+        boxes: in the level frame; doubtful ones are dashed, tracked ones get an arrow to where they are in a
+            second.
         camera: its field of view is shaded.
         width: of the camera's image [px].
         size: (height, width) of the view [px].

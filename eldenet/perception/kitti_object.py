@@ -119,7 +119,9 @@ def read_labels(path: Path) -> KittiLabels:
 
 
 def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = None) -> KittiLabels:
-    """Convert boxes to KITTI's results, with KITTI's class names; a doubtful one is ``occluded`` 3, "unknown".
+    """Convert boxes to KITTI's results, with KITTI's class names.
+
+    A doubtful box has ``occluded`` 3, KITTI's "unknown", the others -1.
 
     KITTI's frame has the camera's axes, but its origin is camera 0, not the color camera (P2's fourth column
     is the offset). So boxes are rotated and keep the origin of the level frame.
@@ -138,8 +140,8 @@ def to_labels(boxes: Boxes3D, xyxy: np.ndarray, rotation: np.ndarray | None = No
     alpha = (alpha + np.pi) % (2 * np.pi) - np.pi
     types = tuple(_KITTI_OF.get(name.lower(), name.replace(" ", "_")) for name in boxes.classes)
     return KittiLabels(
-        types, np.full(count, -1.0), np.where(boxes.doubtful, UNKNOWN, -1), alpha, np.asarray(xyxy, np.float64).reshape(-1, 4),
-        boxes.size, location, yaw, boxes.score,
+        types, np.full(count, -1.0), np.where(boxes.doubtful, UNKNOWN, -1), alpha,
+        np.asarray(xyxy, np.float64).reshape(-1, 4), boxes.size, location, yaw, boxes.score,
     )  # fmt: skip
 
 

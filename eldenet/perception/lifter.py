@@ -2,9 +2,8 @@
 
 import warnings
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import replace
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -22,9 +21,9 @@ METHODS = get_args(Method)
 DISTANCE_LEVEL = 0.9  # of a box's distance interval
 SIGMA_RANGE = (0.01, 0.5)  # of an object, relative
 SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
-#: Relative errors of objects of ``LARGE_SIDE`` and ``SMALL_SIDE`` pixels by what the depth comes from, chosen on
-#: rendered streets (experiments/table4_centres/defaults.md).
-NETWORK_SIGMA, SENSOR_SIGMA = (0.06, 0.27), (0.01, 0.01)
+#: Relative errors of objects of ``LARGE_SIDE`` and ``SMALL_SIDE`` pixels by what the depth comes from.
+#: experiments/table4_centres/defaults.md: chosen on rendered streets.
+NETWORK_SIGMA, SENSOR_SIGMA = (0.15, 0.5), (0.01, 0.01)
 DOUBTFUL_COST = 6.0  # of a fit whose cues contradict each other
 _SPARSE = 0.25  # of the pixels: a map of which fewer are known is a LiDAR's
 _MAX_MEDIAN_DEPTH = 500.0  # [m]: beyond, the depth is probably in millimeters
@@ -56,7 +55,7 @@ class BoxLifter:
             the fitted plane.
         depth_sigma: relative depth error of whole objects; with ``small_sigma``, of objects whose shorter
             side is ``LARGE_SIDE`` pixels or more. None: both are those of the depth's source: of a sparse map
-            a LiDAR's, else those that the network states (:meth:`for_network`), else ``NETWORK_SIGMA``.
+            ``SENSOR_SIGMA``, for it is a LiDAR's, else ``NETWORK_SIGMA``.
         small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
             Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
             all. Both are for depth without sigma: where the network knows its sigma, that of an object is the
@@ -90,21 +89,14 @@ class BoxLifter:
             raise ValueError(f"small_sigma={small_sigma} without depth_sigma: give both, or neither")
         self.method, self.priors, self.ground = method, priors, ground
         self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
-        self.network_sigma = NETWORK_SIGMA
         self.occlusion_mask = occlusion_mask
-
-    def for_network(self, object_error: tuple[float, float] | None) -> Self:
-        """The same lifter for a network whose objects have this error, see ``NETWORK_SIGMA``; None: unknown."""
-        lifter = copy(self)
-        lifter.network_sigma = object_error or self.network_sigma
-        return lifter
 
     def sigma_of(self, depth: np.ndarray) -> tuple[float, float | None]:
         """``depth_sigma`` and ``small_sigma`` for a map ``(H, W)`` [m] without sigma."""
         if self.depth_sigma is not None:
             return self.depth_sigma, self.small_sigma
         known = np.isfinite(depth) & (depth > 0)
-        return SENSOR_SIGMA if known.mean() < _SPARSE else self.network_sigma
+        return SENSOR_SIGMA if known.mean() < _SPARSE else NETWORK_SIGMA
 
     def __call__(
         self, depth: np.ndarray | DepthEstimate, detections: Detections2D, camera: PinholeCamera

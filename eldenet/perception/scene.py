@@ -119,8 +119,7 @@ class Perception:
         *,
         tracker: BoxTracker | None = None,
     ) -> None:
-        self.depth_model, self.detector = depth_model, detector
-        self.lifter = lifter.for_network(getattr(depth_model, "object_error", None))
+        self.depth_model, self.detector, self.lifter = depth_model, detector, lifter
         self.camera, self.tracker = camera, tracker
 
     def __call__(

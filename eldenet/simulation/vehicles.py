@@ -4,6 +4,7 @@ A maker fills a :class:`~.rendering.mjcf.Body` whose front faces +y: lengths run
 The geoms touch the box ``length`` x ``width`` x ``height`` on all sides.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +99,7 @@ def cyclist(d: Draw, p: Paint, m: Materials, b: Body, length: float, width: floa
     for _, y, z in hubs:
         angles = np.linspace(0, 2 * np.pi, _RIM + 1).tolist()
         rim = [(0.0, y + radius * np.cos(angle), z + radius * np.sin(angle)) for angle in angles]
-        for start, end in zip(rim[:-1], rim[1:], strict=True):
+        for start, end in pairwise(rim):
             b.limb(start, end, tire, p.rubber)
     pedals, saddle, head = (0.0, -0.05, 0.3), (0.0, -0.22, 0.88), (0.0, hubs[1][1] - 0.22, 0.92)
     for start, end in (

@@ -1,25 +1,25 @@
 """The frames of table 4: simulated streets and halls, and KITTI's object frames."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import Detector, merge_cyclists
-from eldenet.perception.kitti_object import KittiObjects
-from eldenet.perception.lifter import LARGE_SIDE, SMALL_SIDE
+from eldenet.perception.kitti_object import KittiLabels, KittiObjects, to_labels
 from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
 
 SIZES = {"street": (256, 832), "crossing": (256, 832), "hall": (240, 320)}
 HEIGHTS = {"street": 1.65, "crossing": 1.65, "hall": 1.0}  # nominal height of the camera above the ground [m]
 LEAST_HEIGHT = 18  # least height of simulated objects [px]: KITTI's 25 at the simulated size
-EXACT_SIGMA = 0.01  # relative error of exact and LiDAR depth, from pixels of other objects
+SMALL = ("person", "pedestrian", "cyclist")
+#: The objects of a row: name -> of small things alone, of the others alone, or None for all.
+GROUPS = {"all": None, "people, cyclists": True, "vehicles": False}
 
-Sigma = tuple[float, float]  # depth_sigma, small_sigma
+Sigma = tuple[float | None, float | None]  # depth_sigma, small_sigma; None: the lifter's own
 
 
 @dataclass
@@ -34,6 +34,14 @@ class Case:
     truth: Boxes3D
     rows: np.ndarray  # pairs: truth[rows] matches detections[columns]
     columns: np.ndarray
+    labels: KittiLabels  # the truth in KITTI's format, for its average precision
+
+    def pairs_of(self, group: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows and columns of the pairs of one of ``GROUPS``."""
+        names = np.array([name.lower() for name in self.truth.classes], object)[self.rows]
+        small = GROUPS[group]
+        chosen = np.ones(len(names), bool) if small is None else np.isin(names, SMALL) == small
+        return self.rows[chosen], self.columns[chosen]
 
 
 @dataclass
@@ -45,6 +53,7 @@ class Setting:
     cases: list[Case]
     height: float
     sigma: Sigma
+    groups: tuple[str, ...]
     resolution: str
     protocol: str
 
@@ -59,50 +68,34 @@ def simulated(views: list[StreetView], depth_of: Callable[[StreetView], np.ndarr
     for number, view in enumerate(views):
         tall = view.detections.xyxy[:, 3] - view.detections.xyxy[:, 1]
         kept = np.nonzero((view.visible >= 0.3) & ~view.truncated & (tall >= LEAST_HEIGHT))[0]
-        depth = depth_of(view)
+        depth, labels = depth_of(view), as_labels(view)
         cases.append(
-            Case(f"{number}", view.image, depth, view.detections, view.camera, view.boxes, kept, kept)
+            Case(f"{number}", view.image, depth, view.detections, view.camera, view.boxes, kept, kept, labels)
         )
     return cases
 
 
+def as_labels(view: StreetView) -> KittiLabels:
+    """Return the objects as KITTI labels them: partly hidden below 80 % visible, largely below 40 %."""
+    labels = to_labels(view.boxes, view.detections.xyxy)
+    hidden = (view.visible < 0.8).astype(int) + (view.visible < 0.4)
+    return replace(labels, occluded=hidden, truncated=view.truncated.astype(float))
+
+
 def real(kitti: KittiObjects, detector: Detector | None, depth_of: Callable) -> Iterator[Case]:
-    """Yield cases of cars and vans up to KITTI's "hard", with boxes of the detector or of the labels."""
+    """Yield cases of objects up to KITTI's "hard", with boxes of the detector or of the labels."""
     for name in kitti.names:
         image = kitti.image(name)
         depth = depth_of(name, image)
         if depth is None:
             continue
-        labels = kitti.labels(name)
+        everything = labels = kitti.labels(name)
         labels = labels.select(np.array([kind != "DontCare" for kind in labels.types]))
         found = labels.detections if detector is None else merge_cyclists(detector(image))
         rows, columns = pair_up(labels.xyxy, found.xyxy)
         tall = labels.xyxy[:, 3] - labels.xyxy[:, 1]
         counts = (tall > 25) & (labels.occluded <= 2) & (labels.truncated <= 0.5)
-        counts &= np.isin(np.array(labels.types), ("Car", "Van"))
+        counts &= np.isin(np.array(labels.types), ("Car", "Van", "Pedestrian", "Cyclist"))
         kept = counts[rows] if len(rows) else np.zeros(0, bool)
-        yield Case(name, image, depth, found, kitti.camera(name), labels.boxes, rows[kept], columns[kept])
-
-
-def relative_error(views: list[StreetView], predictor: DepthPredictor) -> Sigma:
-    """Return the relative depth errors of large and small objects: ``depth_sigma`` and ``small_sigma``.
-
-    They lie on a power law through the medians of the smaller and the larger half of the objects.
-    """
-    errors, sides = [], []
-    for view in views:
-        predicted = predictor(view.image)
-        for number in range(len(view.boxes)):
-            mine = (view.instance == number) & (view.depth > 0)
-            if mine.sum() >= 100:
-                errors.append(abs(np.log(np.median(predicted[mine]) / np.median(view.depth[mine]))))
-                box = view.detections.xyxy[number]
-                sides.append(np.log(min(box[2] - box[0], box[3] - box[1])))
-    larger = np.array(sides) > np.median(sides)
-    halves = [
-        (np.median(np.array(sides)[half]), np.median(np.array(errors)[half])) for half in (~larger, larger)
-    ]
-    (small, wrong), (large, right) = halves
-    slope = min(0.0, np.log(right / wrong) / (large - small))
-    sigma = [1.4826 * wrong * np.exp(slope * (np.log(side) - small)) for side in (LARGE_SIDE, SMALL_SIDE)]
-    return float(np.clip(sigma[0], EXACT_SIGMA, 0.5)), float(np.clip(sigma[1], EXACT_SIGMA, 0.5))
+        truth, camera = labels.boxes, kitti.camera(name)
+        yield Case(name, image, depth, found, camera, truth, rows[kept], columns[kept], everything)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from cases import HEIGHTS, Case, render, simulated
+from cases import HEIGHTS, SMALL, Case, render, simulated
 
 import eldenet
 from eldenet.boxes import Boxes3D
@@ -29,16 +29,16 @@ FIRST_SCENE = 40000  # beyond the scenes that networks are trained on
 GRID = {
     "LiDAR": ((0.005, 0.005), (0.01, 0.01), (0.02, 0.02), (0.04, 0.04), (0.08, 0.08)),
     "network": (
-        (0.04, 0.04),
         (0.08, 0.08),
-        (0.12, 0.12),
         (0.06, 0.27),
-        (0.06, 0.5),
         (0.12, 0.27),
+        (0.06, 0.5),
         (0.12, 0.5),
-    ),
+        (0.15, 0.5),
+        (0.2, 0.5),
+        (0.5, 0.5),
+    ),  # fmt: skip
 }
-SMALL = ("person", "cyclist")
 WRONG = 0.2  # of the distance: a center farther off is wrong
 COSTS = (3.0, 4.0, 6.0, 8.0, 12.0)
 COLUMNS = (

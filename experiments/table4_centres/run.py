@@ -1,9 +1,9 @@
-"""Table 4: center accuracy and match rates of four methods on simulated streets and halls, and on KITTI.
+"""Table 4: center accuracy, match rates and KITTI's AP of four methods on simulated streets and halls, and on KITTI.
 
-python experiments/table4_centres/run.py --sim-model runs/streets-depth --hall-model runs/halls-depth \
-    --detector yolox_nano_coco_256x832.onnx --kitti-model meter_kitti --kitti-sigma 0.12
+python experiments/table4_centres/run.py --sim-model runs/streets-depth --hall-model eldenet_indoor \
+    --detector yolox_nano_coco_256x832.onnx --kitti-model meter_kitti
 
-All methods were tuned on simulated training scenes. This script uses test scenes and KITTI's frames, which
+All methods and defaults were tuned on simulated training scenes. This script uses test scenes and KITTI's frames, which
 are only reported. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures are written to
 the run folder.
 """
@@ -12,8 +12,17 @@ import argparse
 from pathlib import Path
 
 import torch
-from cases import EXACT_SIGMA, HEIGHTS, SIZES, Case, Setting, real, relative_error, render, simulated
-from rows import COLUMNS, TITLES, accuracy_by_distance, differences, protocol_notes, table_rows, where
+from cases import HEIGHTS, SIZES, Case, Setting, real, render, simulated
+from rows import (
+    COLUMNS,
+    METHOD_NAMES,
+    TITLES,
+    accuracy_by_distance,
+    differences,
+    protocol_notes,
+    table_rows,
+    where,
+)
 from speed import lifting, stages
 
 import eldenet
@@ -22,18 +31,15 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.perception.detectors import ROAD_NAMES
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import KittiObjects
-from eldenet.perception.lifter import METHODS, BoxLifter
+from eldenet.perception.lifter import SENSOR_SIGMA, BoxLifter
 from eldenet.perception.matching_metrics import Pairs, compare
 from eldenet.perception.onnx_detector import OnnxDetector
 from eldenet.system.files import write_rows
 from eldenet.visualization import write_picture
 
 HERE = Path(__file__).parent
-SIGMA_SCENES = 40  # training scenes on which a network's errors on objects are measured
-LARGEST_SIGMA = 0.5  # a depth with a larger error is useless
-FIRST_SIGMA_SCENE = 10000  # beyond the scenes that networks are trained on
 SEEN = "simulated test scenes, objects seen to 30 % or more, whole, 18 px high or more"
-CARS = 'KITTI object training frames at hand, Car and Van not beyond "hard", 2D IoU 0.5'
+REAL = 'KITTI object training frames at hand, objects not beyond "hard", 2D IoU 0.5'
 
 
 def main() -> None:
@@ -43,17 +49,22 @@ def main() -> None:
     for kind in SIZES:
         more, said = in_simulation(args, kind)
         settings, notes = settings + more, notes + said
-    more, said = on_kitti(args, growth(settings))
+    more, said = on_kitti(args)
     settings, notes = settings + more, notes + said
     rows, gaps, spans = [], [], []
     for setting in settings:
-        pairs, refined = run_methods(setting)
-        rows += [[*row, *where(setting)] for row in table_rows(setting, pairs)]
-        gaps += differences(setting, pairs)
-        spans += accuracy_by_distance(setting, pairs)
+        found = run_methods(setting)
+        for group in setting.groups:
+            pairs = pair(setting, group, found)
+            rows += [[*row, *where(setting)] for row in table_rows(setting, group, pairs, found)]
+            gaps += differences(setting, group, pairs)
+            spans += accuracy_by_distance(setting, group, pairs)
         folder = f"{setting.depth} {setting.boxes}".replace(":", "").replace(" ", "_")
-        draw(args.run_folder / folder, setting.cases[:12], refined[:12])
-    cells = [[f"{row[0]}, {row[1]}", row[2], row[3], *row[5:11]] for row in rows]
+        draw(args.run_folder / folder, setting.cases[:12], found["refine"][:12])
+    cells = [
+        [", ".join(row[:3]), *row[3:5], *row[6:12], f"{row[12]} / {row[13]} ({row[14]})", row[15]]
+        for row in rows
+    ]
     text = [
         f"| {' | '.join(TITLES)} |", "|---|---|" + "---:|" * (len(TITLES) - 2),
         *(f"| {' | '.join(row)} |" for row in cells),
@@ -72,7 +83,6 @@ def arguments() -> argparse.Namespace:
     options.add_argument("--sim-model", help="folder of a network trained on rendered streets")
     options.add_argument("--hall-model", help="folder of a network trained on rendered halls")
     options.add_argument("--kitti-model", help="folder of a network for KITTI's pictures")
-    options.add_argument("--kitti-sigma", type=float, default=0.12, help="its relative error on objects")
     options.add_argument("--detector", help="an .onnx file, for KITTI")
     options.add_argument("--run-folder", type=Path, default=Path("runs/table4_centres"))
     options.add_argument("--output", type=Path, default=HERE / "results", help="without an ending")
@@ -80,71 +90,52 @@ def arguments() -> argparse.Namespace:
 
 
 def in_simulation(args: argparse.Namespace, kind: str) -> tuple[list[Setting], list[str]]:
-    """Return settings with exact depth and with a network's, whose errors are measured on training scenes."""
+    """Return settings with exact depth and with a network's."""
     views = render("test", 0, args.frames, kind)
     size = f"{SIZES[kind][0]} x {SIZES[kind][1]}"
+    groups = ("vehicles", "people, cyclists") if kind == "crossing" else ("all",)
     exact = Setting(
-        f"{kind}: exact", "simulator", simulated(views, lambda view: view.depth), HEIGHTS[kind],
-        (EXACT_SIGMA, EXACT_SIGMA), size, SEEN,
+        f"{kind}: exact", "simulator", simulated(views, lambda view: view.depth), HEIGHTS[kind], SENSOR_SIGMA,
+        groups, size, SEEN,
     )  # fmt: skip
     notes = lifting(exact)
-    model = args.sim_model if kind == "street" else args.hall_model
+    model = args.hall_model if kind == "hall" else args.sim_model
     if not model:
         return [exact], notes
-    network = DepthPredictor(eldenet.load(model))
-    training = render("train", FIRST_SIGMA_SCENE, SIGMA_SCENES, kind)
-    sigma = relative_error(training, network)
+    network = DepthPredictor(eldenet.load(model), steady=False)
     cases = simulated(views, lambda view: network(view.image))
     learned = Setting(
-        f"{kind}: ELDE-Net", "simulator", cases, HEIGHTS[kind], sigma, f"{size}, {seen_by(network)}", SEEN
-    )
-    measured = (
-        f"{kind}: depth_sigma and small_sigma of {Path(model).name} measured on {SIGMA_SCENES} training "
-        f"scenes: {sigma[0]:.3f} and {sigma[1]:.3f}"
-    )
+        f"{kind}: ELDE-Net", "simulator", cases, HEIGHTS[kind], (None, None), groups,
+        f"{size}, {seen_by(network)}", SEEN,
+    )  # fmt: skip
     if args.detector:
         notes += stages(learned, network, OnnxDetector(args.detector, keep=ROAD_NAMES))
-    return [exact, learned], [measured, *notes]
+    return [exact, learned], [f"{kind}: the network is {Path(model).name}", *notes]
 
 
-def growth(settings: list[Setting]) -> float:
-    """Return how many times worse a network's depth is for small than for large objects, on rendered streets.
-
-    Nothing is fitted to real frames, so the same factor is taken for KITTI's network.
-    """
-    sigmas = [setting.sigma for setting in settings if setting.depth == "street: ELDE-Net"]
-    return sigmas[0][1] / sigmas[0][0] if sigmas else 1.0
-
-
-def on_kitti(args: argparse.Namespace, grows: float) -> tuple[list[Setting], list[str]]:
+def on_kitti(args: argparse.Namespace) -> tuple[list[Setting], list[str]]:
     """Return settings with LiDAR's depth and a network's, with boxes of a detector and of the labels."""
     try:
         kitti = KittiObjects()
     except FileNotFoundError as error:
         print(f"KITTI is left out: {error}")
         return [], []
-    network = DepthPredictor(eldenet.load(args.kitti_model)) if args.kitti_model else None
+    network = DepthPredictor(eldenet.load(args.kitti_model), steady=False) if args.kitti_model else None
     detector = OnnxDetector(args.detector, keep=ROAD_NAMES) if args.detector else None
-    exact = EXACT_SIGMA, EXACT_SIGMA
-    depths = {"KITTI: LiDAR": (lambda name, image: kitti.lidar_depth(name, image.shape[:2]), exact)}
+    depths = {"KITTI: LiDAR": lambda name, image: kitti.lidar_depth(name, image.shape[:2])}
     notes = []
     if network is not None:
-        sigma = args.kitti_sigma, min(args.kitti_sigma * grows, LARGEST_SIGMA)
-        name = Path(args.kitti_model).name
-        depths[f"KITTI: {name}"] = (lambda name, image: network(image), sigma)
-        notes = [
-            f"KITTI: depth_sigma {sigma[0]:.2f} of {name} is the error of whole pictures; that small objects "
-            f"fare worse, as on rendered streets, makes small_sigma {sigma[1]:.2f}"
-        ]
+        depths[f"KITTI: {Path(args.kitti_model).name}"] = lambda name, image: network(image)
     boxes = {"labels (leak)": None}
     if detector is not None:
         boxes = {Path(args.detector).stem: detector} | boxes
     settings = []
-    for depth, (depth_of, sigma) in depths.items():
+    for depth, depth_of in depths.items():
         size = "about 375 x 1242" + ("" if "LiDAR" in depth else f", {seen_by(network)}")
         for name, finder in boxes.items():
             cases = list(real(kitti, finder, depth_of))
-            settings.append(Setting(depth, name, cases, HEIGHTS["street"], sigma, size, CARS))
+            groups = ("vehicles", "people, cyclists")
+            settings.append(Setting(depth, name, cases, HEIGHTS["street"], (None, None), groups, size, REAL))
     if network is not None and detector is not None:
         notes += stages(settings[-2], network, detector)
     return settings, notes
@@ -155,22 +146,29 @@ def seen_by(network: DepthPredictor) -> str:
     return f"network {height} x {width}"
 
 
-def run_methods(setting: Setting) -> tuple[dict[str, Pairs], list[Boxes3D]]:
-    """Return the matched pairs of each method, and the boxes of ``refine``."""
-    pairs, refined = {}, []
-    for method in METHODS:
+def run_methods(setting: Setting) -> dict[str, list[Boxes3D]]:
+    """Return the boxes of each method in every frame."""
+    found = {}
+    for method in METHOD_NAMES:
+        name, _, unknown = method.partition(", ")
         lifter = BoxLifter(
-            method, camera_height=setting.height, depth_sigma=setting.sigma[0], small_sigma=setting.sigma[1]
-        )
-        lifted = [lifter(case.depth, case.detections, case.camera) for case in setting.cases]
+            name, camera_height=None if unknown else setting.height, depth_sigma=setting.sigma[0],
+            small_sigma=setting.sigma[1],
+        )  # fmt: skip
+        found[method] = [lifter(case.depth, case.detections, case.camera) for case in setting.cases]
+    return found
+
+
+def pair(setting: Setting, group: str, found: dict[str, list[Boxes3D]]) -> dict[str, Pairs]:
+    """Return the matched pairs of each method."""
+    pairs = {}
+    for method, lifted in found.items():
         parts = [
-            compare(case.truth, found, case.rows, case.columns)
-            for case, found in zip(setting.cases, lifted, strict=True)
+            compare(case.truth, boxes, *case.pairs_of(group))
+            for case, boxes in zip(setting.cases, lifted, strict=True)
         ]
         pairs[method] = Pairs.join(parts)
-        if method == "refine":
-            refined = lifted
-    return pairs, refined
+    return pairs
 
 
 def draw(folder: Path, cases: list[Case], boxes: list[Boxes3D]) -> None:

@@ -132,3 +132,22 @@ def test_missing_and_wrong_settings_are_refused(run, override, message, tmp_path
     (tmp_path / "odd.onnx").write_text("no network")
     with pytest.raises(ValueError, match=message):
         run(write_image(tmp_path / "photo.png"), override.format(folder=tmp_path))
+
+
+def test_a_kitti_folder_brings_its_own_cameras(run, tmp_path):
+    """Two pictures of other sizes, each with its calibration; boxes lie where that camera sees them."""
+    folder = tmp_path / "training"
+    for name, focal, width in (("000000", 200, 256), ("000001", 300, 320)):
+        for part in ("image_2", "calib"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / f"image_2/{name}.png"), np.full((128, width, 3), 90, np.uint8))
+        (folder / f"calib/{name}.txt").write_text(f"P2: {focal} 0 128 40 0 {focal} 64 0 0 0 1 0\n")
+    run(folder, "intrinsics=null")
+    for name, focal in (("000000", 200), ("000001", 300)):
+        labels = read_labels(tmp_path / f"out/image_2/{name}_boxes.txt")
+        column = focal * (labels.location[:, 0] + 40 / focal) / labels.location[:, 2] + 128
+        assert len(labels) == 2
+        np.testing.assert_allclose(column, labels.xyxy[:, ::2].mean(1), atol=0.2 * 256)
+    (folder / "calib/000001.txt").unlink()
+    with pytest.raises(ValueError, match=r"calib/000001\.txt"):
+        run(folder, "intrinsics=null", "overwrite=true")

@@ -1,5 +1,7 @@
 """Boxes drawn in the image and in a bird's-eye view."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.standing_boxes import BLANK, CAMERA, boxes
@@ -72,3 +74,15 @@ def test_a_2d_box_is_drawn_on_its_outermost_pixels():
     assert few[52:56, 53].all()
     assert not few[52:56, 54].any()
     assert not few[56, 50:54].any()
+
+
+def test_doubtful_boxes_are_dashed_and_marked():
+    sure = boxes([0.0, 0.8, 6.0], yaw=0.3)
+    unsure = replace(sure, quality={"doubtful": np.ones(1)})
+    lines = [(draw_boxes(BLANK, one, CAMERA, labels=False) != BLANK).any(-1).sum() for one in (sure, unsure)]
+    assert 0.4 * lines[0] < lines[1] < 0.8 * lines[0]
+    above = [len(drawn_pixels(draw_bev(one, CAMERA, 320))[0]) for one in (sure, unsure)]
+    assert 0.4 * above[0] < above[1] < 0.9 * above[0]
+    marked = draw_boxes(BLANK, unsure, CAMERA) != draw_boxes(BLANK, unsure, CAMERA, labels=False)
+    plain = draw_boxes(BLANK, sure, CAMERA) != draw_boxes(BLANK, sure, CAMERA, labels=False)
+    assert np.ptp(np.nonzero(marked)[1]) > np.ptp(np.nonzero(plain)[1])  # a longer label

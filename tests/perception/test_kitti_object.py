@@ -39,6 +39,14 @@ def test_boxes_survive_a_result_file(tmp_path):
     assert (tmp_path / "r.txt").read_text().splitlines()[0].count(" ") == 15
 
 
+def test_a_doubtful_box_is_marked_as_of_unknown_occlusion():
+    boxes = Boxes3D(
+        np.array([[0.0, 0, 9], [2, 0, 9]]), np.ones((2, 3)), np.zeros(2), np.ones(2), np.zeros(2, int),
+        ("car",), {"doubtful": np.array([0.0, 1.0])},
+    )  # fmt: skip
+    assert to_labels(boxes, np.zeros((2, 4))).occluded.tolist() == [-1, 3]
+
+
 def test_results_have_the_axes_of_the_camera():
     """For a camera that looks down by 0.12 rad: by hand, and as the benchmark projects them."""
     c, s = np.cos(0.12), np.sin(0.12)

@@ -9,7 +9,7 @@ from support.blocks import CAMERA, block, clear, detection
 from eldenet.boxes import Detections2D, wrap_half
 from eldenet.geometry import PinholeCamera, pinhole
 from eldenet.perception.ground import flat_ground
-from eldenet.perception.lifter import METHODS, BoxLifter
+from eldenet.perception.lifter import METHODS, NETWORK_SIGMA, SENSOR_SIGMA, BoxLifter
 from eldenet.perception.matching_metrics import compare
 from eldenet.perception.priors import PRIORS
 from eldenet.uncertainty import DepthEstimate, deviations
@@ -239,7 +239,7 @@ def test_no_boxes_many_boxes_and_tiny_boxes_are_lifted(method):
 
 def test_an_unknown_class_keeps_the_extents_of_its_points():
     depth, xyxy = block((-2.0, 0.85, 12.0), size=(2.0, 2.0, 1.4), yaw=0.7)
-    boxes = BoxLifter()(depth, detection(xyxy, "gizmo"), CAMERA)
+    boxes = BoxLifter(depth_sigma=0.05)(depth, detection(xyxy, "gizmo"), CAMERA)
     assert boxes.quality["fallback"][0] == 1
     assert 1.2 < boxes.size[0, 0] < 2.3
     assert 1.0 < boxes.size[0, 2] < 1.8
@@ -268,6 +268,7 @@ def test_masks_are_used_instead_of_boxes():
         ({"camera_height": 0}, "camera_height"),
         ({"depth_sigma": 0}, "depth_sigma"),
         ({"small_sigma": 1.5}, "small_sigma"),
+        ({"small_sigma": 0.2}, "small_sigma=0.2 without depth_sigma"),
     ],
 )
 def test_settings_out_of_range_are_refused(options, message):
@@ -334,3 +335,36 @@ def test_certain_pixels_weigh_more():
         )
         errors.append(abs(boxes[0].center[2] - 10.0))
     assert errors[1] < errors[0]
+
+
+def test_the_depth_error_comes_from_the_depth():
+    """A sparse map is a LiDAR's, a dense one a network's; what is given counts for both."""
+    dense = np.ones((20, 30))
+    sparse = np.where(np.arange(600).reshape(20, 30) % 9, 0, dense)
+    assert BoxLifter().sigma_of(sparse) == SENSOR_SIGMA
+    assert BoxLifter().sigma_of(dense) == NETWORK_SIGMA
+    assert BoxLifter(depth_sigma=0.03, small_sigma=0.2).sigma_of(sparse) == (0.03, 0.2)
+
+
+def test_a_lidar_is_believed_where_a_network_is_not():
+    """The car is 15 % farther away than size and ground say."""
+    center = (-2.0, 0.85, 12.0)
+    depth, xyxy = block(center)
+    thinned = np.zeros_like(depth)
+    thinned[::3, ::3] = depth[::3, ::3]
+    far = [
+        np.linalg.norm(BoxLifter(ground=flat_ground(1.6))(1.15 * d, detection(xyxy), CAMERA).center[0])
+        for d in (thinned, depth)
+    ]
+    truth = np.linalg.norm(center)
+    assert far[0] > 1.08 * truth
+    assert abs(far[1] - truth) < 0.5 * (far[0] - truth)
+
+
+def test_a_box_whose_cues_contradict_each_other_is_doubtful():
+    """The scan says 12 m, size and ground say 24 m."""
+    center = (-2.0, 0.85, 24.0)
+    depth, xyxy = block(center)
+    lifter = BoxLifter(depth_sigma=0.01, ground=flat_ground(1.6))
+    assert not lifter(depth, detection(xyxy), CAMERA).doubtful[0]
+    assert lifter(depth / 2, detection(xyxy), CAMERA).doubtful[0]

@@ -80,3 +80,34 @@ def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
         out = tracker(replace(boxes([x, 0.8, 10.0]), names=(name,)), 0.1)
         if frame:
             assert dict(zip(out.track_id.tolist(), out.classes, strict=True)) == {1: "person", 2: "car"}
+
+
+def test_2d_boxes_keep_identities_apart_where_the_depth_jumps():
+    """Two cars side by side in the image, each frame with depths that are off by up to a fourth."""
+    rng = np.random.default_rng(2)
+    flat = np.array([[50.0, 60, 90, 100], [100, 60, 140, 100]])
+    seen: dict[bool, set[tuple[int, ...]]] = {False: set(), True: set()}
+    for given in seen:
+        tracker = BoxTracker()
+        for frame in range(30):
+            center = np.array([[-2.0, 0.8, 20], [0.0, 0.8, 20]]) * rng.uniform(0.75, 1.25, (2, 1))
+            found = tracker(boxes(center), 0.1, flat + frame if given else None)
+            seen[given].update(map(int, found.track_id))
+    assert seen[True] == {1, 2}
+    assert len(seen[False]) > 2
+
+
+def test_the_distance_keeps_identities_apart_where_2d_boxes_overlap():
+    """A car drives past a parked one that stands farther away, and hides it for a while."""
+    tracker = BoxTracker()
+    numbers: dict[bool, set[int]] = {True: set(), False: set()}  # of the near car and the far one
+    for frame in range(41):
+        x = -4.0 + 0.2 * frame
+        flat = np.array([[120 + 30 * x, 50, 200 + 30 * x, 100], [140, 55, 180, 80.0]])
+        center = np.array([[x, 0.8, 10], [0.0, 0.8, 25]])
+        order = [[0, 1], [1, 0]][frame % 2] if abs(x) > 0.5 else [0]
+        found = tracker(boxes(center[order]), 0.1, flat[order])
+        for number, place in zip(found.track_id, found.center, strict=True):
+            numbers[place[2] < 15].add(int(number))
+    assert [len(seen) for seen in numbers.values()] == [1, 1]
+    assert numbers[True] != numbers[False]

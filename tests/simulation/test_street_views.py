@@ -112,3 +112,19 @@ def test_the_2d_box_of_a_block_is_the_projection_of_its_3d_box():
     gaps = np.concatenate(excess)
     assert len(gaps) > 8
     assert abs(np.median(gaps)) < 0.2
+
+
+def test_a_crossing_has_people_and_cyclists_whose_pixels_lie_in_their_boxes():
+    found = []
+    for index in range(2):
+        view = render_street("val", index, (128, 416), "crossing")
+        rows, columns = np.indices(view.depth.shape)
+        points = view.camera.back_project(columns, rows, view.depth)
+        for number, name in enumerate(view.boxes.classes):
+            if name in ("person", "cyclist"):
+                found.append(name)
+                box = view.boxes[number]
+                offset = points[view.instance == number] - box.center
+                assert np.abs(offset[:, 1]).max() < box.size[2] / 2 + 0.05
+                assert np.hypot(offset[:, 0], offset[:, 2]).max() < np.hypot(*box.size[:2]) / 2 + 0.05
+    assert min(found.count("person"), found.count("cyclist")) >= 2
