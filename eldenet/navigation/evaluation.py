@@ -8,7 +8,7 @@ import numpy as np
 
 from eldenet.navigation.episodes import GOAL_RADIUS, Episodes, EpisodeSettings, Event
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.planners.astar import optimal_length
+from eldenet.navigation.planners.paths import optimal_length
 from eldenet.navigation.sensors import Sensor
 from eldenet.simulation.arenas import Arena
 

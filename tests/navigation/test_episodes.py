@@ -8,7 +8,9 @@ import pytest
 from eldenet.navigation.cameras import camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
-from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
+from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
+from eldenet.navigation.planners.online_map import TIGHT
+from eldenet.navigation.planners.paths import shortest_path
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.sensors import Drift, Ranges

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from eldenet.navigation.planners.astar import inflated_cost, optimal_length, path_length, shortest_path
+from eldenet.navigation.planners.paths import inflated_cost, optimal_length, path_length, shortest_path
 from eldenet.simulation.arena_mjcf import arena_mjcf
 from eldenet.simulation.arena_world import ArenaWorld, arc
 from eldenet.simulation.arenas import (
