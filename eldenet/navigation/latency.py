@@ -14,9 +14,9 @@ from eldenet.simulation.robot import ROBOT
 class Predictive:
     """A driver that decides for the pose at which its command will take effect.
 
-    It knows the latency and its own last commands, which are still to be driven, and adds them to the odometry
-    (dead reckoning). Obstacles are remembered from where they were seen; the speed laws take the way driven
-    until then off the nearest range.
+    It knows the latency and its own last commands, which are still to be driven, and adds them to the
+    odometry (dead reckoning). Obstacles are remembered from where they were seen; the speed laws take the way
+    driven until then off the nearest range.
 
     Args:
         driver: one that maps what it sees, learned or planned.

@@ -71,7 +71,9 @@ class AStarDWA(_PathFollower):
             here = pose = np.array(world.pose)
             if senses.scanned_from is not None:  # decide for a later pose
                 here, then, was = pose, senses.odometry[robot], senses.scanned_from[robot]
-                pose = np.array([*from_robot(to_robot(then[None, :2], was), here)[0], here[2] + then[2] - was[2]])
+                pose = np.array(
+                    [*from_robot(to_robot(then[None, :2], was), here)[0], here[2] + then[2] - was[2]]
+                )
             goal = goal_in_world(pose, senses.goal[robot])
             before = self._goals[robot]
             if before is None or math.dist(goal, before) > 0.1:

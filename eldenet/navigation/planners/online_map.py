@@ -1,6 +1,7 @@
 """A map built while driving, from a robot's own ranges and odometry, and A* on it."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -29,14 +30,14 @@ class OnlineMap:
     def reset(self) -> None:
         """Forget everything."""
         self.evidence[:] = 0
-        self._origin: np.ndarray | None = None
+        self.origin = np.full(2, np.nan)
 
     def place(self, odometry: np.ndarray) -> np.ndarray:
         """Return a pose of the odometry ``(3,)`` in the map's frame."""
-        if self._origin is None:
-            self._origin = odometry[:2].copy()
+        if np.isnan(self.origin[0]):
+            self.origin = odometry[:2].copy()
         out = odometry.copy()
-        out[:2] -= self._origin
+        out[:2] -= self.origin
         return out
 
     def add(self, pose: np.ndarray, ranges: np.ndarray) -> None:
@@ -80,21 +81,39 @@ class OnlineMap:
         centers, evidence = self.near(pose, reach)
         return centers[evidence > 0]
 
-    def plan(
-        self, pose: np.ndarray, goal: tuple[float, float], points: np.ndarray | None = None
+    def plan_by_costs(
+        self,
+        pose: np.ndarray,
+        goal: tuple[float, float],
+        costs: Sequence[tuple[float, float]],
+        points: np.ndarray,
     ) -> np.ndarray | None:
-        """Return the cheapest path ``(n, 2)`` [m]; None if there is none.
-
-        Unseen cells are free. Without a path at full inflation, it may pass closer to obstacles.
+        """Return the path ``(n, 2)`` [m] of least cost; None if there is none. Unseen cells are free.
 
         Args:
             pose: ``(3,)`` of the robot in the map's frame.
             goal: in that frame [m].
-            points: ``(M, 2)`` [m] that are occupied whatever the map says.
+            costs: pairs of a clearance [m] and the cost of a meter with less, by rising clearance.
+            points: ``(M, 2)`` [m] that are occupied; so are cells with evidence of more than one ray.
+        """
+        import cv2
+
+        taken = self.evidence > 1
+        taken[self.cells(points)] = True
+        rows, columns = self._window(taken, tuple(pose[:2]), goal)
+        free = 1 - taken[rows, columns].astype(np.uint8)
+        clearance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * RESOLUTION
+        cost = np.ones(free.shape)
+        for least, value in reversed(costs):
+            cost[clearance < least - 1e-3] = value
+        return shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=(rows.start, columns.start))
+
+    def plan(self, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
+        """Return the cheapest path ``(n, 2)`` [m]; None if there is none.
+
+        Unseen cells are free. Without a path at full inflation, it may pass closer to obstacles.
         """
         taken = self.evidence > 0
-        if points is not None:
-            taken[self.cells(points)] = True
         rows, columns = self._window(taken, tuple(pose[:2]), goal)
         taken = taken[rows, columns].astype(np.uint8)
         corner = (rows.start, columns.start)

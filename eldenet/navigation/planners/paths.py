@@ -93,7 +93,10 @@ def _any_angle_length(free: np.ndarray, graph: Any, start: Point, goal: Point, s
     """Shortest path in the graph, then every detour between cells that see each other is cut off."""
     from scipy.sparse.csgraph import dijkstra
 
-    cells = [np.clip(((np.array(at)[::-1] + side / 2) / RESOLUTION).astype(int), 0, len(free) - 1) for at in (start, goal)]
+    cells = [
+        np.clip(((np.array(at)[::-1] + side / 2) / RESOLUTION).astype(int), 0, len(free) - 1)
+        for at in (start, goal)
+    ]
     first, last = (int(row * len(free) + column) for row, column in cells)
     lengths, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
     if not np.isfinite(lengths[last]):
@@ -105,7 +108,9 @@ def _any_angle_length(free: np.ndarray, graph: Any, start: Point, goal: Point, s
     best = np.zeros(len(path))
     for number in range(1, len(path)):
         away = np.hypot(*(path[:number] - path[number]).T) * RESOLUTION
-        best[number] = np.where(_visible(free, path[:number], path[number]), best[:number] + away, np.inf).min()
+        best[number] = np.where(
+            _visible(free, path[:number], path[number]), best[:number] + away, np.inf
+        ).min()
     return float(best[-1])
 
 
