@@ -492,6 +492,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     policy_files((settings.get("policy") or {}).get("path"))
     from eldenet.navigation import modes
     from eldenet.navigation.episodes import EpisodeSettings
+    from eldenet.navigation.latency import Predictive
 
     names = ("physics", "goal", "time_limit", "seed", "range_filter")
     episode = {name: settings[name] for name in names if name in settings}
@@ -521,8 +522,14 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
             **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
         )
     policy = instantiate(config.policy)
+    late = config.sensor.latency if config.predict_latency else 0.0
+
+    def make_policy(robots: int) -> Any:
+        driver = policy(robots=robots)
+        return Predictive(driver, late, robots) if late else driver
+
     common |= {
-        "make_policy": lambda robots: policy(robots=robots),
+        "make_policy": make_policy,
         "split": config.split,
         "kind": config.arena.kind,
         "pedestrians": config.pedestrians,

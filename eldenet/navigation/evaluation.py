@@ -8,7 +8,7 @@ import numpy as np
 
 from eldenet.navigation.episodes import GOAL_RADIUS, Episodes, EpisodeSettings, Event
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.planners.astar import optimal_length
+from eldenet.navigation.planners.paths import optimal_length
 from eldenet.navigation.sensors import Sensor
 from eldenet.simulation.arenas import Arena
 
@@ -35,7 +35,8 @@ class Episode:
         outcome: "success", "collision" or "timeout".
         seconds: duration [s].
         travelled: length of the driven path [m].
-        shortest: length of the shortest path on the inflated grid, up to the goal's radius [m].
+        shortest: length of the shortest any-angle path of a disc as wide as the robot, up to the goal's
+            radius [m].
     """
 
     world: str

@@ -121,6 +121,11 @@ class Memory:
         marked = marks(moving, camera)
         self._marks[robot, : len(marked)] = marked
 
+    def points(self, robot: int) -> np.ndarray:
+        """All points that a robot remembers, in the odometry's frame ``(M, 2)`` [m]."""
+        points = self._points[robot].reshape(-1, 2)
+        return points[points[:, 0] < _NOWHERE]
+
     def near(
         self, odometry: np.ndarray, robots: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -19,10 +19,11 @@ EPISODE_VERSION = 1
 
 def driver_identity(policy: Policy) -> dict[str, Any] | None:
     """Files, training notes and observer of a learned driver; None for a planner."""
-    if not isinstance(policy, Navigator):
+    navigator = getattr(policy, "navigator", policy)  # the learned part of a planner
+    if not isinstance(navigator, Navigator):
         return None
-    files = [{"file": str(file), "sha256": sha256(file)} for file in policy.files]
-    return {"files": files, "info": policy.info, "observer": policy.observer.options}
+    files = [{"file": str(file), "sha256": sha256(file)} for file in navigator.files]
+    return {"files": files, "info": navigator.info, "observer": navigator.observer.options}
 
 
 def sensor_identity(sensor: Sensor) -> dict[str, dict[str, str | None]]:

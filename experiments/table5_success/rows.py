@@ -23,6 +23,7 @@ from methods import LEARNED, PLANNERS
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, run_episodes
 from eldenet.navigation.planners.dwa import DWA_VERSION
+from eldenet.navigation.planners.paths import SHORTEST_VERSION
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import EPISODE_VERSION
@@ -144,6 +145,7 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
     return {
         "arenas": arenas,
         "version": EPISODE_VERSION,
+        "shortest": SHORTEST_VERSION,
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
         "drives": planner_version(row.method) if row.seed is None else LEARNED[row.method].drives,

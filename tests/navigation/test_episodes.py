@@ -8,7 +8,9 @@ import pytest
 from eldenet.navigation.cameras import camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
-from eldenet.navigation.planners.astar import TIGHT, AStarDWA, AStarOnlineDWA, shortest_path
+from eldenet.navigation.planners.astar import AStarDWA
+from eldenet.navigation.planners.online_map import TIGHT, OnlineMap
+from eldenet.navigation.planners.paths import shortest_path
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.sensors import Drift, Ranges
@@ -139,24 +141,24 @@ def test_planning_in_a_window_equals_planning_on_the_full_map(walls):
     from scipy.ndimage import distance_transform_edt
 
     rng = np.random.default_rng(walls)
-    planner = AStarOnlineDWA()
+    known = OnlineMap()
     for _ in range(4):
-        planner.reset(0)
-        middle, half = planner.cells // 2, 60
+        known.reset()
+        middle, half = known.count // 2, 60
         rows, columns = rng.integers(middle - half, middle + half, (2, walls))
-        planner._evidence[0, rows, columns] = 4
+        known.evidence[rows, columns] = 4
         pose, goal = np.array([*rng.uniform(-5, 5, 2), 0.0]), tuple(rng.uniform(-8, 8, 2).tolist())
-        taken = planner._evidence[0] > 0
+        taken = known.evidence > 0
         clearance = distance_transform_edt(~taken) * RESOLUTION if walls else np.full(taken.shape, np.inf)
         expected = None
         for inflation, weight in ((INFLATION, 1.0), (TIGHT, 6.0)):
             cost = np.where(clearance >= INFLATION, 1.0, np.where(clearance >= inflation, weight, np.inf))
             if expected is None:
-                expected = shortest_path(cost, tuple(pose[:2]), goal, planner.side)
-        got = planner._plan(0, pose, goal)
+                expected = shortest_path(cost, tuple(pose[:2]), goal, known.side)
+        got = known.plan(pose, goal)
         assert (got is None) == (expected is None)
         if got is not None:
             assert got == pytest.approx(expected)
-        near = planner._walls_near(0, pose)
-        every = (np.argwhere(taken)[:, ::-1] + 0.5) * RESOLUTION - planner.side / 2
+        near = known.walls_near(pose)
+        every = (np.argwhere(taken)[:, ::-1] + 0.5) * RESOLUTION - known.side / 2
         assert near == pytest.approx(every[np.hypot(*(every - pose[:2]).T) < 3.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from eldenet.navigation.planners.astar import inflated_cost, optimal_length, path_length, shortest_path
+from eldenet.navigation.planners.paths import inflated_cost, optimal_length, path_length, shortest_path
 from eldenet.simulation.arena_mjcf import arena_mjcf
 from eldenet.simulation.arena_world import ArenaWorld, arc
 from eldenet.simulation.arenas import (
@@ -98,6 +98,22 @@ def test_there_is_no_path_through_a_closed_fence():
     assert shortest_path(inflated_cost(clearance_map(fence)), (-5.0, 0.0), (5.0, 0.0)) is None
     path = shortest_path(inflated_cost(clearance_map(fence[:-2])), (-5.0, 0.0), (5.0, 0.0))
     assert path_length(path) > 2 * math.hypot(5.0, 8.0)  # through the gap at the upper end
+
+
+def test_the_shortest_path_goes_at_any_angle_and_as_near_to_corners_as_the_robot_can():
+    empty = Arena("", 0, 0, (), (-6.0, -3.0, 0.0), ((5.0, 4.0),))
+    assert optimal_length(empty) == pytest.approx(math.hypot(11.0, 7.0), abs=0.15)
+    wall = Obstacle("box", 0.0, 0.0, 0.0, (0.05, 3.0), 1.0)
+    around = Arena("", 1, 0, (wall,), (-4.0, 0.0, 0.0), ((4.0, 0.0),))
+    beside = 3.0 + ROBOT.width / 2
+    assert optimal_length(around) == pytest.approx(2 * math.hypot(4.0, beside), abs=0.2)
+    for index in range(3):
+        arena = generate_arena("val", 80, index)
+        cost = inflated_cost(clearance_map(arena.obstacles))
+        grid = path_length(shortest_path(cost, arena.start[:2], arena.waypoints[0]))
+        assert math.dist(arena.start[:2], arena.waypoints[0]) - 0.2 < optimal_length(arena) < grid
+    fence = tuple(Obstacle("box", 0.0, y, 0.0, (0.2, 0.5), 1.0) for y in np.arange(-9.5, 10.0, 1.0))
+    assert math.isnan(optimal_length(Arena("", 20, 0, fence, (-4.0, 0.0, 0.0), ((4.0, 0.0),))))
 
 
 def gap_to_obstacles(arena: Arena, pose: tuple[float, float, float]) -> float:

@@ -1,0 +1,153 @@
+"""A map built while driving, from a robot's own ranges and odometry, and A* on it."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from eldenet.navigation.planners.paths import shortest_path
+from eldenet.simulation.arenas import INFLATION, RESOLUTION
+from eldenet.simulation.obstacle import SIDE
+from eldenet.simulation.robot import ROBOT
+
+TIGHT = 0.30  # inflation if no path exists at the full one [m]
+_MARGIN = 2.0  # around the map: odometry may drift out of the arena [m]
+
+
+class OnlineMap:
+    """Map of one robot: which cells rays ended in, and which they passed through.
+
+    A cell is occupied if more rays ended in it than passed through it recently. Its frame is the odometry's,
+    moved so that the first pose is its origin.
+    """
+
+    def __init__(self) -> None:
+        self.side = 2 * SIDE + _MARGIN  # the start is the center, the goal up to a side away
+        self.count = round(self.side / RESOLUTION)
+        self.evidence = np.zeros((self.count, self.count), np.int8)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.evidence[:] = 0
+        self.origin = np.full(2, np.nan)
+
+    def place(self, odometry: np.ndarray) -> np.ndarray:
+        """Return a pose of the odometry ``(3,)`` in the map's frame."""
+        if np.isnan(self.origin[0]):
+            self.origin = odometry[:2].copy()
+        out = odometry.copy()
+        out[:2] -= self.origin
+        return out
+
+    def add(self, pose: np.ndarray, ranges: np.ndarray) -> None:
+        """Update the evidence: up where rays end, down where they pass.
+
+        Args:
+            pose: ``(3,)`` of the robot in the map's frame.
+            ranges: ``(columns,)`` [m].
+        """
+        angles = np.array(ROBOT.column_angles) + pose[2]
+        camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        grid = self.evidence
+        steps = np.arange(0.0, ROBOT.far, RESOLUTION)
+        passed = steps[None, :] < ranges[:, None] - 0.15
+        cells = self.cells((camera + steps[None, :, None] * rays[:, None])[passed])
+        grid[cells] = np.maximum(grid[cells] - 1, -2)
+        ends = ranges < ROBOT.far
+        cells = self.cells(camera + ranges[ends, None] * rays[ends])
+        grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
+
+    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of points ``(N, 2)`` [m]."""
+        numbers = np.clip(((points + self.side / 2) / RESOLUTION).astype(int), 0, self.count - 1)
+        return numbers[:, 1], numbers[:, 0]
+
+    def near(self, pose: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Centers of the cells within ``reach`` [m] ``(M, 2)`` [m], and their evidence ``(M,)``."""
+        low, high = (
+            np.clip((pose[:2] + self.side / 2 + beside) / RESOLUTION, 0, self.count).astype(int)
+            for beside in (-reach - 0.2, reach + 0.2)
+        )
+        window = self.evidence[low[1] : high[1], low[0] : high[0]]
+        rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
+        centers = (np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5) * RESOLUTION - self.side / 2
+        inside = np.hypot(*(centers - pose[:2]).T) < reach
+        return centers[inside], window.ravel()[inside]
+
+    def walls_near(self, pose: np.ndarray, reach: float = 3.0) -> np.ndarray:
+        """Centers of occupied cells within ``reach`` ``(M, 2)`` [m]."""
+        centers, evidence = self.near(pose, reach)
+        return centers[evidence > 0]
+
+    def plan_by_costs(
+        self,
+        pose: np.ndarray,
+        goal: tuple[float, float],
+        costs: Sequence[tuple[float, float]],
+        points: np.ndarray,
+    ) -> np.ndarray | None:
+        """Return the path ``(n, 2)`` [m] of least cost; None if there is none. Unseen cells are free.
+
+        Args:
+            pose: ``(3,)`` of the robot in the map's frame.
+            goal: in that frame [m].
+            costs: pairs of a clearance [m] and the cost of a meter with less, by rising clearance.
+            points: ``(M, 2)`` [m] that are occupied; so are cells with evidence of more than one ray.
+        """
+        import cv2
+
+        taken = self.evidence > 1
+        taken[self.cells(points)] = True
+        rows, columns = self._window(taken, tuple(pose[:2]), goal)
+        free = 1 - taken[rows, columns].astype(np.uint8)
+        clearance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * RESOLUTION
+        cost = np.ones(free.shape)
+        for least, value in reversed(costs):
+            cost[clearance < least - 1e-3] = value
+        return shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=(rows.start, columns.start))
+
+    def plan(self, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
+        """Return the cheapest path ``(n, 2)`` [m]; None if there is none.
+
+        Unseen cells are free. Without a path at full inflation, it may pass closer to obstacles.
+        """
+        taken = self.evidence > 0
+        rows, columns = self._window(taken, tuple(pose[:2]), goal)
+        taken = taken[rows, columns].astype(np.uint8)
+        corner = (rows.start, columns.start)
+        too_close, much_too_close = (within(taken, reach) for reach in (INFLATION, TIGHT))
+        for close, cost_of_close in ((too_close, np.inf), (much_too_close, 6.0)):
+            cost = np.where(close, np.inf, np.where(too_close, cost_of_close, 1.0))
+            path = shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=corner)
+            if path is not None:
+                return path
+        return None
+
+    def _window(
+        self, taken: np.ndarray, start: tuple[float, float], goal: tuple[float, float]
+    ) -> tuple[slice, slice]:
+        """Rows and columns with start, goal, all occupied cells and free cells around them.
+
+        No path outside is cheaper: clamped to the window it is no longer, and the border is free.
+        """
+        (y0, y1), (x0, x1) = self.cells(np.array([start, goal]))
+        margin = math.ceil(INFLATION / RESOLUTION) + 1
+        out = []
+        for used, ends in ((taken.any(axis=1), (y0, y1)), (taken.any(axis=0), (x0, x1))):
+            among = [*np.flatnonzero(used)[[0, -1]], *ends] if used.any() else list(ends)
+            out.append(slice(max(min(among) - margin, 0), min(max(among) + margin + 1, self.count)))
+        return out[0], out[1]
+
+
+def within(taken: np.ndarray, reach: float) -> np.ndarray:
+    """Mask of the cells within ``reach`` [m] of an occupied one, between centers ``(n, m)`` bool."""
+    import cv2
+
+    count = math.ceil(reach / RESOLUTION)
+    offset = np.arange(-count, count + 1)
+    # equal to a distance transform, to the last digit
+    disc = np.sqrt(offset[:, None] ** 2 + offset**2) * RESOLUTION < reach
+    grown = cv2.dilate(taken, disc.astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(grown > 0)

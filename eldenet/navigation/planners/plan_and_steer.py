@@ -1,0 +1,200 @@
+"""Plan far, steer near: A* on a map built while driving gives way-points, the learned driver steers there.
+
+The learned driver alone is fast and avoids what it remembers, but knows no way around: it runs into dead ends
+and goes round in circles. Here it gets a way-point for its goal. Its command is driven if its arc is free of
+remembered obstacles and of places never seen; otherwise the dynamic window chooses one.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
+from eldenet.navigation.observer import Senses
+from eldenet.navigation.obstacle_memory import Memory
+from eldenet.navigation.planners.astar import goal_in_world, to_robot
+from eldenet.navigation.planners.dwa import DynamicWindow
+from eldenet.navigation.planners.online_map import OnlineMap
+from eldenet.navigation.policy import Navigator
+from eldenet.simulation.robot import ROBOT
+
+REPLAN_EVERY = 5  # control periods
+REMEMBERED = 300  # control periods that points are remembered
+#: Cost of a meter where the nearest obstacle is less than this away [m]; 1 elsewhere.
+COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
+AHEAD = 3.0  # greatest distance along the path to the way-point [m]
+LEAST_AHEAD = 0.5  # least distance to it [m]
+BESIDE = 0.35  # free width on both sides of the straight line to it [m]
+DWA_AHEAD = 1.3  # distance to the target of the dynamic window [m]
+FREE = 0.8  # time for which an arc must be free [s]
+HORIZON = 1.8  # duration of an arc, along which it needs room [s]
+ROOM = 0.06  # least clearance of an arc [m]
+MARGIN = 0.04  # added to the footprint on all sides [m]
+FREE_START = 0.6  # radius around the start that counts as seen [m]
+UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
+CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
+OUT_OF_CIRCLE = 6.0  # time for which the dynamic window alone then follows the path [s]
+#: Of what this driver decides; stored rows name it.
+STEER_VERSION = 1
+_LEVELS = 20  # of speed in the table of arcs
+
+
+class PlanAndSteer:
+    """A* on a map built while driving; the learned driver steers to way-points on its path.
+
+    The map keeps what was seen; unseen cells are free for the plan, but not for the next arc. When the robot
+    comes back to where it was, it follows a new path with the dynamic window alone for a while.
+
+    Args:
+        path: policy of the learned driver; None: the packaged one.
+        slows_within: distance to the goal at which it slows down [m].
+        robots: number of robots.
+
+    Attributes:
+        navigator: the learned driver.
+        circles: how often each robot was caught in a circle ``(robots,)``.
+    """
+
+    name = "astar_online_dqn"
+
+    def __init__(
+        self,
+        path: str | Path | Sequence[str | Path] | None = None,
+        *,
+        slows_within: float | None = 1.0,
+        robots: int = 1,
+    ) -> None:
+        self.navigator = Navigator.load(path, slows_within=slows_within, robots=robots)
+        self.observer = self.navigator.observer
+        self.observer.memory = Memory(
+            robots, REMEMBERED, seen_through=self.observer.memory.seen_through, walkers=False
+        )
+        self._maps = [OnlineMap() for _ in range(robots)]
+        self._paths: list[np.ndarray | None] = [None] * robots
+        self._trails: list[list[tuple[float, float, float]]] = [[] for _ in range(robots)]  # x, y, way so far
+        self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
+        self.circles = np.zeros(robots, np.intp)
+        self._window = DynamicWindow()
+        rates = self.observer.turn_rates.tolist()
+        self._table = arc_table(
+            tuple((level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates), HORIZON, MARGIN
+        )
+
+    def reset(self, robot: int, world: Any = None) -> None:
+        """Forget the map."""
+        self.navigator.reset(robot)
+        self._maps[robot].reset()
+        self._paths[robot] = None
+        self._trails[robot] = []
+        self._left[robot] = self.circles[robot] = 0
+
+    @torch.inference_mode()
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
+        who = np.arange(self.observer.robots) if robots is None else robots
+        goal, poses = senses.goal.copy(), {}
+        before = self._remembered(senses, who)
+        for robot in who:
+            known = self._maps[robot]
+            pose = poses[robot] = known.place(senses.odometry[robot])
+            known.add(
+                pose if senses.scanned_from is None else known.place(senses.scanned_from[robot]),
+                senses.ranges[robot],
+            )
+            self._plan(robot, pose, goal_in_world(pose, goal[robot]))
+            goal[robot] = self._waypoint(robot, pose, goal[robot], before[robot])
+        observation = self.observer.observe(senses._replace(goal=goal), who)
+        actions = self.navigator.network(torch.from_numpy(observation).double()).argmax(1).numpy()
+        after = self._remembered(senses, who)
+        out = self.observer.last.copy()
+        for robot, action in zip(who, actions, strict=True):
+            wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
+            if self._left[robot] == 0 and self._is_safe(robot, int(action), poses[robot], after[robot]):
+                out[robot] = wanted
+            else:
+                bearing = goal[robot, 1]
+                target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
+                out[robot] = self._window.choose(after[robot], target, tuple(out[robot]))
+        self.observer.last = out
+        return out
+
+    def _remembered(self, senses: Senses, who: np.ndarray) -> dict[int, np.ndarray]:
+        """Remembered points within 3 m of each robot, in its frame ``(M, 2)`` [m]."""
+        row, x, y, _ = self.observer.memory.near(senses.odometry[who], who)
+        points = np.stack([x, y], axis=1)
+        return {int(robot): points[row == number] for number, robot in enumerate(who)}
+
+    def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
+        """Search the path anew every second, and at once when the robot goes round in a circle."""
+        trail = self._trails[robot]
+        way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
+        trail.append((float(pose[0]), float(pose[1]), way))
+        self._left[robot] = max(self._left[robot] - 1, 0)
+        circle = self._left[robot] == 0 and is_circle(trail)
+        if circle:
+            self.circles[robot] += 1
+            self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
+            del trail[:-1]
+        if circle or len(trail) % REPLAN_EVERY == 1 or self._paths[robot] is None:
+            known = self._maps[robot]
+            points = self.observer.memory.points(robot) - known.origin
+            self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points)
+
+    def _waypoint(
+        self, robot: int, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray
+    ) -> tuple[float, float]:
+        """Distance left on the path [m] and bearing of its farthest point in a free straight line [rad]."""
+        path = self._paths[robot]
+        distance, bearing = float(goal[0]), float(goal[1])
+        at = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
+        if path is None or (distance <= AHEAD and is_free(at, walls)):
+            return distance, bearing
+        path = to_robot(path, pose)
+        path = path[int(np.hypot(*path.T).argmin()) :]
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+        first, last = np.searchsorted(along, (LEAST_AHEAD, AHEAD)).clip(0, len(path) - 1)
+        x, y = next((path[k] for k in range(last, first, -2) if is_free(path[k], walls)), path[first])
+        return max(distance, float(along[-1])), math.atan2(y, x)
+
+    def _is_safe(self, robot: int, action: int, pose: np.ndarray, walls: np.ndarray) -> bool:
+        """Whether an action's arc is free of obstacles, with room to turn, and of places never seen."""
+        observer = self.observer
+        level = int(np.clip(np.rint(observer.speeds[robot, action] * _LEVELS), 0, _LEVELS))
+        command = level * observer.actions + action
+        standing = observer.actions // 2  # speed 0, straight ahead
+        free, gap = _along(self._table, walls, command)
+        if free < FREE or gap < min(ROOM, _along(self._table, walls, standing)[1]):
+            return False
+        centers, evidence = self._maps[robot].near(pose, UNSEEN_REACH)
+        unseen = centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)]
+        return _along(self._table, to_robot(unseen, pose), command)[0] >= FREE
+
+
+def is_circle(trail: Sequence[tuple[float, float, float]]) -> bool:
+    """Whether the robot is where it was before, though it has driven since: x, y [m] and way so far [m]."""
+    apart = round(CIRCLE_TIME / ROBOT.period)
+    if len(trail) <= apart:
+        return False
+    points = np.array(trail)
+    x, y, way = points[-1]
+    near = np.hypot(points[:-apart, 0] - x, points[:-apart, 1] - y) < CIRCLE_RADIUS
+    return bool((near & (way - points[:-apart, 2] > CIRCLE_WAY)).any())
+
+
+def is_free(target: np.ndarray, walls: np.ndarray) -> bool:
+    """Whether the straight line to a target ``(2,)`` keeps clear of points ``(M, 2)`` [m]."""
+    share = np.clip(walls @ target / max(float(target @ target), 1e-9), 0, 1)
+    return bool((np.hypot(*(walls - share[:, None] * target).T) > BESIDE).all())
+
+
+def _along(table: ArcTable, points: np.ndarray, command: int) -> tuple[float, float]:
+    """Time until an arc meets a point [s], and its clearance [m]."""
+    near = (np.abs(points) < REACH).all(axis=1)
+    if not near.any():
+        return table.horizon, math.inf
+    cells = table.cells(points[near, 0], points[near, 1])
+    return float(table.time[cells, command].min()) * STEP, float(table.gap[cells, command].min()) / 100

@@ -1,0 +1,186 @@
+"""Measure drivers in rooms and traps, with a delay, and on another robot than they know.
+
+python experiments/table5_robustness/conditions.py    reads stored rows and measures those that are missing
+
+All methods cross the same test arenas; a command that was stopped goes on with the row where it stopped.
+"""
+
+import csv
+import math
+import sys
+from argparse import ArgumentParser
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from eldenet.system.resources import prepare_environment
+
+prepare_environment()
+
+import torch  # noqa: E402
+
+from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
+from eldenet.navigation.evaluation import Episode, mcnemar, run_episodes, summarize  # noqa: E402
+from eldenet.navigation.latency import Predictive  # noqa: E402
+from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA  # noqa: E402
+from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
+from eldenet.navigation.planners.plan_and_steer import STEER_VERSION, PlanAndSteer  # noqa: E402
+from eldenet.navigation.policy import Navigator  # noqa: E402
+from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
+from eldenet.navigation.sensors import Ranges  # noqa: E402
+from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.system.files import write_rows  # noqa: E402
+
+HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Where and how the robot drives.
+
+    Attributes:
+        kind: of the arenas.
+        density: their number of obstacles.
+        sensor: options of the sensor.
+        robot: options of the episodes.
+        predicted: whether the driver knows the latency.
+    """
+
+    kind: str = "open"
+    density: int = 80
+    sensor: Mapping[str, Any] = field(default_factory=dict)
+    robot: Mapping[str, float] = field(default_factory=dict)
+    predicted: bool = False
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    "80 obstacles": Condition(),
+    "40 obstacles": Condition(density=40),
+    "20 obstacles": Condition(density=20),
+    "5 obstacles": Condition(density=5),
+    "rooms": Condition("rooms", 10),
+    "traps": Condition("traps", 10),
+    "latency 0.2 s": Condition(sensor={"latency": 0.2}),
+    "latency 0.2 s, predicted": Condition(sensor={"latency": 0.2}, predicted=True),
+    "latency 0.4 s": Condition(sensor={"latency": 0.4}),
+    "latency 0.4 s, predicted": Condition(sensor={"latency": 0.4}, predicted=True),
+    "heading drift 4 degrees/m": Condition(sensor={"drift": {"distance": 0.0, "heading": math.radians(4)}}),
+    "speed x 0.8": Condition(robot={"robot_speed": 0.8}),
+    "speed x 1.2": Condition(robot={"robot_speed": 1.2}),
+    "size x 0.85": Condition(robot={"robot_size": 0.85}),
+    "size x 1.15": Condition(robot={"robot_size": 1.15}),
+}
+METHODS: Mapping[str, Callable[[int], Any]] = {
+    "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
+    "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
+    "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
+    "astar_dwa": lambda robots: AStarDWA(robots=robots),
+}
+VERSIONS = {
+    "dqn_ensemble": str(EPISODE_VERSION),
+    "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
+    "astar_online_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
+    "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
+}
+LABELS = ("method", "condition", "version")
+EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
+
+# (method, condition) -> episodes by arena
+Rows = dict[tuple[str, str], list[Episode]]
+
+
+def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--worlds", type=int, default=60, help="test arenas")
+    parser.add_argument("--methods", default=",".join(list(METHODS)[:3]))
+    parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
+    args = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    stored = read(folder / "conditions.csv")
+    for name in args.conditions.split(";"):
+        condition = CONDITIONS[name]
+        arenas = frozen_arenas(condition.density, args.worlds, kind=condition.kind)
+        for method in args.methods.split(","):
+            rows = stored.setdefault((method, name), [])
+            if len(rows) >= args.worlds:
+                continue
+            settings = EpisodeSettings("wheels", **condition.robot)  # type: ignore[arg-type]
+            rows[:] = run_episodes(arenas, driver(method, condition), Ranges(**condition.sensor), settings)
+            write(folder, stored)
+            solved = sum(row.outcome == "success" for row in rows)
+            print(f"{method}, {name}: {solved} of {len(rows)}", flush=True)
+    write(folder, stored)
+
+
+def driver(method: str, condition: Condition) -> Callable[[int], Any]:
+    """Return number of robots -> driver."""
+    if not condition.predicted:
+        return METHODS[method]
+    return lambda robots: Predictive(METHODS[method](robots), condition.sensor["latency"], robots)
+
+
+def read(file: Path) -> Rows:
+    """Return the stored rows whose version is today's."""
+    out: Rows = {}
+    if not file.is_file():
+        return out
+    with file.open(newline="") as lines:
+        for line in csv.DictReader(lines):
+            if line["version"] == VERSIONS[line["method"]]:
+                episode = Episode(
+                    line["world"], CONDITIONS[line["condition"]].density, line["outcome"],
+                    *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
+                )  # fmt: skip
+                out.setdefault((line["method"], line["condition"]), []).append(episode)
+    return out
+
+
+def write(folder: Path, rows: Rows) -> None:
+    """Write every episode to ``conditions.csv`` and the table to ``conditions.md``."""
+    made = {
+        (method, name): rows[method, name]
+        for name in CONDITIONS
+        for method in METHODS
+        if rows.get((method, name))
+    }
+    lines = [
+        [*key, VERSIONS[key[0]], *(getattr(episode, name) for name in EPISODE)]
+        for key, episodes in made.items()
+        for episode in episodes
+    ]
+    write_rows(folder / "conditions.csv", [*LABELS, *EPISODE], lines)
+    text = [
+        "# Rooms, traps, delay and other robots",
+        "",
+        "Success [%] with Wilson's 95 % interval on the first test arenas; true ranges, wheels, goal known, "
+        f"80 obstacles unless the row names others. {environment()['date']}. The last column counts arenas "
+        "that only `dqn_ensemble` and only the method of the row solved, and McNemar's p-value.",
+        "",
+        "| condition | method | arenas | success | collisions | time-outs | time of successes [s] | SPL |"
+        " only `dqn_ensemble` : only it |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+        *(line_of(*key, episodes, made.get(("dqn_ensemble", key[1]))) for key, episodes in made.items()),
+        "",
+        "Made by `python experiments/table5_robustness/conditions.py`.",
+    ]
+    (folder / "conditions.md").write_text("\n".join(text) + "\n")
+
+
+def line_of(method: str, name: str, episodes: Sequence[Episode], learned: Sequence[Episode] | None) -> str:
+    """Return a line of the table."""
+    s = summarize(episodes)
+    cells = [f"{s['success']:.1f} ({s['success_low']:.0f} to {s['success_high']:.0f})"]
+    cells += [f"{s['collision']:.1f}", f"{s['timeout']:.1f}", f"{s['seconds']:.1f}", f"{s['spl']:.3f}"]
+    paired = "-"
+    if method != "dqn_ensemble" and learned:
+        count = min(len(learned), len(episodes))
+        first, second = ([row.outcome == "success" for row in rows[:count]] for rows in (learned, episodes))
+        only_learned, only_it, p = mcnemar(first, second)
+        paired = f"{only_learned} : {only_it} (p = {p:.2g})"
+    return f"| {name} | `{method}` | {len(episodes)} | {' | '.join(cells)} | {paired} |"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,64 @@
+"""Plan far, steer near: out of traps, through doors, and never over places that nobody saw."""
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.evaluation import run_episodes, summarize
+from eldenet.navigation.observer import Senses
+from eldenet.navigation.planners.plan_and_steer import PlanAndSteer, is_circle, is_free
+from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
+from eldenet.navigation.provenance import driver_identity
+from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.robot import ROBOT
+
+
+@pytest.mark.parametrize("kind", ["open", "rooms", "traps"])
+def test_it_reaches_the_goal_in_every_kind_of_arena(kind):
+    arenas = frozen_arenas(10, 3, split="val", kind=kind)
+    rows = run_episodes(arenas, lambda robots: PlanAndSteer(robots=robots), Ranges())
+    assert summarize(rows)["success"] == 100
+
+
+def test_it_decides_the_same_alone_and_among_others():
+    arenas = frozen_arenas(80, 3, split="val")
+    make = lambda robots: PlanAndSteer(robots=robots)  # noqa: E731
+    assert run_episodes(arenas, make, Ranges(), robots=3) == run_episodes(arenas, make, Ranges(), robots=1)
+
+
+def test_it_drives_over_no_place_that_it_never_saw():
+    driver = PlanAndSteer()
+    driver.reset(0)
+    near = np.full((1, ROBOT.columns), 2.0)
+    goal = np.array([[8.0, 0.0]])
+    driver.commands(Senses(near, np.zeros((1, 3)), goal))
+    straight, left = 2, 0  # actions
+    walls = np.empty((0, 2))
+    far_from_start = np.array([1.2, 0.0, 0.0])
+    assert driver._is_safe(0, straight, np.zeros(3), walls)
+    turned = np.array([1.2, 0.0, np.pi / 2])  # towards what was out of view
+    assert not driver._is_safe(0, straight, turned, walls)
+    wall = np.array([[0.5, 0.0]])
+    assert not driver._is_safe(0, straight, far_from_start, wall)
+    assert driver._is_safe(0, left, np.zeros(3), walls)
+
+
+def test_a_circle_is_a_place_again_after_a_way():
+    turn = np.linspace(0, 2 * np.pi, 60)
+    around = [(np.cos(t), np.sin(t), t) for t in turn]
+    assert is_circle(around)
+    assert not is_circle(around[:45])
+    assert not is_circle([(0.1 * k, 0.0, 0.1 * k) for k in range(100)])
+    assert not is_circle([(0.0, 0.0, 0.0)] * 100)  # it waits
+
+
+def test_a_straight_line_is_free_if_points_are_beside_it():
+    ahead = np.array([3.0, 0.0])
+    assert is_free(ahead, np.array([[1.5, 0.5], [-0.5, 0.0], [3.5, 0.0]]))
+    assert not is_free(ahead, np.array([[1.5, 0.3]]))
+    assert is_free(ahead, np.empty((0, 2)))
+
+
+def test_results_name_the_policy_that_steers():
+    identity = driver_identity(PlanAndSteer())
+    assert [file["file"] for file in identity["files"]] == [str(DEFAULT_WEIGHTS)]
