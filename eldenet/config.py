@@ -406,14 +406,12 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
 
 
 def _check_adaptation(config: DictConfig) -> None:
-    """Check what both kinds of adaptation read, and fill in the weights to start from.
+    """Check what both kinds of adaptation read.
 
     Raises:
         ValueError: a setting is wrong, or the weights are not trained.
         FileNotFoundError: there are no such weights.
     """
-    if config.weights is None:
-        config.weights = BEST
     check_sources(config, "weights")
     if config.weights in list_models():
         raise ValueError(
