@@ -15,8 +15,8 @@ from eldenet.results.run_record import environment
 
 COLUMNS = (
     "depth", "2D boxes", "group", "method", "objects", "frames", "accuracy", "median_m", "bev_25", "bev_50",
-    "3d_50", "yaw_deg", "ap_bev", "ap_3d", "ap_objects", "doubtful", "protocol", "resolution", "runtime", "threads", "device", "processor", "versions", "date",
-    "command",
+    "3d_50", "yaw_deg", "ap_bev", "ap_3d", "ap_objects", "doubtful", "protocol", "resolution",
+    "runtime", "threads", "device", "processor", "versions", "date", "command",
 )  # fmt: skip
 TITLES = (
     "depth, 2D boxes, objects", "method", "objects", "center accuracy [%]", "median [m]", "BEV > 0.25 [%]",
@@ -154,8 +154,8 @@ def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]
         f"depth_sigma={SENSOR_SIGMA[0]} is given. `refine, height unknown` is not told the camera's height; the "
         "other methods are told the nominal one.",
         "",
-        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; objects seen to "
-        "30 % or more, not cut by the border, 18 pixels high or more; tight boxes around what is seen.",
+        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; objects "
+        "seen to 30 % or more, not cut by the border, 18 pixels high or more; tight boxes around what is seen.",
         "",
         'KITTI: training frames at hand with a scan, or all with a network; objects not beyond "hard". '
         "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class "
