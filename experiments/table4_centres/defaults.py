@@ -127,7 +127,8 @@ def write(rows: list[list], flags: list[list], scenes: int) -> None:
     )
     write_rows(HERE / "defaults.csv", COLUMNS, [[*row, scenes, command.strip()] for row in rows])
     titles = ("depth", "method", "depth_sigma", "small_sigma", "vehicles", "center accuracy [%]",
-              "BEV > 0.25 [%]", "3D > 0.5 [%]", "people, cyclists", "center accuracy [%]", "BEV > 0.25 [%]", "3D > 0.5 [%]",
+              "BEV > 0.25 [%]", "3D > 0.5 [%]", "people, cyclists", "center accuracy [%]", "BEV > 0.25 [%]",
+              "3D > 0.5 [%]",
               "doubtful [%]")  # fmt: skip
     text = [
         f"| {' | '.join(titles)} |", "|---|---|" + "---:|" * (len(titles) - 2),
@@ -137,8 +138,9 @@ def write(rows: list[list], flags: list[list], scenes: int) -> None:
         "| depth | cost | boxes beyond [%] | wrong beyond [%] | wrong below [%] |",
         "|---|---:|---:|---:|---:|",
         *(f"| {' | '.join(line)} |" for line in flags), "",
-        f"{scenes} rendered training scenes, streets and crossings, at 256 x 832; objects as in results.md, 2D "
-        f"boxes shaken by 0.7 px and 2 % of their side; wrong: off by more than {WRONG:.0%} of the distance.",
+        f"{scenes} rendered training scenes, streets and crossings, at 256 x 832; objects as in results.md, "
+        f"2D boxes shaken by 0.7 px and 2 % of their side; wrong: off by more than {WRONG:.0%} of the "
+        "distance.",
         f"Made by `{command.strip()}`.",
     ]  # fmt: skip
     (HERE / "defaults.md").write_text("\n".join(text) + "\n")

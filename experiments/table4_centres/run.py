@@ -4,8 +4,8 @@ python experiments/table4_centres/run.py --sim-model runs/streets-depth --hall-m
     --detector yolox_nano_coco_256x832.onnx --kitti-model meter_kitti
 
 All methods and defaults were tuned on simulated training scenes. This script uses test scenes and KITTI's
-frames, which are only reported. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures are written to
-the run folder.
+frames, which are only reported. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures
+are written to the run folder.
 """
 
 import argparse

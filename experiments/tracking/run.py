@@ -4,8 +4,8 @@ pip install trackeval
 python experiments/tracking/run.py
 
 The same detections go to SORT (2D boxes alone), to our tracker without 2D boxes (distances from above alone)
-and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores the 2D boxes, IoU 0.5. Settings
-were chosen on ``--split train``.
+and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores the 2D boxes, IoU 0.5.
+Settings were chosen on ``--split train``.
 """
 
 import argparse
