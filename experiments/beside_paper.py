@@ -116,7 +116,9 @@ def centers() -> tuple[Ours, list[str]]:
     columns = []
     for row in rows_of("table4_centres/results.csv"):
         shown = ("street: ELDE-Net", "hall: ELDE-Net", "KITTI: meter_kitti")
-        if row["depth"] in shown and "leak" not in row["2D boxes"] and row["method"] in ("refine", "paper"):
+        if "leak" in row["2D boxes"] or row["group"] not in ("all", "vehicles"):
+            continue
+        if row["depth"] in shown and row["method"] in ("refine", "paper"):
             cells = {
                 "accuracy of the estimated centers": row["accuracy"],
                 "match rate of the object predictions": row["bev_25"],

@@ -2,8 +2,8 @@
 
 A constant-velocity Kalman filter per object and an optimal assignment per frame, following Weng et al., "3D
 Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper. A detection
-belongs to the track that is near in bird's-eye view and whose 2D box overlaps it: depth is often wrong where
-the 2D box is right, and 2D boxes of a hidden and a hiding object overlap where their depths differ.
+belongs to the track whose 2D box overlaps it, and of several to the nearer one in bird's-eye view; where no
+2D box overlaps, the distance alone counts. Depth is often wrong where the 2D box is right.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,11 +15,11 @@ from eldenet.perception.iou import iou_2d
 
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
 _MEASURED = 7
-_FORBIDDEN = 1e6  # cost of a pair that must not be assigned
+_UNPAIRED = 1.0  # cost of two that do not belong together: no more, or they would break up good pairs
 _MOVING = 1.0  # [m/s]: a lower speed may be noise
 _LEAST_OVERLAP = 0.2  # of a track's 2D box with a detection: with less, only the distance counts
-_FAR = 0.3  # of the distance: what overlaps in the image may be this much farther away than predicted
-_BEV_SHARE = 0.5  # of the cost comes from the distance where 2D boxes overlap
+_ALONE = 0.5  # least cost of a pair whose 2D boxes do not overlap
+_BEV_SHARE = 0.1  # of the cost comes from the distance where 2D boxes overlap
 _SMOOTHING, _SPEED_SMOOTHING = 0.7, 0.3  # shares of a 2D box's surprise that its place and its speed take
 
 
@@ -37,7 +37,8 @@ class Track:
         missed: frames since then.
         quality: of the last detection.
         heading_known: its motion has shown where its front is.
-        xyxy: ``(4,)`` its 2D box [px], and ``xyxy_speed`` [px/s]; None: not known.
+        xyxy: ``(4,)`` its 2D box [px]; None: not known.
+        xyxy_speed: ``(2,)`` of that box's center [px/s].
     """
 
     number: int
@@ -50,7 +51,7 @@ class Track:
     quality: dict[str, float] = field(default_factory=dict)
     heading_known: bool = False
     xyxy: np.ndarray | None = None
-    xyxy_speed: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    xyxy_speed: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
 
 class BoxTracker:
@@ -136,12 +137,12 @@ class BoxTracker:
         track.mean = move @ track.mean
         track.covariance = move @ track.covariance @ move.T + noise
         if track.xyxy is not None:
-            track.xyxy = track.xyxy + track.xyxy_speed * seconds
+            track.xyxy = track.xyxy + np.tile(track.xyxy_speed, 2) * seconds
 
     def _assign(self, boxes: Boxes3D, xyxy: np.ndarray | None) -> list[tuple[int, int]]:
         """Index pairs of tracks and boxes of one class with the least total cost.
 
-        The cost is the distance as a share of the reach; where 2D boxes overlap, it is less by the overlap.
+        The cost is the distance as a share of the reach. Where 2D boxes overlap, their overlap counts most.
         """
         from scipy.optimize import linear_sum_assignment
 
@@ -153,15 +154,20 @@ class BoxTracker:
         # the reach grows with the track's uncertainty: a new track has no velocity yet
         variance = [track.covariance[0, 0] + track.covariance[2, 2] for track in self.tracks]
         reach = (self.max_distance + np.sqrt(variance))[:, None]
-        cost = np.where(same & (distance < reach), 1 + distance / reach, _FORBIDDEN)
+        share = distance / reach
+        allowed = same & (share < 1)
+        cost = share
         if xyxy is not None:
             nowhere = np.full(4, -1e6)
             overlap = iou_2d(np.stack([nowhere if t.xyxy is None else t.xyxy for t in self.tracks]), xyxy)
-            far = reach + _FAR * np.linalg.norm(expected[:, None, [0, 2]], axis=-1)
-            seen = same & (overlap >= _LEAST_OVERLAP) & (distance < far)
-            cost = np.where(seen, 1 - overlap + _BEV_SHARE * np.minimum(distance / reach, 1), cost)
+            # however far away: the depth of a half hidden object may be another's
+            seen = same & (overlap >= _LEAST_OVERLAP)
+            mixed = (1 - _BEV_SHARE) * (1 - overlap) + _BEV_SHARE * np.minimum(share, 1)
+            cost = np.where(seen, mixed, _ALONE + (1 - _ALONE) * share)
+            allowed |= seen
+        cost = np.where(allowed, cost, _UNPAIRED)
         pairs = np.stack(linear_sum_assignment(cost), axis=1).tolist()
-        return [(row, column) for row, column in pairs if cost[row, column] < _FORBIDDEN]
+        return [(row, column) for row, column in pairs if allowed[row, column]]
 
     def _noise(self, distance: float) -> np.ndarray:
         position = self.position_sigma * max(distance, 3.0) / 10
@@ -223,11 +229,12 @@ class BoxTracker:
 
 
 def _follow(track: Track, measured: np.ndarray, seconds: float) -> None:
-    """Move a track's 2D box toward the ``measured (4,)`` one: an alpha-beta filter of its edges."""
+    """Move a track's 2D box toward the ``measured (4,)`` one: an alpha-beta filter of its center."""
     if track.xyxy is None:
         track.xyxy = np.array(measured, np.float64)
         return
     surprise = measured - track.xyxy
     share = 1.0 if track.hits == 1 else _SPEED_SMOOTHING  # the second detection shows the first speed
     track.xyxy = track.xyxy + _SMOOTHING * surprise
-    track.xyxy_speed = track.xyxy_speed + share * surprise / (seconds * track.missed)
+    shift = (surprise[:2] + surprise[2:]) / 2
+    track.xyxy_speed = track.xyxy_speed + share * shift / (seconds * track.missed)

@@ -15,8 +15,8 @@ from eldenet.results.run_record import environment
 
 COLUMNS = (
     "depth", "2D boxes", "group", "method", "objects", "frames", "accuracy", "median_m", "bev_25", "bev_50",
-    "3d_50", "yaw_deg", "ap_bev", "ap_3d", "ap_objects", "doubtful", "protocol", "resolution", "runtime", "threads", "device", "processor", "versions", "date",
-    "command",
+    "3d_50", "yaw_deg", "ap_bev", "ap_3d", "ap_objects", "doubtful", "protocol", "resolution",
+    "runtime", "threads", "device", "processor", "versions", "date", "command",
 )  # fmt: skip
 TITLES = (
     "depth, 2D boxes, objects", "method", "objects", "center accuracy [%]", "median [m]", "BEV > 0.25 [%]",
@@ -144,18 +144,19 @@ def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]
         "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
         "Brackets: 95 % of 2000 resamples of whole frames.",
         "",
-        "AP: KITTI's (R40, moderate), the mean over the classes (all: Car, Pedestrian, Cyclist), at its looser "
-        "overlaps (Car 0.5, others 0.25). Every object counts, whether the 2D boxes hold it or not. Below 40 "
-        "objects of a class, some of the 40 recalls cannot be reached, and AP stays low whatever the boxes. "
+        "AP: KITTI's (R40, moderate), the mean over the classes (all: Car, Pedestrian, Cyclist), at its "
+        "looser overlaps (Car 0.5, others 0.25). Every object counts, whether the 2D boxes hold it or not. Below "
+        "40 objects of a class, some of the 40 recalls cannot be reached, and AP stays low whatever the boxes. "
         "Simulated 2D boxes all have the score 1. Doubtful: flagged, for the cost of the fit is beyond "
         f"{DOUBTFUL_COST:g}.",
         "",
-        "Depth errors are the lifter's defaults (defaults.md). The simulator's exact depth is dense, so there "
-        f"depth_sigma={SENSOR_SIGMA[0]} is given. `refine, height unknown` is not told the camera's height; the "
-        "other methods are told the nominal one.",
+        "Depth errors are the lifter's defaults (defaults.md). The simulator's exact depth is dense, so "
+        f"there depth_sigma={SENSOR_SIGMA[0]} is given. `refine, height unknown` is not told the camera's "
+        "height; the other methods are told the nominal one.",
         "",
-        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; objects seen to "
-        "30 % or more, not cut by the border, 18 pixels high or more; tight boxes around what is seen.",
+        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; "
+        "objects seen to 30 % or more, not cut by the border, 18 pixels high or more; tight boxes around "
+        "what is seen.",
         "",
         'KITTI: training frames at hand with a scan, or all with a network; objects not beyond "hard". '
         "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class "

@@ -1,11 +1,11 @@
-"""Table 4: center accuracy, match rates and KITTI's AP of four methods on simulated streets and halls, and on KITTI.
+"""Table 4: center accuracy, match rates and KITTI's AP of four methods, in simulation and on KITTI.
 
 python experiments/table4_centres/run.py --sim-model runs/streets-depth --hall-model eldenet_indoor \
     --detector yolox_nano_coco_256x832.onnx --kitti-model meter_kitti
 
-All methods and defaults were tuned on simulated training scenes. This script uses test scenes and KITTI's frames, which
-are only reported. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures are written to
-the run folder.
+All methods and defaults were tuned on simulated training scenes. This script uses test scenes and KITTI's
+frames, which are only reported. KITTI's rows need ELDENET_DATA (docs/boxes.md) and a detector; its pictures
+are written to the run folder.
 """
 
 import argparse

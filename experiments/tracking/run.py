@@ -3,9 +3,9 @@
 pip install trackeval
 python experiments/tracking/run.py
 
-The same detections go to SORT (2D boxes alone), to our tracker without 2D boxes (distances from above alone) and
-with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores the 2D boxes, IoU 0.5. Settings were
-chosen on ``--split train``.
+The same detections go to SORT (2D boxes alone), to our tracker without 2D boxes (distances from above alone)
+and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores the 2D boxes, IoU 0.5.
+Settings were chosen on ``--split train``.
 """
 
 import argparse
@@ -35,8 +35,8 @@ TRACKERS = ("SORT", "distance alone", "distance and 2D box")
 MIN_HITS, MAX_AGE = 2, 5
 FIRST = {"train": 50000, "test": 0}
 COLUMNS = (
-    "depth_error", "tracker", "switches", "MOTA", "HOTA", "AssA", "fragments", "objects", "boxes", "drives", "frames",
-    "split", "command",
+    "depth_error", "tracker", "switches", "MOTA", "HOTA", "AssA", "fragments", "objects", "boxes", "drives",
+    "frames", "split", "command",
 )  # fmt: skip
 
 Numbered = list[np.ndarray]  # per frame: (N,) number of each detection's track, 0 for none
@@ -124,7 +124,8 @@ def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argpars
         )
         hota = HOTA().combine_sequences({i: part for i, (_, part) in enumerate(scored)})
         rows.append([
-            error, name, int(clear["IDSW"]), f"{100 * clear['MOTA']:.1f}", f"{100 * np.mean(hota['HOTA']):.1f}",
+            error, name, int(clear["IDSW"]), f"{100 * clear['MOTA']:.1f}",
+            f"{100 * np.mean(hota['HOTA']):.1f}",
             f"{100 * np.mean(hota['AssA']):.1f}", int(clear["Frag"]), sum(part["ids"] for part, _ in scored),
             sum(part["boxes"] for part, _ in scored), len(scored), args.frames, args.split, command,
         ])  # fmt: skip
@@ -135,8 +136,8 @@ def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argpars
     text = [
         f"| {' | '.join(titles)} |", "|---:|---|" + "---:|" * 5,
         *(f"| {row[0]:.0%} | {' | '.join(map(str, row[1:7]))} |" for row in rows), "",
-        f"{first[9]} rendered {args.split} drives of {args.frames} frames at {1 / SECONDS:.0f} per second, {SIZE[0]} x "
-        f"{SIZE[1]}: {first[7]} objects, {first[8]} boxes of them. TrackEval, 2D IoU 0.5.", "",
+        f"{first[9]} rendered {args.split} drives of {args.frames} frames at {1 / SECONDS:.0f} per second, "
+        f"{SIZE[0]} x {SIZE[1]}: {first[7]} objects, {first[8]} boxes of them. TrackEval, 2D IoU 0.5.", "",
         f"Made by `{command}`.",
     ]  # fmt: skip
     write_text(args.output.with_suffix(".md"), "\n".join(text) + "\n")

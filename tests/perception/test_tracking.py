@@ -105,7 +105,7 @@ def test_the_distance_keeps_identities_apart_where_2d_boxes_overlap():
         x = -4.0 + 0.2 * frame
         flat = np.array([[120 + 30 * x, 50, 200 + 30 * x, 100], [140, 55, 180, 80.0]])
         center = np.array([[x, 0.8, 10], [0.0, 0.8, 25]])
-        order = [[0, 1], [1, 0]][frame % 2] if abs(x) > 0.5 else [0]
+        order = [[0, 1], [1, 0]][frame % 2] if abs(x) > 0.3 else [0]
         found = tracker(boxes(center[order]), 0.1, flat[order])
         for number, place in zip(found.track_id, found.center, strict=True):
             numbers[place[2] < 15].add(int(number))
