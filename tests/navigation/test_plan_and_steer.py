@@ -33,14 +33,25 @@ def test_it_drives_over_no_place_that_it_never_saw():
     goal = np.array([[8.0, 0.0]])
     driver.commands(Senses(near, np.zeros((1, 3)), goal))
     straight, left = 2, 0  # actions
-    walls = np.empty((0, 2))
-    far_from_start = np.array([1.2, 0.0, 0.0])
-    assert driver._is_safe(0, straight, np.zeros(3), walls)
-    turned = np.array([1.2, 0.0, np.pi / 2])  # towards what was out of view
-    assert not driver._is_safe(0, straight, turned, walls)
-    wall = np.array([[0.5, 0.0]])
-    assert not driver._is_safe(0, straight, far_from_start, wall)
-    assert driver._is_safe(0, left, np.zeros(3), walls)
+    nothing = np.empty((0, 2))
+    start, later = np.zeros(3), np.array([1.2, 0.0, np.pi / 2])  # turned to what was out of view
+    assert driver._is_safe(0, straight, nothing, driver._unseen(0, start))
+    assert driver._is_safe(0, left, nothing, driver._unseen(0, start))
+    assert not driver._is_safe(0, straight, nothing, driver._unseen(0, later))
+    assert not driver._is_safe(0, straight, np.array([[0.5, 0.0]]), nothing)
+
+
+def test_it_backs_up_where_it_can_only_stand():
+    driver = PlanAndSteer()
+    driver.reset(0)
+    y = np.linspace(-0.3, 0.3, 13)
+    ahead = np.stack([np.full(13, 0.36), y], axis=1)
+    beside = [np.stack([np.linspace(-0.2, 0.3, 11), np.full(11, side)], axis=1) for side in (-0.31, 0.31)]
+    walls = np.concatenate([ahead, *beside])
+    assert driver._careful(0, 0.0, walls)[0] < 0
+    behind = np.stack([np.full(13, -0.4), y], axis=1)
+    driver.reset(0)
+    assert driver._careful(0, 0.0, np.concatenate([walls, behind])) == (0.0, 0.0)
 
 
 def test_a_circle_is_a_place_again_after_a_way():

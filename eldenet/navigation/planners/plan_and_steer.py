@@ -26,6 +26,7 @@ REPLAN_EVERY = 5  # control periods
 REMEMBERED = 300  # control periods that points are remembered
 #: Cost of a meter where the nearest obstacle is less than this away [m]; 1 elsewhere.
 COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
+WIDE = ((0.40, math.inf), (0.50, 1.5))  # the same where it went round in a circle or could only stand
 AHEAD = 3.0  # greatest distance along the path to the way-point [m]
 LEAST_AHEAD = 0.5  # least distance to it [m]
 BESIDE = 0.35  # free width on both sides of the straight line to it [m]
@@ -37,7 +38,8 @@ MARGIN = 0.04  # added to the footprint on all sides [m]
 FREE_START = 0.6  # radius around the start that counts as seen [m]
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
-OUT_OF_CIRCLE = 6.0  # time for which the dynamic window alone then follows the path [s]
+OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
+BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
 #: Of what this driver decides; stored rows name it.
 STEER_VERSION = 1
 _LEVELS = 20  # of speed in the table of arcs
@@ -47,7 +49,8 @@ class PlanAndSteer:
     """A* on a map built while driving; the learned driver steers to way-points on its path.
 
     The map keeps what was seen; unseen cells are free for the plan, but not for the next arc. When the robot
-    comes back to where it was, it follows a new path with the dynamic window alone for a while.
+    comes back to where it was, it follows a path through wider places with the dynamic window alone for a
+    while. Where it can only stand, it backs up and does the same.
 
     Args:
         path: policy of the learned driver; None: the packaged one.
@@ -77,12 +80,12 @@ class PlanAndSteer:
         self._paths: list[np.ndarray | None] = [None] * robots
         self._trails: list[list[tuple[float, float, float]]] = [[] for _ in range(robots)]  # x, y, way so far
         self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
+        self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self.circles = np.zeros(robots, np.intp)
         self._window = DynamicWindow()
         rates = self.observer.turn_rates.tolist()
-        self._table = arc_table(
-            tuple((level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates), HORIZON, MARGIN
-        )
+        arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
+        self._table = arc_table((*arcs, BACK), HORIZON, MARGIN)
 
     def reset(self, robot: int, world: Any = None) -> None:
         """Forget the map."""
@@ -90,7 +93,7 @@ class PlanAndSteer:
         self._maps[robot].reset()
         self._paths[robot] = None
         self._trails[robot] = []
-        self._left[robot] = self.circles[robot] = 0
+        self._left[robot] = self._backs[robot] = self.circles[robot] = 0
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -113,12 +116,12 @@ class PlanAndSteer:
         out = self.observer.last.copy()
         for robot, action in zip(who, actions, strict=True):
             wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
-            if self._left[robot] == 0 and self._is_safe(robot, int(action), poses[robot], after[robot]):
+            walls, unseen = after[robot], self._unseen(robot, poses[robot])
+            backs = self._backs[robot] > 0
+            if not backs and self._left[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
                 out[robot] = wanted
             else:
-                bearing = goal[robot, 1]
-                target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
-                out[robot] = self._window.choose(after[robot], target, tuple(out[robot]))
+                out[robot] = self._careful(robot, float(goal[robot, 1]), walls)
         self.observer.last = out
         return out
 
@@ -142,7 +145,8 @@ class PlanAndSteer:
         if circle or len(trail) % REPLAN_EVERY == 1 or self._paths[robot] is None:
             known = self._maps[robot]
             points = self.observer.memory.points(robot) - known.origin
-            self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points)
+            wide = known.plan_by_costs(pose, goal, WIDE, points) if self._left[robot] > 0 else None
+            self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points) if wide is None else wide
 
     def _waypoint(
         self, robot: int, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray
@@ -160,7 +164,28 @@ class PlanAndSteer:
         x, y = next((path[k] for k in range(last, first, -2) if is_free(path[k], walls)), path[first])
         return max(distance, float(along[-1])), math.atan2(y, x)
 
-    def _is_safe(self, robot: int, action: int, pose: np.ndarray, walls: np.ndarray) -> bool:
+    def _unseen(self, robot: int, pose: np.ndarray) -> np.ndarray:
+        """Centers of cells near the robot that were never seen, in its frame ``(M, 2)`` [m]."""
+        centers, evidence = self._maps[robot].near(pose, UNSEEN_REACH)
+        return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
+
+    def _careful(self, robot: int, bearing: float, walls: np.ndarray) -> tuple[float, float]:
+        """Command of the dynamic window; where it can only stand, the robot backs up."""
+        target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
+        last = tuple(self.observer.last[robot])
+        self._backs[robot] = max(self._backs[robot] - 1, 0)
+        if self._backs[robot] == 0:
+            command = self._window.choose(walls, target, last)
+            if command != (0.0, 0.0) or last[0] > 0:
+                return command
+            self._backs[robot] = round(BACKS_FOR / ROBOT.period)
+            self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
+        if _along(self._table, walls, len(self._table.commands) - 1)[0] >= FREE:
+            return BACK
+        self._backs[robot] = 0
+        return 0.0, 0.0
+
+    def _is_safe(self, robot: int, action: int, walls: np.ndarray, unseen: np.ndarray) -> bool:
         """Whether an action's arc is free of obstacles, with room to turn, and of places never seen."""
         observer = self.observer
         level = int(np.clip(np.rint(observer.speeds[robot, action] * _LEVELS), 0, _LEVELS))
@@ -169,9 +194,7 @@ class PlanAndSteer:
         free, gap = _along(self._table, walls, command)
         if free < FREE or gap < min(ROOM, _along(self._table, walls, standing)[1]):
             return False
-        centers, evidence = self._maps[robot].near(pose, UNSEEN_REACH)
-        unseen = centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)]
-        return _along(self._table, to_robot(unseen, pose), command)[0] >= FREE
+        return _along(self._table, unseen, command)[0] >= FREE
 
 
 def is_circle(trail: Sequence[tuple[float, float, float]]) -> bool:
