@@ -57,8 +57,8 @@ class PredictionSetup:
         skip_unreadable: list pictures that cannot be read instead of stopping.
         intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
         recording: ``.rrd`` file for the Rerun viewer, or None.
-        boxes: ``boxes(results, names, log, seconds, max_depth)`` is entered before the pictures are predicted,
-            and gives what :attr:`Results.also` calls; None: no 3D boxes.
+        boxes: ``boxes(results, names, log, seconds, max_depth)`` is entered before the pictures are
+            predicted, and gives what :attr:`Results.also` calls; None: no 3D boxes.
     """
 
     source: Source
