@@ -145,8 +145,9 @@ def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]
         "Brackets: 95 % of 2000 resamples of whole frames.",
         "",
         "AP: KITTI's (R40, moderate), the mean over the classes (all: Car, Pedestrian, Cyclist), at its "
-        "looser overlaps (Car 0.5, others 0.25). Every object counts, whether the 2D boxes hold it or not. Below "
-        "40 objects of a class, some of the 40 recalls cannot be reached, and AP stays low whatever the boxes. "
+        "looser overlaps (Car 0.5, others 0.25). Every object counts, whether or not a 2D box holds it. "
+        "Below 40 objects of a class, some of the 40 recalls cannot be reached: AP stays low whatever the "
+        "boxes. "
         "Simulated 2D boxes all have the score 1. Doubtful: flagged, for the cost of the fit is beyond "
         f"{DOUBTFUL_COST:g}.",
         "",

@@ -1,6 +1,6 @@
 """Tracking on rendered drives: identity switches, MOTA and HOTA at several errors of the depth.
 
-pip install trackeval
+pip install -e '.[tracking]'
 python experiments/tracking/run.py
 
 The same detections go to SORT (2D boxes alone), to our tracker without 2D boxes (distances from above alone)
