@@ -47,7 +47,7 @@ def site(tmp_path_factory) -> Path:
     if shutil.which("npm") is None:
         pytest.skip("needs npm (Node.js)")
     folder = tmp_path_factory.mktemp("site")
-    words = ["-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    words = ["-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     done = subprocess.run(
         [sys.executable, *words],
         cwd=REPOSITORY,

@@ -8,8 +8,9 @@ for (const box of document.querySelectorAll(".demo")) {
     frame.src = link.href;
     frame.title = "eldenet in the browser";
     frame.addEventListener("load", () => {
-      const page = frame.contentDocument.documentElement;
-      new ResizeObserver(() => { frame.style.height = `${page.scrollHeight}px`; }).observe(page);
+      const page = frame.contentDocument.body;
+      const fit = () => { frame.style.height = `${page.getBoundingClientRect().bottom + 16}px`; };
+      new ResizeObserver(fit).observe(page);
     });
     box.replaceChildren(frame);
   });
