@@ -101,7 +101,7 @@ class PlanAndSteer:
         who = np.arange(self.observer.robots) if robots is None else robots
         goal, poses = senses.goal.copy(), {}
         before = self._remembered(senses, who)
-        for robot in who:
+        for robot in who.tolist():
             known = self._maps[robot]
             pose = poses[robot] = known.place(senses.odometry[robot])
             known.add(
@@ -114,7 +114,7 @@ class PlanAndSteer:
         actions = self.navigator.network(torch.from_numpy(observation).double()).argmax(1).numpy()
         after = self._remembered(senses, who)
         out = self.observer.last.copy()
-        for robot, action in zip(who, actions, strict=True):
+        for robot, action in zip(who.tolist(), actions, strict=True):
             wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
             walls, unseen = after[robot], self._unseen(robot, poses[robot])
             backs = self._backs[robot] > 0
