@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 MAX_SIDE = 640
+GRID = 16  # sides of frames are multiples of this [px]
 DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
     "this network knows no focal lengths: the camera is not used, and meters hold for the lens of its "
@@ -188,6 +189,8 @@ class DepthPredictor:
             filled = np.full((*size, 3), BORDER_COLOR, np.uint8)
             filled[top:bottom, left:right] = image
             image = filled
+        if camera is None and size != self.input_size:
+            image = padded(image)
         seen = (right - left) / width
         if isinstance(self.model, Runtime):
             if camera is not None and self.model.fixed_size is not None:
@@ -246,6 +249,17 @@ def for_camera(
 def as_image(frame: np.ndarray) -> np.ndarray:
     """``frame (H, W, 3)`` uint8 -> ``(1, 3, H, W)`` float32 in [0, 1]."""
     return np.ascontiguousarray(frame.transpose(2, 0, 1))[None].astype(np.float32) / np.float32(255.0)
+
+
+def padded(image: np.ndarray) -> np.ndarray:
+    """Repeat the last row and column of ``(H, W, 3)`` until both sides are multiples of ``GRID``.
+
+    Networks round odd sizes up, and their depth of the last rows is then wrong.
+    """
+    import cv2
+
+    down, right = -image.shape[0] % GRID, -image.shape[1] % GRID
+    return np.asarray(cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE))
 
 
 def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

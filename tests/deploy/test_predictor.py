@@ -10,6 +10,7 @@ import torch
 from support.predicting import photo, read_ply
 
 import eldenet
+from eldenet.data.io import read_image
 from eldenet.deploy.outputs import write_ply
 from eldenet.deploy.predictor import DepthPredictor, to_millimeters
 from eldenet.deploy.runtimes.base import Runtime
@@ -23,7 +24,9 @@ def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: Depth
     predictor = DepthPredictor(model, steady=False)
     depth = predictor(photo(50, 90))
     hook.remove()
-    assert seen == [(1, 3, 34, 61)]  # as many pixels as 32 x 64, in the frame's own aspect
+    # as many pixels as 32 x 64, in the frame's own aspect; then the last row and column repeated
+    assert predictor.size_for(50, 90) == (34, 61)
+    assert seen == [(1, 3, 48, 64)]
     assert (depth.shape, depth.dtype) == ((50, 90), np.float32)
     assert model.head.min_depth <= depth.min() <= depth.max() <= model.head.max_depth
     np.testing.assert_array_equal(depth, predictor(photo(50, 90)))
@@ -116,3 +119,12 @@ def test_the_scale_shows_round_meters_at_a_constant_width() -> None:
     widths = {photo_beside_depth(photo(), depth[:, :64], 0.0, far).shape for far in (0.07, 1, 9.9, 12, 150)}
     assert len(widths) == 1  # a video's frames have one size
     assert not any(length % 2 for length in widths.pop()[:2])
+
+
+def test_the_last_rows_of_an_odd_size_are_like_their_neighbors() -> None:
+    """A photo of 3:2 is seen at 181 x 272; networks round that up, and their own last rows are 40 % off."""
+    frame = read_image(Path(__file__).parents[2] / "web" / "example.jpg")
+    predictor = DepthPredictor(eldenet.load("eldenet_indoor"), steady=False)
+    assert predictor.size_for(*frame.shape[:2]) == (181, 272)
+    rows = np.median(predictor(frame), axis=1)
+    assert rows[-1] == pytest.approx(rows[-16], rel=0.05)
