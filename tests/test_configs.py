@@ -62,6 +62,7 @@ HIDDEN: dict[str, set[str]] = {
     # workers depend on the machine; rendered frames are never missing and need no cache
     "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
     "eldenet.data.arenas.Arenas": {"workers", "cache", "on_error", "resize_on_load"},
+    "eldenet.data.streets.Streets": {"workers", "cache", "on_error", "resize_on_load"},
     "eldenet.losses.": {"applies_to"},  # "metric" but in losses for data=mix
     # options of the sources, which each source states itself
     "eldenet.data.mix.Mix": {"min_depth", "max_depth", "cache", "on_error", "resize_on_load"},
