@@ -131,10 +131,12 @@ class CameraInstance:
 
 
 def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
-    """Tight 2D boxes around the visible part of each obstacle, from the renderer."""
+    """Tight 2D boxes around the visible part of each obstacle but walls, from the renderer."""
     kinds = tuple(sorted({obstacle.kind for obstacle in arena.obstacles}))
     boxes, labels = [], []
     for number in np.unique(photo.obstacle[photo.obstacle >= 0]):
+        if arena.obstacles[number].is_wall:
+            continue
         rows, columns = np.nonzero(photo.obstacle == number)
         if len(rows) >= MIN_PIXELS:
             boxes.append(extent_of(rows, columns))

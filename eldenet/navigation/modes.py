@@ -64,7 +64,7 @@ class RecordSetup(ModeSetup):
         kind: "open", "rooms" or "traps".
         course: "triangle" instead of a random arena, or None.
         arena_file: YAML file of an arena instead, or None.
-        video: "gif" or "mp4".
+        video: "gif", "webp" or "mp4".
     """
 
     make_policy: Callable[[int], Policy]

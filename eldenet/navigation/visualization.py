@@ -21,7 +21,7 @@ from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.files import part_file
-from eldenet.visualization import color_depth, visible_range
+from eldenet.visualization import color_depth
 
 _COLORS = {
     "cylinder": (120, 144, 156),
@@ -34,8 +34,9 @@ _ROBOT, _GOAL = (250, 190, 20), (40, 160, 70)
 _FED = {"simulator": (90, 90, 90), "depth": (66, 133, 190), "box": (239, 108, 80)}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 TITLE = 20  # height of the line of text above a picture [px]
-VIDEO_FORMATS = ("gif", "mp4")
-SPEED = 2.0  # of a video, relative to real time
+VIDEO_FORMATS = ("gif", "webp", "mp4")
+SCALE_BAR = 2.0  # length of the map's scale [m]
+WEBP_QUALITY = 55
 _ENDS = {Event.NONE: "", Event.GOAL: "  goal", Event.COLLISION: "  COLLISION", Event.TIMEOUT: "  time-out"}
 
 
@@ -68,7 +69,7 @@ class Scene:
 
     def _obstacle(self, picture: np.ndarray, obstacle: Obstacle, time: float) -> None:
         x, y = obstacle.position(time)
-        color = _COLORS[obstacle.kind]
+        color = _WALL if obstacle.is_wall else _COLORS[obstacle.kind]
         if obstacle.round:
             radius = round(obstacle.half[0] * self.scale)
             cv2.circle(picture, self.pixel(x, y), radius, color, -1, cv2.LINE_AA)
@@ -121,6 +122,22 @@ class Scene:
         cv2.line(picture, self.pixel(x, y), self.pixel(*camera), (0, 0, 0), 2)
         return picture
 
+    def _scale_bar(self, picture: np.ndarray) -> None:
+        """Draw ``SCALE_BAR`` meters in the lower right corner, in place."""
+        right, low = self.size - 14, self.size - 14
+        text = f"{SCALE_BAR:.0f} m"
+        left = right - round(SCALE_BAR * self.scale)
+        cv2.rectangle(picture, (left - 6, low - 18), (right + 6, low + 6), (255, 255, 255), -1)
+        cv2.line(picture, (left, low), (right, low), (0, 0, 0), 2)
+        cv2.putText(picture, text, ((left + right) // 2 - 12, low - 5), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+
+    @property
+    def speed(self) -> float:
+        """Distance of the last two poses of the trail per period [m/s]."""
+        if len(self.trail) < 2:
+            return 0.0
+        return math.dist(self.trail[-1][:2], self.trail[-2][:2]) / ROBOT.period
+
     def draw(self, episodes: Episodes, slot: int, note: str = "", view: Any = None) -> np.ndarray:
         """Camera, depth and sectors beside the top view, under a line of text.
 
@@ -134,6 +151,8 @@ class Scene:
                 panels stay empty.
         """
         top = self.top_view(episodes, slot)
+        self._scale_bar(top)
+        _label(top, "map")
         scan = episodes.observations[slot]
         if scan is None:
             return _titled(top, note)
@@ -158,6 +177,17 @@ def _label(picture: np.ndarray, text: str) -> None:
     cv2.putText(picture, text, (4, height + 2), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
+def _scale(depth: np.ndarray) -> None:
+    """Draw the scale of the colors along the lower edge, in place; it is the same in all frames."""
+    height, width = depth.shape[:2]
+    left, right, top, low = 30, width - 30, height - 16, height - 6
+    depth[top - 4 :] = 255
+    meters = np.linspace(ROBOT.near, ROBOT.far, right - left)
+    depth[top:low, left:right] = color_depth(np.tile(meters, (low - top, 1)), ROBOT.near, ROBOT.far)
+    for text, column in ((f"{ROBOT.near:g}", 4), (f"{ROBOT.far:g}", right + 6)):
+        cv2.putText(depth, text, (column, low), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+
+
 def camera_panels(scan: Observation, size: int) -> np.ndarray:
     """Photo, depth and sector bars, one below the other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
     height = size * 2 // 5
@@ -170,10 +200,10 @@ def camera_panels(scan: Observation, size: int) -> np.ndarray:
             photo = draw_boxes(photo, scan.boxes, camera)
         _label(photo, "camera")
     if scan.depth is not None:
-        near, far = visible_range(scan.depth)
-        colors = color_depth(scan.depth, near, far, scan.depth > 0)
+        colors = color_depth(scan.depth, ROBOT.near, ROBOT.far, scan.depth > 0)
         depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
-        _label(depth, f"depth, {near:.1f} to {far:.1f} m")
+        _scale(depth)
+        _label(depth, "depth [m]")
     return np.concatenate([photo, depth, sector_bars(scan, (size - 2 * height, width))], axis=0)
 
 
@@ -190,6 +220,7 @@ def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
         cv2.putText(picture, f"{distance:.1f}", (left + 8, top - 4), _FONT, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
         short = source.replace("simulator", "rays")
         cv2.putText(picture, short, (left + 8, height - 8), _FONT, 0.36, (255, 255, 255), 1, cv2.LINE_AA)
+    _label(picture, "nearest [m]")
     return picture
 
 
@@ -202,13 +233,13 @@ def record_episode(
     *,
     advance: Callable[[int], None] = lambda count: None,
 ) -> tuple[Event, float]:
-    """Run one episode and write it as a video; no display is needed.
+    """Run one episode and write it as a video at true speed; no display is needed.
 
     Args:
         arena: of the episode.
         policy: for one robot.
         sensor: of the robot.
-        path: of the video, ``.gif`` or ``.mp4``.
+        path: of the video, with one of ``VIDEO_FORMATS`` as its ending.
         settings: of the episode.
         advance: called for each frame.
 
@@ -220,11 +251,12 @@ def record_episode(
     policy.reset(0, episodes.worlds[0])
     scene, view = Scene(arena), ArenaView(arena)
     event = Event.NONE
-    with video_writer(path, SPEED / ROBOT.period) as add:
+    with video_writer(path, 1 / ROBOT.period) as add:
         while True:
             senses = episodes.sense()
             scene.trail.append(tuple(episodes.poses[0]))
-            note = f"{policy.name}  {arena.name}  {episodes.seconds[0]:4.1f} s{_ENDS[event]}"
+            now = f"{episodes.seconds[0]:4.1f} s  {scene.speed:.1f} m/s{_ENDS[event]}"
+            note = f"{policy.name}  {arena.name}  true speed  {now}"
             frame = scene.draw(episodes, 0, note, view)
             for _ in range(1 if event is Event.NONE else 8):  # the last frame stays for a moment
                 add(frame)
@@ -237,7 +269,7 @@ def record_episode(
 
 @contextmanager
 def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
-    """Yield a function that adds a frame ``(H, W, 3)`` uint8 RGB to a ``.gif`` or ``.mp4``."""
+    """Yield a function that adds a frame ``(H, W, 3)`` uint8 RGB to a ``.gif``, ``.webp`` or ``.mp4``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".mp4":
         from eldenet.deploy.outputs import open_video
@@ -248,8 +280,13 @@ def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray
     from PIL import Image
 
     frames: list[Image.Image] = []
-    yield lambda frame: frames.append(Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE))
+    if path.suffix == ".webp":
+        yield lambda frame: frames.append(Image.fromarray(frame))
+        options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
+    else:
+        yield lambda frame: frames.append(Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE))
+        options = {"optimize": False}
     duration = round(1000 / per_second)
     with part_file(path) as unfinished:
         first, *others = frames
-        first.save(unfinished, save_all=True, append_images=others, duration=duration, loop=0, optimize=False)
+        first.save(unfinished, save_all=True, append_images=others, duration=duration, loop=0, **options)

@@ -11,6 +11,7 @@ import numpy as np
 SIDE = 20.0  # of the arena [m]
 
 Point = tuple[float, float]
+THIN = 0.2  # boxes thinner than this are walls [m]
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,11 @@ class Obstacle:
     def round(self) -> bool:
         """Whether the footprint is a circle."""
         return self.kind in ("cylinder", "person")
+
+    @property
+    def is_wall(self) -> bool:
+        """Whether it is a wall between rooms, which no detector finds."""
+        return self.kind == "box" and 2 * min(self.half) < THIN
 
     @property
     def radius(self) -> float:

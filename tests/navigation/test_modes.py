@@ -82,7 +82,7 @@ def test_settings_of_earlier_versions_are_renamed():
     (["mode=watch"], "train; watch is now record"),
     (["density=500"], "density=500"),
     (["density=[5,20]"], "records one arena"),
-    (["video=avi"], "video='avi': give one of gif, mp4"),
+    (["video=avi"], "video='avi': give one of gif, webp, mp4"),
     (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
     (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
@@ -121,6 +121,7 @@ def test_record_makes_a_video_without_a_display(run_command, tmp_path):
     with Image.open(video) as picture:
         assert picture.n_frames >= 10
         assert picture.size[1] == 500
+        assert picture.info["duration"] == 200  # [ms], the period of control: true speed
     run = read_run(tmp_path / "run")
     assert (run["mode"], run["video"], run["config"]["time_limit"]) == ("record", video.name, 2)
     assert run["outcome"] in ("goal", "collision", "timeout")
