@@ -61,11 +61,9 @@ def test_bearings_are_counter_clockwise_from_ahead():
 
 
 def test_episodes_with_fixes_know_the_goal_within_decimeters():
-    class Drifting(Ranges):
-        drift = Drift(0.05, math.radians(3))
-
-    episodes = Episodes(2, Drifting(), EpisodeSettings(goal="fixes"))
-    lost = Episodes(2, Drifting(), EpisodeSettings(goal="odometry"))
+    sensor = Ranges(drift=Drift(0.05, math.radians(3)))
+    episodes = Episodes(2, sensor, EpisodeSettings(goal="fixes"))
+    lost = Episodes(2, sensor, EpisodeSettings(goal="odometry"))
     for running in (episodes, lost):
         for slot in range(2):
             running.start(slot, generate_arena("val", 0, slot), (5, slot))

@@ -106,7 +106,7 @@ def test_a_policy_of_weights_that_are_not_finite_does_not_load(members: int, tmp
 def test_the_observer_and_the_localizer_refuse_it_and_keep_their_state() -> None:
     observer = Observer()
     ranges = np.full((1, ROBOT.columns), 5.0)
-    good = Senses(ranges, np.zeros((1, 3)), np.array([GOAL]), ranges)
+    good = Senses(ranges, np.zeros((1, 3)), np.array([GOAL]), ranges, np.zeros((1, 3)))
     expected = Observer().observe(good)
     for name in good._fields:
         bad = good._replace(**{name: changed(getattr(good, name), 0, 1, to=NAN)})
