@@ -193,7 +193,7 @@ def test_depth_and_cloud_have_the_pictures_stamp_frame_and_meters(ros, request, 
     meters = np.frombuffer(depth.data, np.float32).reshape(120, 160)
     assert (cloud.height, cloud.width) == (60, 80)
     z = np.frombuffer(cloud.data, np.float32).reshape(60, 80, 4)[..., 2]
-    assert np.isfinite(z).any()
+    assert node.predictor.uncertainty or np.isfinite(z).all()
     assert ((z == meters[::2, ::2]) | np.isnan(z)).all()  # nan: a network with sigma is unsure there
     assert (info.height, info.width) == (120, 160)
     assert (info.k == K.ravel()).all()
