@@ -14,19 +14,17 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "weights.md"
 def weights_table() -> str:
     """The table of docs/weights.md, from each ``config.json``."""
     lines = [
-        "| name | input | depth [m] | any lens | sigma | has seen | protocol | δ1 ↑ | RMSE [m] ↓ |",
-        "|---|---|---|---|---|---|---|---:|---:|",
+        "| name | input | depth [m] | any lens | has seen | protocol | δ1 ↑ | RMSE [m] ↓ |",
+        "|---|---|---|---|---|---|---:|---:|",
     ]
     for name in eldenet.list_weights():
         config = json.loads((PACKAGED / name / "config.json").read_text())
         info, head = config["info"], config["model"]["head"]
-        depth = head.get("depth", head)  # of a head that knows its sigma
         cells = [
             f"`{name}`",
             " x ".join(map(str, info["input_size"])),
-            f"{depth['min_depth']:g} to {depth['max_depth']:g}",
+            f"{head['min_depth']:g} to {head['max_depth']:g}",
             "yes" if config["model"].get("canonical_focal") else "no",
-            "yes" if "distribution" in head else "no",
             info["weights have seen"],
             f"`{info['test']['protocol']}`",
             f"{info['test']['delta1']:.3f}",
