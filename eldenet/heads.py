@@ -1,5 +1,6 @@
 """Heads turn a network's raw map into meters within a range of their own."""
 
+import math
 from typing import Any, Self
 
 import torch
@@ -160,8 +161,9 @@ class UncertainHead(Head):
 
     def to_spread(self, raw: Tensor) -> Tensor:
         """Second channel of ``(B, 2, H, W)`` -> standard deviation of ln depth ``(B, 1, H, W)``."""
-        ratio = self.max_spread / self.min_spread
-        return self.temperature * self.min_spread * ratio ** raw[:, 1:].sigmoid()
+        # a power of a number would be slow in OpenVINO
+        steps = raw[:, 1:].sigmoid() * math.log(self.max_spread / self.min_spread)
+        return self.temperature * self.min_spread * steps.exp()
 
     def rescaled(self, factor: float) -> Self:
         """Return a head whose depth and range are ``factor`` times this one's; the spread is relative."""
