@@ -28,6 +28,7 @@ def test_what_is_stored_is_small_and_clean():
     assert {output["output_type"] for output in printed} <= {"stream", "display_data", "execute_result"}
     assert any("image/jpeg" in output.get("data", {}) for output in printed)
     assert "\\u001b" not in NOTEBOOK.read_text()
+    assert "/tmp" not in NOTEBOOK.read_text()
 
 
 @pytest.mark.parametrize("text", SHELL, ids=lambda text: text.split()[3])

@@ -1,7 +1,8 @@
 """Run a driver through a fixed set of arenas and summarize: success, collision, time-out, time, path."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.paths import optimal_length
 from eldenet.navigation.sensors import Sensor
 from eldenet.simulation.arenas import Arena
+from eldenet.system.files import read_table, write_rows
 
 
 class Policy(Protocol):
@@ -47,6 +49,7 @@ class Episode:
     shortest: float
 
 
+EPISODE_COLUMNS = ("world", "outcome", "seconds", "travelled", "shortest")
 OUTCOMES = {Event.GOAL: "success", Event.COLLISION: "collision", Event.TIMEOUT: "timeout"}
 
 
@@ -132,6 +135,33 @@ def summarize(rows: Sequence[Episode]) -> dict[str, Any]:
         "seconds": float(seconds[success].mean()) if success.any() else float("nan"),
         "spl": spl(success, travelled, shortest),
     }
+
+
+def read_episodes(file: Path, labels: Sequence[str]) -> dict[tuple[str, ...], list[Episode]]:
+    """Return what :func:`write_episodes` wrote; nothing where there is no file.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
+    out: dict[tuple[str, ...], list[Episode]] = {}
+    for line in read_table(file, [*labels, *EPISODE_COLUMNS]) if file.is_file() else []:
+        density = int(line["world"].split("-")[-2].partition("+")[0])  # of "test-20+10-7", 20
+        lengths = (float(line[name]) for name in EPISODE_COLUMNS[2:])
+        key = tuple(line[name] for name in labels)
+        out.setdefault(key, []).append(Episode(line["world"], density, line["outcome"], *lengths))
+    return out
+
+
+def write_episodes(
+    file: Path, labels: Sequence[str], rows: Mapping[tuple[Any, ...], Sequence[Episode]]
+) -> None:
+    """Write the episodes of several rows of a table as CSV; ``labels`` are the columns that name a row."""
+    lines = [
+        [*key, *(getattr(episode, name) for name in EPISODE_COLUMNS)]
+        for key, episodes in rows.items()
+        for episode in episodes
+    ]
+    write_rows(file, [*labels, *EPISODE_COLUMNS], lines)
 
 
 def solved_by_all(tables: Sequence[Sequence[Episode]]) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.evaluation.metric_names import CLASS_METRICS, LOWER_IS_BETTER, UNCERTAINTY_METRICS, UNITS
 from eldenet.results.run_record import RUN_FILE
 from eldenet.system import escaping
+from eldenet.system.files import displayed
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
@@ -163,7 +164,7 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         [[number(name, run["cost"][name]) for name in COSTS]],
     )
     weights = ", model/ ..." if (log.folder / "model").is_dir() else ""  # an evaluation writes none
-    log.say(f"written to {log.folder}: {RUN_FILE}, per_image.csv, predictions.png{weights}")
+    log.say(f"written to {displayed(log.folder)}: {RUN_FILE}, per_image.csv, predictions.png{weights}")
 
 
 def to_markdown(titles: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:

@@ -109,6 +109,11 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def displayed(path: Path) -> Path:
+    """Return the path as people read it: from the working directory where it lies below that."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file; a text that a spreadsheet would run as a formula starts with an apostrophe there."""
     with part_file(path) as unfinished, unfinished.open("w", newline="") as file:

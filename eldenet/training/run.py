@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.geometry import same_aspect
-from eldenet.system.files import write_yaml
+from eldenet.system.files import displayed, write_yaml
 from eldenet.system.locks import sole_writer
 from eldenet.system.resources import choose_resources, is_main_process, main_process_first
 from eldenet.training.resume import checkpoint_to_resume, finished_run, run_folder
@@ -110,7 +110,7 @@ def _fit(
     log.say(
         f"{setup.data}: {len(train_set)} training and {len(val_set)} validation frames; {resources.device}, "
         f"{resources.precision}, {resources.threads} threads, {resources.workers} workers; run folder "
-        f"{setup.folder}"
+        f"{displayed(setup.folder)}"
     )
     announce_frames(setup, loss, train_set, {"validation": val_set, "test": test_set}, log)
     if model.canonical_px is not None and (frame := without_camera(train_set)):

@@ -5,7 +5,6 @@ python experiments/table5_robustness/conditions.py    reads stored rows and meas
 All methods cross the same test arenas; a command that was stopped goes on with the row where it stopped.
 """
 
-import csv
 import math
 import sys
 from argparse import ArgumentParser
@@ -21,7 +20,14 @@ prepare_environment()
 import torch  # noqa: E402
 
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import Episode, mcnemar, run_episodes, summarize  # noqa: E402
+from eldenet.navigation.evaluation import (  # noqa: E402
+    Episode,
+    mcnemar,
+    read_episodes,
+    run_episodes,
+    summarize,
+    write_episodes,
+)
 from eldenet.navigation.latency import Predictive  # noqa: E402
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
@@ -31,7 +37,6 @@ from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 
@@ -85,7 +90,6 @@ VERSIONS = {
     "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
 }
 LABELS = ("method", "condition", "version")
-EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
 
 # (method, condition) -> episodes by arena
 Rows = dict[tuple[str, str], list[Episode]]
@@ -123,18 +127,11 @@ def driver(method: str, condition: Condition) -> Callable[[int], Any]:
 
 def read(file: Path) -> Rows:
     """Return the stored rows whose version is today's."""
-    out: Rows = {}
-    if not file.is_file():
-        return out
-    with file.open(newline="") as lines:
-        for line in csv.DictReader(lines):
-            if line["version"] == VERSIONS[line["method"]]:
-                episode = Episode(
-                    line["world"], CONDITIONS[line["condition"]].density, line["outcome"],
-                    *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
-                )  # fmt: skip
-                out.setdefault((line["method"], line["condition"]), []).append(episode)
-    return out
+    return {
+        (method, condition): episodes
+        for (method, condition, version), episodes in read_episodes(file, LABELS).items()
+        if version == VERSIONS[method]
+    }
 
 
 def write(folder: Path, rows: Rows) -> None:
@@ -145,12 +142,8 @@ def write(folder: Path, rows: Rows) -> None:
         for method in METHODS
         if rows.get((method, name))
     }
-    lines = [
-        [*key, VERSIONS[key[0]], *(getattr(episode, name) for name in EPISODE)]
-        for key, episodes in made.items()
-        for episode in episodes
-    ]
-    write_rows(folder / "conditions.csv", [*LABELS, *EPISODE], lines)
+    labeled = {(*key, VERSIONS[key[0]]): episodes for key, episodes in made.items()}
+    write_episodes(folder / "conditions.csv", LABELS, labeled)
     text = [
         "# Rooms, traps, delay and other robots",
         "",

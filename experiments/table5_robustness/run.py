@@ -5,7 +5,6 @@ python experiments/table5_robustness/run.py     reads the stored rows and measur
 All rows cross the same test arenas with 80 obstacles, and draw their wrong readings from the same seeds.
 """
 
-import csv
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +18,14 @@ prepare_environment()
 import torch  # noqa: E402
 
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import Episode, mcnemar, run_episodes, summarize  # noqa: E402
+from eldenet.navigation.evaluation import (  # noqa: E402
+    Episode,
+    mcnemar,
+    read_episodes,
+    run_episodes,
+    summarize,
+    write_episodes,
+)
 from eldenet.navigation.planners.astar import AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
@@ -27,7 +33,6 @@ from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 DENSITY = 80
@@ -45,7 +50,6 @@ METHODS: Mapping[str, Callable[[int], Any]] = {
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
 }
 LABELS = ("method", "faults", "filter", "version")
-EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
 
 # (method, faults, whether there is the filter) -> episodes by arena
 Rows = dict[tuple[str, str, bool], list[Episode]]
@@ -81,19 +85,11 @@ def version(filtered: bool) -> str:
 
 def read(file: Path) -> Rows:
     """Return the stored rows whose version is today's."""
-    out: Rows = {}
-    if not file.is_file():
-        return out
-    with file.open(newline="") as lines:
-        for line in csv.DictReader(lines):
-            filtered = line["filter"] == "True"
-            if line["version"] == version(filtered):
-                episode = Episode(
-                    line["world"], DENSITY, line["outcome"],
-                    *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
-                )  # fmt: skip
-                out.setdefault((line["method"], line["faults"], filtered), []).append(episode)
-    return out
+    return {
+        (method, faults, filtered == "True"): episodes
+        for (method, faults, filtered, made_with), episodes in read_episodes(file, LABELS).items()
+        if made_with == version(filtered == "True")
+    }
 
 
 def write(folder: Path, rows: Rows) -> None:
@@ -105,12 +101,8 @@ def write(folder: Path, rows: Rows) -> None:
         )
     }
     made = {key: rows[key] for key in sorted(rows, key=order.__getitem__) if rows[key]}
-    lines = [
-        [*key, version(key[2]), *(getattr(episode, name) for name in EPISODE)]
-        for key, episodes in made.items()
-        for episode in episodes
-    ]
-    write_rows(folder / "results.csv", [*LABELS, *EPISODE], lines)
+    labeled = {(*key, version(key[2])): episodes for key, episodes in made.items()}
+    write_episodes(folder / "results.csv", LABELS, labeled)
     where = environment()
     text = [
         "# Wrong readings at 80 obstacles",

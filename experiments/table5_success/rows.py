@@ -3,7 +3,6 @@
 ``rows/<method>.csv`` holds an episode a line, ``rows/<method>.json`` what each row of them was made with.
 """
 
-import csv
 import fcntl
 import functools
 import os
@@ -13,7 +12,6 @@ from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,7 @@ from inputs import digest, input_hashes, make_sensor, trained_policy
 from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.episodes import EpisodeSettings
-from eldenet.navigation.evaluation import Episode, Policy, run_episodes
+from eldenet.navigation.evaluation import Episode, Policy, read_episodes, run_episodes, write_episodes
 from eldenet.navigation.planners.dwa import DWA_VERSION
 from eldenet.navigation.planners.paths import SHORTEST_VERSION
 from eldenet.navigation.policy import Navigator
@@ -30,11 +28,10 @@ from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
-from eldenet.system.files import read_json, write_json, write_rows
+from eldenet.system.files import read_json, write_json
 
 HERE = Path(__file__).parent
 LABELS = ("sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row of a method
-EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")  # columns of an episode
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ def measure(row: Row, args: Namespace) -> list[Episode]:
     key = key_of(row, args, weights, found)
     stored = read_notes(args.rows / f"{row.file}.json").get(row.name)
     if stored is not None and stored["key"] == key:
-        return read_episodes(args.rows / f"{row.file}.csv")[row.labels]
+        return read_episodes(args.rows / f"{row.file}.csv", LABELS)[row.labels]
     started = time.process_time()
     crossings = make_crossings(row, args, weights, arenas)
     spent = round(time.process_time() - started, 1)
@@ -170,20 +167,6 @@ def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequ
     return run_episodes(arenas, driver, make_sensor(row.sensor, args), settings)
 
 
-def read_episodes(file: Path) -> dict[tuple[str, ...], list[Episode]]:
-    """Return the episodes of a method's CSV by the labels of their rows; none without the file."""
-    if not file.is_file():
-        return {}
-    with file.open() as lines:
-        grouped = groupby(csv.DictReader(lines), lambda line: tuple(line[name] for name in LABELS))
-        return {labels: [_crossing(line) for line in episodes] for labels, episodes in grouped}
-
-
-def _crossing(line: Mapping[str, str]) -> Episode:
-    density = int(line["course"].partition("+")[0])
-    return Episode(line["world"], density, line["outcome"], *(float(line[name]) for name in EPISODE[2:]))
-
-
 def read_notes(file: Path) -> dict[str, dict[str, Any]]:
     """Return the notes of a method's rows by their names; none without the file."""
     if not file.is_file():
@@ -203,13 +186,7 @@ def store(
     table, note = folder / f"{row.file}.csv", folder / f"{row.file}.json"
     where = environment()
     with locked(folder):
-        episodes = read_episodes(table) | {row.labels: crossings}
-        lines = [
-            [*labels, *(getattr(crossing, name) for name in EPISODE)]
-            for labels, group in episodes.items()
-            for crossing in group
-        ]
-        write_rows(table, [*LABELS, *EPISODE], lines)
+        write_episodes(table, LABELS, read_episodes(table, LABELS) | {row.labels: crossings})
         made = {"key": key, "cpu_seconds": cpu_seconds, "date": where.pop("date"), "environment": where}
         write_notes(note, read_notes(note) | {row.name: made})
 

@@ -7,7 +7,6 @@ among the carrots whose success at 80 obstacles is at most one arena below the b
 mean time over the arenas that all of them solved.
 """
 
-import csv
 import math
 import sys
 from argparse import ArgumentParser
@@ -24,7 +23,14 @@ import torch  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import Episode, run_episodes, solved_by_all, summarize  # noqa: E402
+from eldenet.navigation.evaluation import (  # noqa: E402
+    Episode,
+    read_episodes,
+    run_episodes,
+    solved_by_all,
+    summarize,
+    write_episodes,
+)
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
@@ -32,7 +38,6 @@ from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 PLANNERS: Mapping[str, type[Any]] = {"astar_dwa": AStarDWA, "astar_online_dwa": AStarOnlineDWA}
@@ -40,7 +45,6 @@ CARROTS = (1.0, 1.3, 1.6, 2.0, 2.5)  # [m]
 DENSITIES = (5, 20, 40, 80)
 VERSION = f"{EPISODE_VERSION}.{DWA_VERSION}"
 LABELS = ("split", "density", "method", "carrot", "version")
-EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
 
 # (split, density, method, carrot) -> episodes by arena; the learned driver's carrot is 0
 Rows = dict[tuple[str, int, str, float], list[Episode]]
@@ -108,25 +112,17 @@ def ratio(ours: Sequence[Episode], reference: Sequence[Episode]) -> str:
 
 def read(file: Path) -> Rows:
     """Return the stored rows whose version is today's."""
-    out: Rows = {}
-    if file.is_file():
-        with file.open(newline="") as lines:
-            for line in csv.DictReader(lines):
-                if line["version"] == VERSION:
-                    key = line["split"], int(line["density"]), line["method"], float(line["carrot"])
-                    values = (float(line[name]) for name in EPISODE[2:])
-                    out.setdefault(key, []).append(Episode(line["world"], key[1], line["outcome"], *values))
-    return out
+    return {
+        (split, int(density), method, float(carrot)): episodes
+        for (split, density, method, carrot, version), episodes in read_episodes(file, LABELS).items()
+        if version == VERSION
+    }
 
 
 def write(folder: Path, rows: Rows) -> None:
     """Write every episode to ``carrots.csv`` and the tables to ``carrots.md``."""
-    lines = [
-        [*key, VERSION, *(getattr(episode, name) for name in EPISODE)]
-        for key, episodes in rows.items()
-        for episode in episodes
-    ]
-    write_rows(folder / "carrots.csv", [*LABELS, *EPISODE], lines)
+    labeled = {(*key, VERSION): episodes for key, episodes in rows.items()}
+    write_episodes(folder / "carrots.csv", LABELS, labeled)
     text = ["# A* with a tuned carrot", "", f"True ranges, wheels, goal known. {environment()['date']}.", ""]
     text += [*val_lines(rows), ""]
     text += [*test_lines(rows), "", "Made by `python experiments/table6_time/carrots.py`."]

@@ -47,21 +47,21 @@ def test_a_new_row_leaves_the_stored_rows_of_its_method_alone(rows, command, tmp
     options = given(tmp_path, sensors="ranges,noisy")
     every = list(command.all_rows(options))
     first = {row.labels: rows.measure(row, options) for row in every}
-    assert rows.read_episodes(options.rows / "straight.csv") == first
+    assert rows.read_episodes(options.rows / "straight.csv", rows.LABELS) == first
     before = rows.read_notes(options.rows / "straight.json")
     assert list(before) == [row.name for row in every]
     monkeypatch.setattr(rows, "EPISODE_VERSION", 0)
     rows.measure(every[1], options)
     after = rows.read_notes(options.rows / "straight.json")
     assert [name for name in before if before[name]["key"] != after[name]["key"]] == [every[1].name]
-    assert rows.read_episodes(options.rows / "straight.csv") == first
+    assert rows.read_episodes(options.rows / "straight.csv", rows.LABELS) == first
     stored = json.loads((options.rows / "straight.json").read_text())
     assert len(stored["environments"]) == 1
 
 
 def test_every_stored_row_has_episodes_and_a_note(rows):
     for file in (FOLDER / "rows").glob("*.csv"):
-        episodes, notes = rows.read_episodes(file), rows.read_notes(file.with_suffix(".json"))
+        episodes, notes = rows.read_episodes(file, rows.LABELS), rows.read_notes(file.with_suffix(".json"))
         assert len(episodes) == len(notes)
         for labels, crossings in episodes.items():
             assert len(crossings) == int(labels[rows.LABELS.index("worlds")])
