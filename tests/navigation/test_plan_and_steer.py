@@ -52,6 +52,10 @@ def test_it_backs_up_where_it_can_only_stand():
     behind = np.stack([np.full(13, -0.4), y], axis=1)
     driver.reset(0)
     assert driver._careful(0, 0.0, np.concatenate([walls, behind])) == (0.0, 0.0)
+    driver.reset(0)
+    corners = np.array([[0.40, 0.0], [-0.43, 0.0]])  # no way ahead or back, but room to turn on the spot
+    speed, rate = driver._careful(0, -2.7, np.concatenate([corners, corners + [0.0, 0.05]]))
+    assert (speed, np.sign(rate)) == (0.0, -1)
 
 
 def test_a_circle_is_a_place_again_after_a_way():

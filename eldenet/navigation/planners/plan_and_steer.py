@@ -41,7 +41,7 @@ CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] a
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
 BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
 #: Of what this driver decides; stored rows name it.
-STEER_VERSION = 1
+STEER_VERSION = 2
 _LEVELS = 20  # of speed in the table of arcs
 
 
@@ -50,7 +50,7 @@ class PlanAndSteer:
 
     The map keeps what was seen; unseen cells are free for the plan, but not for the next arc. When the robot
     comes back to where it was, it follows a path through wider places with the dynamic window alone for a
-    while. Where it can only stand, it backs up and does the same.
+    while. Where it can only stand, it backs up, or turns on the spot, and does the same.
 
     Args:
         path: policy of the learned driver; None: the packaged one.
@@ -170,7 +170,7 @@ class PlanAndSteer:
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
     def _careful(self, robot: int, bearing: float, walls: np.ndarray) -> tuple[float, float]:
-        """Command of the dynamic window; where it can only stand, the robot backs up."""
+        """Command of the dynamic window; where it can only stand, the robot backs up or turns on the spot."""
         target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
         last = tuple(self.observer.last[robot])
         self._backs[robot] = max(self._backs[robot] - 1, 0)
@@ -183,7 +183,15 @@ class PlanAndSteer:
         if _along(self._table, walls, len(self._table.commands) - 1)[0] >= FREE:
             return BACK
         self._backs[robot] = 0
-        return 0.0, 0.0
+        return 0.0, self._free_turn(bearing, last[1], walls)
+
+    def _free_turn(self, bearing: float, last: float, walls: np.ndarray) -> float:
+        """Rate of a turn on the spot that touches nothing, towards the target or as before [rad/s]; else 0."""
+        rates = self.observer.turn_rates.tolist()  # those of speed 0 are the table's first commands
+        for rate in sorted(rates, key=lambda rate: -rate * math.copysign(1.0, last or bearing)):
+            if rate and _along(self._table, walls, rates.index(rate))[0] >= HORIZON:
+                return rate
+        return 0.0
 
     def _is_safe(self, robot: int, action: int, walls: np.ndarray, unseen: np.ndarray) -> bool:
         """Whether an action's arc is free of obstacles, with room to turn, and of places never seen."""
