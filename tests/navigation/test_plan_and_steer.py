@@ -52,10 +52,17 @@ def test_it_backs_up_where_it_can_only_stand():
     behind = np.stack([np.full(13, -0.4), y], axis=1)
     driver.reset(0)
     assert driver._careful(0, 0.0, np.concatenate([walls, behind])) == (0.0, 0.0)
-    driver.reset(0)
-    corners = np.array([[0.40, 0.0], [-0.43, 0.0]])  # no way ahead or back, but room to turn on the spot
-    speed, rate = driver._careful(0, -2.7, np.concatenate([corners, corners + [0.0, 0.05]]))
-    assert (speed, np.sign(rate)) == (0.0, -1)
+
+
+def test_a_robot_that_can_neither_go_nor_back_up_turns_on_the_spot(monkeypatch):
+    driver = PlanAndSteer()
+    monkeypatch.setattr(driver._window, "choose", lambda *_: (0.0, 0.0))
+    angles = np.linspace(-np.pi, np.pi, 200)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    speed, rate = driver._careful(0, -2.7, 0.5 * ring)
+    assert speed == 0
+    assert rate < 0  # to the right, where the target is
+    assert driver._careful(0, -2.7, 0.4 * ring) == (0.0, 0.0)  # its corners would touch
 
 
 def test_a_circle_is_a_place_again_after_a_way():
