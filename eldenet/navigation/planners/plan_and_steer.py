@@ -170,7 +170,7 @@ class PlanAndSteer:
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
     def _careful(self, robot: int, bearing: float, walls: np.ndarray) -> tuple[float, float]:
-        """Command of the dynamic window; where it can only stand, the robot backs up or turns on the spot."""
+        """Command of the dynamic window; where that can only stand, back up or turn on the spot."""
         target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
         last = tuple(self.observer.last[robot])
         self._backs[robot] = max(self._backs[robot] - 1, 0)
@@ -186,7 +186,7 @@ class PlanAndSteer:
         return 0.0, self._free_turn(bearing, last[1], walls)
 
     def _free_turn(self, bearing: float, last: float, walls: np.ndarray) -> float:
-        """Rate of a turn on the spot that touches nothing, towards the target or as before [rad/s]; else 0."""
+        """Rate of a free turn on the spot, towards the target or as before [rad/s]; 0 if there is none."""
         rates = self.observer.turn_rates.tolist()  # those of speed 0 are the table's first commands
         for rate in sorted(rates, key=lambda rate: -rate * math.copysign(1.0, last or bearing)):
             if rate and _along(self._table, walls, rates.index(rate))[0] >= HORIZON:
