@@ -1,4 +1,8 @@
-"""The one place where a config is composed; it leaves as plain objects, OmegaConf ends here."""
+"""The one place where a config is composed; it leaves as plain objects, OmegaConf ends here.
+
+First come what all commands share: composition, objects from nodes, settings, splits of a data set. Then a
+section for each group of commands: ``build_<command>`` returns what ``eldenet/<command>.py`` runs.
+"""
 
 import difflib
 import functools
@@ -63,6 +67,9 @@ PARTS = (
     "trainer",
     "protocol",
 )
+
+
+# --- composition --------------------------------------------------------------------------------------------
 
 
 def config_folder() -> Path:
@@ -176,6 +183,9 @@ def listed(config: Any) -> list[Any]:
     return values if isinstance(values, list) else [values]
 
 
+# --- objects from config nodes ------------------------------------------------------------------------------
+
+
 @contextmanager
 def settings_of_a_study(trusted_modules: Sequence[str]) -> Iterator[None]:
     """Within the block, :func:`instantiate` builds only what the settings of a stranger's study may build.
@@ -235,12 +245,282 @@ def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = No
         _check_values(value, f"{prefix}{key}")
 
 
-# --- what commands are built from
+def build_model(config: Any, **arguments: Any) -> Any:
+    """Build a :class:`~eldenet.model.DepthNet` from a node of ``configs/model`` and further arguments."""
+    return instantiate(config, **arguments)
+
+
+def build_protocol(config: DictConfig) -> Any:
+    """Build the protocol named on the command line, else the data set's own."""
+    chosen = config.get("protocol")
+    return instantiate(chosen if chosen is not None else config.data.protocol)
+
+
+# --- settings that several commands read --------------------------------------------------------------------
 
 
 def _settings_in(folder: Path, config: DictConfig) -> Any:
     """Return the resolved settings of a run in ``folder``, as ``run.json`` stores them."""
     return plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+
+
+def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
+    """Fill a dataclass from the settings that its fields name; those in ``given`` are checked already."""
+    names = [field.name for field in fields(setup) if field.name not in given]
+    return setup(**{name: plain(config[name]) for name in names}, **given)
+
+
+def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
+    """Return a setting such as ``[near, far] in meters`` as numbers, or None for null.
+
+    Raises:
+        ValueError: it is not a list of as many finite numbers.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    count = meaning.count(",") + 1
+    try:
+        numbers = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name}={given}: give {meaning}, {count} numbers, or null")
+    return numbers
+
+
+def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
+    """Return a setting ``[height, width]`` [px], or None for null.
+
+    Raises:
+        ValueError: it is not such a pair.
+    """
+    given = plain(config[name])
+    if given is None:
+        return None
+    pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
+    if not pair or min(given) < 1:
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+    return given[0], given[1]
+
+
+def check_data_folders(config: DictConfig) -> None:
+    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
+
+    Rendered data sets, which have no ``on_error``, make their folder themselves.
+    """
+    splits = [plain(config.data.get(split)) for split in SPLITS]
+    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
+    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
+        return
+    if roots[0] is not None:
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+    if not os.environ.get("ELDENET_DATA"):
+        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
+
+
+def check_sources(config: DictConfig, *names: str) -> None:
+    """Check the networks that these settings name: a mistake in a path then costs no imports.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: there is no network of that name.
+    """
+    for name in names:
+        if config[name] is not None:
+            check_source(str(config[name]), name)
+
+
+def check_source(source: str, setting: str = "source") -> None:
+    """Raise unless ``source`` is a network's name, a path that exists, or may be a Hub id.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: there is no network of that name.
+    """
+    path = Path(source).expanduser()
+    if source in list_models() or source in list_weights() or path.exists():
+        return
+    if path.suffix in (".onnx", ".xml"):
+        raise FileNotFoundError(
+            f"{setting}={source} does not exist: python -m eldenet.export writes such files"
+        )
+    if "/" not in source:
+        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
+        raise ValueError(
+            f"unknown model {source!r}: "
+            + (f"is {near[0]} meant? Else " if near else "")
+            + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
+            f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
+        )
+    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
+        raise FileNotFoundError(
+            f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
+            "saved model"
+        )
+
+
+# --- data sets: splits, and check_data ----------------------------------------------------------------------
+
+
+def build_split(
+    config: DictConfig,
+    split: str,
+    protocol: Any,
+    *,
+    augment: bool = False,
+    score: bool = False,
+    seed: int = 0,
+    input_size: Sequence[int] | None = None,
+    frames: int | None = None,
+) -> Any:
+    """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
+
+    Args:
+        config: the whole config, with ``data`` and, to augment, ``augmentation``.
+        split: "train", "val" or "test": an entry of ``config.data``.
+        protocol: whose frame geometry (resize, center crop) is applied first.
+        augment: for training.
+        score: keep the ground truth's own resolution, as "val" and "test" always do.
+        seed: of the augmentation.
+        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
+        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
+    """
+    from eldenet.data.base import Compose
+    from eldenet.evaluation.protocol_frames import frame_geometry
+
+    node, places = _split_node(config, split), subset_of(config).get(split)
+    steps: list[Any] = []
+    if protocol.changes_frames:
+        whole = protocol.paste and (score or split != "train")
+        steps.append(frame_geometry(protocol, keep_depth=whole))
+    changes: dict[str, Any] = {}
+    if input_size is not None:
+        changes["input_size"] = list(input_size)
+    if frames is not None:
+        changes["frames"] = frames
+    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
+        changes |= {"resize_on_load": None, "cache": "none"}
+        if protocol.changes_frames:
+            # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
+            logging.getLogger("eldenet").info(
+                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
+                split,
+                protocol.name,
+            )
+    if augment and config.get("augmentation"):  # augmentation=none is an empty node
+        steps.append(instantiate(config.augmentation))
+    dataset = instantiate(
+        node,
+        **changes,
+        transform=Compose(steps) if steps else None,
+        resize_depth=split == "train" and not score,
+        seed=seed,
+    )
+    if score or split != "train":  # the protocol alone says what is scored
+        protocol.check_ground_truth(dataset.ground_truth)
+        dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
+    if dataset.on_error == "skip":
+        dataset.leave_out_unreadable()
+    if places is not None and frames is None:
+        dataset.draw_subset(plain(places), config.data.subset_seed)
+    if dataset.skipped:
+        logging.getLogger("eldenet").warning(
+            "%s: %d of %d frames left out, such as %s",
+            split,
+            len(dataset.skipped),
+            len(dataset.skipped) + len(dataset),
+            "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
+        )
+    return dataset
+
+
+def _split_node(config: DictConfig, split: str) -> DictConfig:
+    """Return the settings of one split's data set."""
+    node = config.data.get(split)
+    if not OmegaConf.is_dict(node):
+        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
+    if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
+        raise ValueError(
+            f"data.{split} in data={config.data.name} refers to another split's settings: override "
+            f"those (data.val...), or give every setting of data.{split}"
+        )
+    return node
+
+
+def subset_of(config: DictConfig) -> dict[str, Any]:
+    """Return how many frames of each split are used; a split without an entry uses all.
+
+    Raises:
+        ValueError: ``data.subset`` is no table.
+    """
+    subset = plain(config.data.get("subset")) or {}
+    if not isinstance(subset, dict):
+        raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")
+    return subset
+
+
+def build_check_data(config: DictConfig) -> "CheckDataSetup":
+    """Return the setup of ``python -m eldenet.check_data``.
+
+    Raises:
+        ValueError: ``frames`` or ``samples`` is out of its range.
+        FileNotFoundError: the data set's folder does not exist.
+    """
+    for name, least in (("frames", 1), ("samples", 0)):
+        if config[name] is not None and config[name] < least:
+            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
+    check_data_folders(config)
+    from eldenet.data.inspection import CheckDataSetup
+
+    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
+    subset = subset_of(config)
+    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
+    for split in nodes:
+        first = next(
+            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
+        )
+        if first != split:
+            same[split] = first
+
+    def open_split(split: str) -> Any:
+        node = nodes[split]
+        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
+        if subset.get(split) is not None:
+            dataset.draw_subset(subset[split], config.data.subset_seed)
+        return dataset
+
+    return CheckDataSetup(
+        folder=Path(config.run_dir).expanduser(),
+        name=config.data.name,
+        config=plain(config.data),
+        splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
+        same=same,
+        check_ground_truth=build_protocol(config).check_ground_truth,
+        frames=config.frames,
+        samples=config.samples,
+        fingerprint=_digest_list(config),
+        encoding=plain(config.data.get("encoding")),
+    )
+
+
+def _digest_list(config: DictConfig) -> Path | None:
+    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
+    given = config.fingerprint
+    if given is None or given is False:
+        return None
+    if given is not True:
+        return Path(given).expanduser()
+    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
+    if root is None:
+        raise ValueError(
+            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
+            "fingerprint=/my/folder/list.sha256"
+        )
+    return Path(root).expanduser()
+
+
+# --- train, evaluate, adapt, train_detector -----------------------------------------------------------------
 
 
 def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
@@ -275,6 +555,36 @@ def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = 
         overrides=overrides,
         loggers=[name for name in listed(config.logger) if name == "tensorboard"],
     )
+
+
+def _build_trainer(config: DictConfig, **changes: Any) -> Any:
+    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
+    own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
+    return instantiate(config.trainer, **own, loggers=listed(config.get("logger", [])), **changes)
+
+
+def canonical_camera(config: DictConfig) -> dict[str, Any]:
+    """Return ``canonical_focal`` and ``canonical_width`` of the network to train; nothing without them.
+
+    Raises:
+        ValueError: the input's width is unknown.
+    """
+    if config.canonical_focal is None:
+        return {}
+    if config.data.input_size is None:
+        raise ValueError(
+            "canonical_focal is in widths of the input, which data.input_size=null leaves open: give "
+            "data.input_size=[height,width], or canonical_focal=null"
+        )
+    return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
+
+
+def _named_modules(settings: Any) -> list[str]:
+    """Return the modules that the user's own settings name; these are trusted, a downloaded config's not."""
+    if not isinstance(settings, dict):
+        return []
+    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
+    return named + [module for value in settings.values() for module in _named_modules(value)]
 
 
 def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
@@ -422,22 +732,6 @@ def _check_adaptation(config: DictConfig) -> None:
         raise ValueError(f"minutes={config.minutes}: give a number above 0")
 
 
-def canonical_camera(config: DictConfig) -> dict[str, Any]:
-    """Return ``canonical_focal`` and ``canonical_width`` of the network to train; nothing without them.
-
-    Raises:
-        ValueError: the input's width is unknown.
-    """
-    if config.canonical_focal is None:
-        return {}
-    if config.data.input_size is None:
-        raise ValueError(
-            "canonical_focal is in widths of the input, which data.input_size=null leaves open: give "
-            "data.input_size=[height,width], or canonical_focal=null"
-        )
-    return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
-
-
 def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
     """Return the setup of ``python -m eldenet.train_detector`` in ``folder``.
 
@@ -468,391 +762,7 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
     )
 
 
-def _build_trainer(config: DictConfig, **changes: Any) -> Any:
-    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
-    own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
-    return instantiate(config.trainer, **own, loggers=listed(config.get("logger", [])), **changes)
-
-
-def _named_modules(settings: Any) -> list[str]:
-    """Return the modules that the user's own settings name; these are trusted, a downloaded config's not."""
-    if not isinstance(settings, dict):
-        return []
-    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
-    return named + [module for value in settings.values() for module in _named_modules(value)]
-
-
-def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
-    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
-    from eldenet.navigation.policy_files import policy_files
-
-    settings = plain(config)
-    policy_files((settings.get("policy") or {}).get("path"))
-    from eldenet.navigation import modes
-    from eldenet.navigation.episodes import EpisodeSettings
-    from eldenet.navigation.latency import Predictive
-
-    names = ("physics", "goal", "time_limit", "seed", "range_filter")
-    episode = {name: settings[name] for name in names if name in settings}
-    episode |= {f"robot_{name}": value for name, value in settings.get("robot", {}).items()}
-    check_arguments(EpisodeSettings, episode)
-    common: dict[str, Any] = {
-        "mode": config.mode,
-        "folder": folder,
-        "threads": config.runtime.threads,
-        "make_sensor": functools.partial(instantiate, config.sensor),
-        "episode": EpisodeSettings(**episode),
-        "settings": settings,
-    }
-    if config.mode == "train":
-        make_learner = functools.partial(_build_learner, config)
-        return modes.TrainSetup(**common, make_learner=make_learner, validate=config.training.validate)
-    densities = listed(config.density)
-    if any(type(density) is not int for density in densities):
-        raise ValueError(f"density={config.density}: give a whole number, or a list of them")
-    counted = ("pedestrians", "world", "episodes", "robots")
-    check_arguments(
-        {"record": modes.RecordSetup, "fit_noise": modes.NoiseSetup}.get(config.mode, modes.EvaluationSetup),
-        {name: settings[name] for name in counted if name in settings},
-    )
-    if config.mode == "fit_noise":
-        return modes.NoiseSetup(
-            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
-        )
-    policy = instantiate(config.policy)
-    late = config.sensor.latency if config.predict_latency else 0.0
-
-    def make_policy(robots: int) -> Any:
-        driver = policy(robots=robots)
-        return Predictive(driver, late, robots) if late else driver
-
-    common |= {
-        "make_policy": make_policy,
-        "split": config.split,
-        "kind": config.arena.kind,
-        "pedestrians": config.pedestrians,
-    }
-    if config.mode == "record":
-        if len(densities) != 1:
-            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
-        extra = {name: settings[name] for name in ("world", "course", "video")}
-        extra["arena_file"] = settings["arena"]["file"]
-        return modes.RecordSetup(**common, density=densities[0], **extra)
-    return modes.EvaluationSetup(
-        **common, densities=densities, episodes=config.episodes, robots=config.robots
-    )
-
-
-def _build_learner(config: DictConfig, sensor: Any) -> Any:
-    from eldenet.navigation.dqn import DQN
-    from eldenet.navigation.env import ArenaNavVectorEnv
-
-    settings = plain(config)
-    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
-        raise ValueError(
-            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
-        )
-
-    env = ArenaNavVectorEnv(
-        config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
-        time_limit=config.time_limit, goal=config.goal, **settings["observer"],
-    )  # fmt: skip
-    return DQN(env, instantiate(config.learner)(seed=config.seed))
-
-
-def build_model(config: Any, **arguments: Any) -> Any:
-    """Build a :class:`~eldenet.model.DepthNet` from a node of ``configs/model`` and further arguments."""
-    return instantiate(config, **arguments)
-
-
-def build_protocol(config: DictConfig) -> Any:
-    """Build the protocol named on the command line, else the data set's own."""
-    chosen = config.get("protocol")
-    return instantiate(chosen if chosen is not None else config.data.protocol)
-
-
-def _split_node(config: DictConfig, split: str) -> DictConfig:
-    """Return the settings of one split's data set."""
-    node = config.data.get(split)
-    if not OmegaConf.is_dict(node):
-        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
-    if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
-        raise ValueError(
-            f"data.{split} in data={config.data.name} refers to another split's settings: override "
-            f"those (data.val...), or give every setting of data.{split}"
-        )
-    return node
-
-
-def build_split(
-    config: DictConfig,
-    split: str,
-    protocol: Any,
-    *,
-    augment: bool = False,
-    score: bool = False,
-    seed: int = 0,
-    input_size: Sequence[int] | None = None,
-    frames: int | None = None,
-) -> Any:
-    """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
-
-    Args:
-        config: the whole config, with ``data`` and, to augment, ``augmentation``.
-        split: "train", "val" or "test": an entry of ``config.data``.
-        protocol: whose frame geometry (resize, center crop) is applied first.
-        augment: for training.
-        score: keep the ground truth's own resolution, as "val" and "test" always do.
-        seed: of the augmentation.
-        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
-        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
-    """
-    from eldenet.data.base import Compose
-    from eldenet.evaluation.protocol_frames import frame_geometry
-
-    node, places = _split_node(config, split), subset_of(config).get(split)
-    steps: list[Any] = []
-    if protocol.changes_frames:
-        whole = protocol.paste and (score or split != "train")
-        steps.append(frame_geometry(protocol, keep_depth=whole))
-    changes: dict[str, Any] = {}
-    if input_size is not None:
-        changes["input_size"] = list(input_size)
-    if frames is not None:
-        changes["frames"] = frames
-    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
-        changes |= {"resize_on_load": None, "cache": "none"}
-        if protocol.changes_frames:
-            # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
-            logging.getLogger("eldenet").info(
-                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
-                split,
-                protocol.name,
-            )
-    if augment and config.get("augmentation"):  # augmentation=none is an empty node
-        steps.append(instantiate(config.augmentation))
-    dataset = instantiate(
-        node,
-        **changes,
-        transform=Compose(steps) if steps else None,
-        resize_depth=split == "train" and not score,
-        seed=seed,
-    )
-    if score or split != "train":  # the protocol alone says what is scored
-        protocol.check_ground_truth(dataset.ground_truth)
-        dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
-    if dataset.on_error == "skip":
-        dataset.leave_out_unreadable()
-    if places is not None and frames is None:
-        dataset.draw_subset(plain(places), config.data.subset_seed)
-    if dataset.skipped:
-        logging.getLogger("eldenet").warning(
-            "%s: %d of %d frames left out, such as %s",
-            split,
-            len(dataset.skipped),
-            len(dataset.skipped) + len(dataset),
-            "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
-        )
-    return dataset
-
-
-def subset_of(config: DictConfig) -> dict[str, Any]:
-    """Return how many frames of each split are used; a split without an entry uses all.
-
-    Raises:
-        ValueError: ``data.subset`` is no table.
-    """
-    subset = plain(config.data.get("subset")) or {}
-    if not isinstance(subset, dict):
-        raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")
-    return subset
-
-
-def training_composition(trusted_modules: Sequence[str] = ()) -> "Composition":
-    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks.
-
-    Args:
-        trusted_modules: packages beyond eldenet whose code a study's settings may run.
-    """
-    from eldenet.results.studies.plan import Composition
-
-    def build(model: Any) -> Any:
-        with settings_of_a_study(trusted_modules):
-            return build_model(model)
-
-    return Composition(lambda overrides: plain(compose("train", overrides)), build)
-
-
-def study_training(trusted_modules: Sequence[str] = ()) -> "Training":
-    """Return how a study's runs are trained: as ``eldenet.train`` trains, but with its own code alone.
-
-    Args:
-        trusted_modules: packages beyond eldenet whose code a study's settings may run.
-    """
-    from eldenet.results.studies.runner import Training
-
-    def train_run(overrides: Sequence[str], folder: Path) -> None:
-        from eldenet.training.run import train
-
-        with settings_of_a_study(trusted_modules):
-            train(build_training(compose("train", overrides), folder))
-
-    def check_finished(overrides: Sequence[str], stored: Path) -> None:
-        from eldenet.training.resume import finished_run
-
-        with settings_of_a_study(trusted_modules):
-            finished_run(build_training(compose("train", overrides), stored))
-
-    return Training(train_run, check_finished, training_composition(trusted_modules))
-
-
-def build_report(config: DictConfig) -> "ReportSetup":
-    """Return the setup of ``python -m eldenet.report``."""
-    from eldenet.results.comparison import ReportSetup
-
-    if config.study is not None:
-        return ReportSetup(study=Path(config.study))
-    return ReportSetup(
-        runs=listed(config.runs),
-        output=Path(config.output),
-        columns=None if config.columns is None else listed(config.columns),
-        costs=config.costs,
-        names=[str(name) for name in listed(config.names)],
-    )
-
-
-def build_study(config: DictConfig) -> "StudySetup":
-    """Return the setup of ``python -m eldenet.study``: which runs are trained, and where."""
-    from eldenet.results.studies.runner import StudySetup
-
-    return StudySetup(
-        study=config.study,
-        runs=Path(config.runs),
-        rows=plain(config.rows),
-        job=config.row,
-        seeds=None if config.seeds is None else listed(config.seeds),
-        rerun=config.rerun,
-        given=plain(config.given),
-    )
-
-
-def check_data_folders(config: DictConfig) -> None:
-    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
-
-    Rendered data sets, which have no ``on_error``, make their folder themselves.
-    """
-    splits = [plain(config.data.get(split)) for split in SPLITS]
-    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
-    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
-        return
-    if roots[0] is not None:
-        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
-    if not os.environ.get("ELDENET_DATA"):
-        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
-
-
-def check_sources(config: DictConfig, *names: str) -> None:
-    """Check the networks that these settings name: a mistake in a path then costs no imports.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        ValueError: there is no network of that name.
-    """
-    for name in names:
-        if config[name] is not None:
-            check_source(str(config[name]), name)
-
-
-def check_source(source: str, setting: str = "source") -> None:
-    """Raise unless ``source`` is a network's name, a path that exists, or may be a Hub id.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        ValueError: there is no network of that name.
-    """
-    path = Path(source).expanduser()
-    if source in list_models() or source in list_weights() or path.exists():
-        return
-    if path.suffix in (".onnx", ".xml"):
-        raise FileNotFoundError(
-            f"{setting}={source} does not exist: python -m eldenet.export writes such files"
-        )
-    if "/" not in source:
-        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
-        raise ValueError(
-            f"unknown model {source!r}: "
-            + (f"is {near[0]} meant? Else " if near else "")
-            + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
-            f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
-        )
-    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
-        raise FileNotFoundError(
-            f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
-            "saved model"
-        )
-
-
-def build_check_data(config: DictConfig) -> "CheckDataSetup":
-    """Return the setup of ``python -m eldenet.check_data``.
-
-    Raises:
-        ValueError: ``frames`` or ``samples`` is out of its range.
-        FileNotFoundError: the data set's folder does not exist.
-    """
-    for name, least in (("frames", 1), ("samples", 0)):
-        if config[name] is not None and config[name] < least:
-            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
-    check_data_folders(config)
-    from eldenet.data.inspection import CheckDataSetup
-
-    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
-    subset = subset_of(config)
-    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
-    for split in nodes:
-        first = next(
-            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
-        )
-        if first != split:
-            same[split] = first
-
-    def open_split(split: str) -> Any:
-        node = nodes[split]
-        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
-        if subset.get(split) is not None:
-            dataset.draw_subset(subset[split], config.data.subset_seed)
-        return dataset
-
-    return CheckDataSetup(
-        folder=Path(config.run_dir).expanduser(),
-        name=config.data.name,
-        config=plain(config.data),
-        splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
-        same=same,
-        check_ground_truth=build_protocol(config).check_ground_truth,
-        frames=config.frames,
-        samples=config.samples,
-        fingerprint=_digest_list(config),
-        encoding=plain(config.data.get("encoding")),
-    )
-
-
-def _digest_list(config: DictConfig) -> Path | None:
-    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
-    given = config.fingerprint
-    if given is None or given is False:
-        return None
-    if given is not True:
-        return Path(given).expanduser()
-    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
-    if root is None:
-        raise ValueError(
-            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
-            "fingerprint=/my/folder/list.sha256"
-        )
-    return Path(root).expanduser()
-
-
-# --- predict, export, benchmark -----------------------------------------------------------------------------
+# --- predict, export, demo, benchmark -----------------------------------------------------------------------
 
 
 def build_prediction(config: DictConfig) -> "PredictionSetup":
@@ -1057,41 +967,153 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     )
 
 
-def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
-    """Fill a dataclass from the settings that its fields name; those in ``given`` are checked already."""
-    names = [field.name for field in fields(setup) if field.name not in given]
-    return setup(**{name: plain(config[name]) for name in names}, **given)
+# --- navigate -----------------------------------------------------------------------------------------------
 
 
-def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
-    """Return a setting such as ``[near, far] in meters`` as numbers, or None for null.
+def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
+    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
+    from eldenet.navigation.policy_files import policy_files
 
-    Raises:
-        ValueError: it is not a list of as many finite numbers.
+    settings = plain(config)
+    policy_files((settings.get("policy") or {}).get("path"))
+    from eldenet.navigation import modes
+    from eldenet.navigation.episodes import EpisodeSettings
+    from eldenet.navigation.latency import Predictive
+
+    names = ("physics", "goal", "time_limit", "seed", "range_filter")
+    episode = {name: settings[name] for name in names if name in settings}
+    episode |= {f"robot_{name}": value for name, value in settings.get("robot", {}).items()}
+    check_arguments(EpisodeSettings, episode)
+    common: dict[str, Any] = {
+        "mode": config.mode,
+        "folder": folder,
+        "threads": config.runtime.threads,
+        "make_sensor": functools.partial(instantiate, config.sensor),
+        "episode": EpisodeSettings(**episode),
+        "settings": settings,
+    }
+    if config.mode == "train":
+        make_learner = functools.partial(_build_learner, config)
+        return modes.TrainSetup(**common, make_learner=make_learner, validate=config.training.validate)
+    densities = listed(config.density)
+    if any(type(density) is not int for density in densities):
+        raise ValueError(f"density={config.density}: give a whole number, or a list of them")
+    counted = ("pedestrians", "world", "episodes", "robots")
+    check_arguments(
+        {"record": modes.RecordSetup, "fit_noise": modes.NoiseSetup}.get(config.mode, modes.EvaluationSetup),
+        {name: settings[name] for name in counted if name in settings},
+    )
+    if config.mode == "fit_noise":
+        return modes.NoiseSetup(
+            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
+        )
+    policy = instantiate(config.policy)
+    late = config.sensor.latency if config.predict_latency else 0.0
+
+    def make_policy(robots: int) -> Any:
+        driver = policy(robots=robots)
+        return Predictive(driver, late, robots) if late else driver
+
+    common |= {
+        "make_policy": make_policy,
+        "split": config.split,
+        "kind": config.arena.kind,
+        "pedestrians": config.pedestrians,
+    }
+    if config.mode == "record":
+        if len(densities) != 1:
+            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
+        extra = {name: settings[name] for name in ("world", "course", "video")}
+        extra["arena_file"] = settings["arena"]["file"]
+        return modes.RecordSetup(**common, density=densities[0], **extra)
+    return modes.EvaluationSetup(
+        **common, densities=densities, episodes=config.episodes, robots=config.robots
+    )
+
+
+def _build_learner(config: DictConfig, sensor: Any) -> Any:
+    from eldenet.navigation.dqn import DQN
+    from eldenet.navigation.env import ArenaNavVectorEnv
+
+    settings = plain(config)
+    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
+        raise ValueError(
+            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
+        )
+
+    env = ArenaNavVectorEnv(
+        config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
+        time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+    )  # fmt: skip
+    return DQN(env, instantiate(config.learner)(seed=config.seed))
+
+
+# --- study and report ---------------------------------------------------------------------------------------
+
+
+def training_composition(trusted_modules: Sequence[str] = ()) -> "Composition":
+    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks.
+
+    Args:
+        trusted_modules: packages beyond eldenet whose code a study's settings may run.
     """
-    given = plain(config[name])
-    if given is None:
-        return None
-    count = meaning.count(",") + 1
-    try:
-        numbers = tuple(float(value) for value in given)
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{name}={given}: give {meaning}, {count} numbers, or null")
-    return numbers
+    from eldenet.results.studies.plan import Composition
+
+    def build(model: Any) -> Any:
+        with settings_of_a_study(trusted_modules):
+            return build_model(model)
+
+    return Composition(lambda overrides: plain(compose("train", overrides)), build)
 
 
-def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
-    """Return a setting ``[height, width]`` [px], or None for null.
+def study_training(trusted_modules: Sequence[str] = ()) -> "Training":
+    """Return how a study's runs are trained: as ``eldenet.train`` trains, but with its own code alone.
 
-    Raises:
-        ValueError: it is not such a pair.
+    Args:
+        trusted_modules: packages beyond eldenet whose code a study's settings may run.
     """
-    given = plain(config[name])
-    if given is None:
-        return None
-    pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
-    if not pair or min(given) < 1:
-        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
-    return given[0], given[1]
+    from eldenet.results.studies.runner import Training
+
+    def train_run(overrides: Sequence[str], folder: Path) -> None:
+        from eldenet.training.run import train
+
+        with settings_of_a_study(trusted_modules):
+            train(build_training(compose("train", overrides), folder))
+
+    def check_finished(overrides: Sequence[str], stored: Path) -> None:
+        from eldenet.training.resume import finished_run
+
+        with settings_of_a_study(trusted_modules):
+            finished_run(build_training(compose("train", overrides), stored))
+
+    return Training(train_run, check_finished, training_composition(trusted_modules))
+
+
+def build_study(config: DictConfig) -> "StudySetup":
+    """Return the setup of ``python -m eldenet.study``: which runs are trained, and where."""
+    from eldenet.results.studies.runner import StudySetup
+
+    return StudySetup(
+        study=config.study,
+        runs=Path(config.runs),
+        rows=plain(config.rows),
+        job=config.row,
+        seeds=None if config.seeds is None else listed(config.seeds),
+        rerun=config.rerun,
+        given=plain(config.given),
+    )
+
+
+def build_report(config: DictConfig) -> "ReportSetup":
+    """Return the setup of ``python -m eldenet.report``."""
+    from eldenet.results.comparison import ReportSetup
+
+    if config.study is not None:
+        return ReportSetup(study=Path(config.study))
+    return ReportSetup(
+        runs=listed(config.runs),
+        output=Path(config.output),
+        columns=None if config.columns is None else listed(config.columns),
+        costs=config.costs,
+        names=[str(name) for name in listed(config.names)],
+    )

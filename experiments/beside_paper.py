@@ -3,7 +3,6 @@
 python experiments/beside_paper.py    # reads each folder's expected.csv and results; writes beside_paper.md
 """
 
-import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -26,14 +25,9 @@ Ours = Sequence[tuple[str, Mapping[str, str]]]  # title of a column, cells by cl
 Row = dict[str, str]
 
 
-def rows_of(name: str) -> list[Row]:
-    with (HERE / name).open() as lines:
-        return list(csv.DictReader(lines))
-
-
 def efficiency() -> tuple[Ours, list[str]]:
     """Ratios of `eldenet` to other networks: of one 224 x 224 image, or of batches of 8 for throughput."""
-    stored = rows_of("table1_efficiency/results.csv")
+    stored = read_table(HERE / "table1_efficiency/results.csv", ())
 
     def value(
         model: str, runtime: str, column: str, batch: str = "1", precision: str = "fp32"
@@ -114,7 +108,7 @@ def paper_share() -> float:
 def centers() -> tuple[Ours, list[str]]:
     """Our two definitions of what the paper names, for three kinds of depth."""
     columns = []
-    for row in rows_of("table4_centres/results.csv"):
+    for row in read_table(HERE / "table4_centres/results.csv", ()):
         shown = ("street: ELDE-Net", "hall: ELDE-Net", "KITTI: meter_kitti")
         if "leak" in row["2D boxes"] or row["group"] not in ("all", "vehicles"):
             continue
@@ -139,7 +133,7 @@ def crossings(name: str, column: str, form: str) -> Callable[[], tuple[Ours, lis
         files = {f"{name}/results-500.csv": ("dqn_ensemble", "dqn", "paper_literal", "astar_dwa", "dwa")}
         columns = []
         for file, methods in files.items():
-            stored = rows_of(file)
+            stored = read_table(HERE / file, ())
             for method in methods:
                 cells = {}
                 for course in ("5", "20", "40", "80"):

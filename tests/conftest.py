@@ -18,6 +18,13 @@ def _one_thread_per_test_process() -> None:
     torch.set_num_threads(1)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _short_timings() -> None:
+    from support.timings import short_timings
+
+    short_timings()
+
+
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Rendered rooms, shared by the tests of one process."""
@@ -61,7 +68,10 @@ def run_command(tmp_path: Path, command_server):
         interrupt_at: str | None = None,
         **environment: str,
     ):
-        return command_server.run(command, arguments, cwd or tmp_path, environment, 240, interrupt_at)
+        place = cwd or tmp_path
+        return command_server.run(
+            f"eldenet.{command}", arguments, place, environment=environment, interrupt_at=interrupt_at
+        )
 
     return run
 

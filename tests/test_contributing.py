@@ -1,9 +1,6 @@
 """The four examples of CONTRIBUTING.md train together and load again, in a project outside the package."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -48,7 +45,9 @@ main()
 """
 
 
-def test_the_parts_of_contributing_train_together_and_another_project_loads_them(tmp_path: Path) -> None:
+def test_the_parts_of_contributing_train_together_and_another_project_loads_them(
+    tmp_path: Path, command_server
+) -> None:
     examples = re.findall(EXAMPLE, PAGE.read_text(), re.S)
     assert [package for package, *_ in examples] == ["backbones", "decoders", "losses", "data"]
     for package, group, code, config in examples:
@@ -67,22 +66,18 @@ def test_the_parts_of_contributing_train_together_and_another_project_loads_them
     (tmp_path / "app").mkdir()
     (tmp_path / "app" / "app.yaml").write_text("word: none\nfolder: ???\n")
     (tmp_path / "app.py").write_text(APPLICATION)
-    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
-    def printed(*words: str) -> str:
-        finished = subprocess.run(
-            [sys.executable, *words],
-            cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False,
-        )  # fmt: skip
+    def printed(module: str, *words: str) -> str:
+        finished = command_server.run(module, words, tmp_path)
         assert finished.returncode == 0, finished.stdout + finished.stderr
         return finished.stdout
 
     printed(
-        *("-m", "eldenet.train", "--config-dir", "my_configs", "debug=fast"),
+        *("eldenet.train", "--config-dir", "my_configs", "debug=fast", "runtime.workers=0"),
         *("model/backbone=mine", "model/decoder=mine", "loss=mine", "data=mine", "data.root=frames"),
         *("trainer.batch_size=2", "run_dir=run", "runtime.threads=1"),
     )
-    assert "app ran Mine hello" in printed("app.py", "folder=run/model", "word=hello")
+    assert "app ran Mine hello" in printed(str(tmp_path / "app.py"), "folder=run/model", "word=hello")
 
 
 def test_a_loss_of_eight_lines_is_used_from_the_command_line(tmp_path: Path, monkeypatch) -> None:

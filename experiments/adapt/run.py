@@ -27,6 +27,7 @@ from eldenet.geometry import PinholeCamera, pinhole  # noqa: E402
 from eldenet.perception.camera_height import FREE_SLOPE, calibrate  # noqa: E402
 from eldenet.perception.ground import fit_ground  # noqa: E402
 from eldenet.results.run_record import RUN_FILE, environment, read_record  # noqa: E402
+from eldenet.system.files import read_table  # noqa: E402
 from eldenet.training.adaptation import adapt  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -156,12 +157,9 @@ def calibrated(place: str, block: int, *, pitch: bool) -> list[object]:
     ]
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
+def rows_of(path: Path, header: list[str]) -> list[dict[str, str]]:
     """Return the rows that are written already."""
-    if not path.is_file():
-        return []
-    with path.open() as file:
-        return list(csv.DictReader(file))
+    return read_table(path, header) if path.is_file() else []
 
 
 def append(path: Path, header: list[str], row: list[object]) -> None:
@@ -184,7 +182,7 @@ def main() -> None:
 
 def all_heights() -> None:
     """Run what ``camera_height.csv`` lacks."""
-    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(HEIGHT)}
+    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(HEIGHT, HEIGHT_HEADER)}
     for pitch, places in ((True, CAMERAS), (False, {**CAMERAS, **REAL})):
         for block in (0, 2):
             for place in places:
@@ -194,7 +192,7 @@ def all_heights() -> None:
 
 def all_depths() -> None:
     """Run what ``depth_frames.csv`` lacks."""
-    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(DEPTH)}
+    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(DEPTH, DEPTH_HEADER)}
     trials = [(place, 3, 0, EPOCHS[place]) for place in CAMERAS]
     for seed in range(2):
         trials += [(place, block, seed, EPOCHS[place]) for place in REAL for block in range(4)]
@@ -209,7 +207,7 @@ def all_depths() -> None:
 
 def write_page() -> None:
     """Write ``results.md`` and ``plot.png`` from the two tables."""
-    depth, height = rows_of(DEPTH), rows_of(HEIGHT)
+    depth, height = rows_of(DEPTH, DEPTH_HEADER), rows_of(HEIGHT, HEIGHT_HEADER)
     trials = [row for row in depth if row["epochs"] == str(EPOCHS[row["place"]])]
     longer = {row["place"]: row for row in depth if row not in trials}
     where = environment()

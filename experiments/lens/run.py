@@ -7,7 +7,6 @@ frame cut to the same pixels, so both are scored on the same pixels. Frames are 
 """
 
 import argparse
-import csv
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +28,7 @@ from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
 from eldenet.results.plots import pyplot_for_files  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import part_file  # noqa: E402
+from eldenet.system.files import part_file, read_table, write_rows  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 from eldenet.types import Frame  # noqa: E402
 
@@ -72,8 +71,8 @@ def frames_of(place: str, count: int | None, part: str = "val") -> tuple[EvalPro
         frames = [split.load_frame(index) for index in spread(len(split), count)]
         return protocol, frames
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
-    with (root / "pairs.csv").open() as table:
-        pairs = [row for row in csv.DictReader(table) if row["rgb"].startswith(place)]
+    table = read_table(root / "pairs.csv", ("rgb", "depth_mm"))
+    pairs = [row for row in table if row["rgb"].startswith(place)]
     frames = []
     for index in spread(len(pairs), count):
         image, depth = root / pairs[index]["rgb"], root / pairs[index]["depth_mm"]
@@ -222,14 +221,13 @@ def draw(rows: list[Row], path: Path) -> None:
 
 def write_csv(rows: list[Row], path: Path) -> None:
     """One line per network, place, factor and camera."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        names = ("delta1", "delta1_whole", "abs_rel", "abs_rel_whole")
-        writer.writerow(["weights", "place", "factor", "focal_length", "frames", *names])
-        for row in rows:
-            crop, whole = row.crop.mean(axis=0), row.whole.mean(axis=0)
-            figures = [f"{value:.4f}" for value in (crop[0], whole[0], crop[1], whole[1])]
-            writer.writerow([row.weights, row.place, row.factor, row.camera, len(row.crop), *figures])
+    names = ("delta1", "delta1_whole", "abs_rel", "abs_rel_whole")
+    lines = []
+    for row in rows:
+        crop, whole = row.crop.mean(axis=0), row.whole.mean(axis=0)
+        figures = [f"{value:.4f}" for value in (crop[0], whole[0], crop[1], whole[1])]
+        lines.append([row.weights, row.place, row.factor, row.camera, len(row.crop), *figures])
+    write_rows(path, ["weights", "place", "factor", "focal_length", "frames", *names], lines)
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 python experiments/table5_success/dwa_versions.py
 """
 
-import csv
 from pathlib import Path
 
 from eldenet.navigation.episodes import EpisodeSettings
@@ -11,7 +10,7 @@ from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.planners.dwa import LocalDWA
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.system.files import write_rows
+from eldenet.system.files import read_table, write_rows
 
 HERE = Path(__file__).parent
 COURSE = {"sensor": "ranges", "goal": "known", "physics": "wheels", "course": "80", "worlds": "500"}
@@ -19,8 +18,8 @@ ARENAS = 100
 
 
 def main() -> None:
-    with (HERE / "rows" / "dwa.csv").open() as lines:
-        stored = [line for line in csv.DictReader(lines) if COURSE.items() <= line.items()][:ARENAS]
+    lines = read_table(HERE / "rows" / "dwa.csv", (*COURSE, "world", "outcome", "seconds"))
+    stored = [line for line in lines if COURSE.items() <= line.items()][:ARENAS]
     arenas = frozen_arenas(80, 500)[:ARENAS]
     today = run_episodes(arenas, lambda robots: LocalDWA(robots=robots), Ranges(), EpisodeSettings("wheels"))
     rows = [

@@ -24,7 +24,7 @@ from eldenet.boxes import Boxes3D
 from eldenet.perception.iou import iou_2d
 from eldenet.perception.lifter import SENSOR_SIGMA, BoxLifter
 from eldenet.perception.tracking import BoxTracker
-from eldenet.system.files import write_rows, write_text
+from eldenet.system.files import read_table, write_rows, write_text
 
 with contextlib.redirect_stdout(io.StringIO()):  # it names the parts that need more packages
     from trackeval.metrics import CLEAR, HOTA
@@ -145,11 +145,12 @@ def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argpars
 
 def draw(table: Path, picture: Path) -> None:
     """Plot switches and HOTA over the error of the depth."""
-    lines = [line.split(",") for line in table.read_text().splitlines()[1:]]
+    lines = read_table(table, COLUMNS)
     figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-    for axis, column, title in ((axes[0], 2, "identity switches"), (axes[1], 4, "HOTA [%]")):
+    for axis, column, title in ((axes[0], "switches", "identity switches"), (axes[1], "HOTA", "HOTA [%]")):
         for name in TRACKERS:
-            part = [(100 * float(line[0]), float(line[column])) for line in lines if line[1] == name]
+            mine = [line for line in lines if line["tracker"] == name]
+            part = [(100 * float(line["depth_error"]), float(line[column])) for line in mine]
             axis.plot(*zip(*part, strict=True), marker="o", label=name)
         axis.set(xlabel="error of objects' depth [%]", ylabel=title)
     axes[0].set_ylim(bottom=0)

@@ -7,7 +7,6 @@ Network, depth and driver are the same in both rows. Writes every episode to ``a
 """
 
 import argparse
-import csv
 from pathlib import Path
 
 from eldenet.system.resources import prepare_environment
@@ -26,7 +25,7 @@ from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows, write_text  # noqa: E402
+from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
 
 HERE = Path(__file__).parent
 COLUMNS = ("version", "density", "sigma", "number", "world", "outcome", "seconds")
@@ -39,12 +38,10 @@ Rows = dict[tuple[int, str], list[tuple[str, str, float]]]
 def read(table: Path) -> Rows:
     """Return the stored episodes of today's simulation."""
     rows: Rows = {}
-    if table.is_file():
-        with table.open(newline="") as lines:
-            for line in csv.DictReader(lines):
-                if line["version"] == str(EPISODE_VERSION):
-                    episode = (line["world"], line["outcome"], float(line["seconds"]))
-                    rows.setdefault((int(line["density"]), line["sigma"]), []).append(episode)
+    for line in read_table(table, COLUMNS) if table.is_file() else ():
+        if line["version"] == str(EPISODE_VERSION):
+            episode = (line["world"], line["outcome"], float(line["seconds"]))
+            rows.setdefault((int(line["density"]), line["sigma"]), []).append(episode)
     return rows
 
 

@@ -19,6 +19,7 @@ TINY = (
     "data.size=[32,40]",
     "data.input_size=[32,40]",
     "data.frames={train: 16, val: 8, test: 8}",
+    "runtime.workers=0",
     "trainer.epochs=1",
     "trainer.batch_size=8",
     "model=eldenet_s",
@@ -27,9 +28,10 @@ TINY = (
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory, command_server) -> Path:
-    """A run folder, made by the command itself."""
+    """A run folder, made by the command itself with the workers that it chooses."""
     folder = tmp_path_factory.mktemp("elsewhere")
-    finished = command_server.run("train", (*TINY, "run_dir=run"), folder, {}, 240)
+    words = (*TINY, "runtime.workers=auto", "run_dir=run")
+    finished = command_server.run("eldenet.train", words, folder)
     assert finished.returncode == 0, finished.stderr
     for text in ("epoch", "AbsRel", "constant", "params", "protocol rooms", "run.json"):
         assert text in finished.stdout, finished.stdout
@@ -55,7 +57,7 @@ def test_train_writes_every_promised_file_and_field(trained):
 
 def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command):
     finished = run_command(
-        "evaluate", f"checkpoint={trained}", *TINY[:3], "run_dir=evaluation", cwd=trained.parent
+        "evaluate", f"checkpoint={trained}", *TINY[:4], "run_dir=evaluation", cwd=trained.parent
     )
     assert finished.returncode == 0, finished.stderr
     # and no model/, which an evaluation does not write
@@ -141,7 +143,7 @@ def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
 def test_a_run_folder_holds_one_run(trained, run_command):
     for command, message in (
         (("train", *TINY), "holds another run already (run.json)"),
-        (("evaluate", f"checkpoint={trained}", *TINY[:3]), "holds a training"),
+        (("evaluate", f"checkpoint={trained}", *TINY[:4]), "holds a training"),
     ):
         before = (trained / "run.json").read_bytes()
         finished = run_command(*command, f"run_dir={trained}")
@@ -152,7 +154,7 @@ def test_a_run_folder_holds_one_run(trained, run_command):
 
 def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_command):
     finished = run_command(
-        *("evaluate", f"checkpoint={trained}", "data.size=[32,40]", "data.input_size=[16,20]", TINY[2]),
+        *("evaluate", f"checkpoint={trained}", "data.size=[32,40]", "data.input_size=[16,20]", *TINY[2:4]),
         *("split=train", "run_dir=a run/of mine"),
         cwd=trained.parent,
     )
@@ -169,7 +171,7 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
 @pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
 def test_evaluate_at_another_size_and_of_an_untrained_network(run_command, tmp_path, choice, size):
     words = ("data.input_size=[16,20]", f"input_size={choice}", "run_dir=run")
-    finished = run_command("evaluate", "checkpoint=eldenet_s", *TINY[:3], *words)
+    finished = run_command("evaluate", "checkpoint=eldenet_s", *TINY[:4], *words)
     assert finished.returncode == 0, finished.stderr
     assert "eldenet_s is a freshly initialized network" in finished.stdout
     cost = json.loads((tmp_path / "run" / "run.json").read_text())["cost"]
@@ -185,7 +187,7 @@ def test_evaluate_scores_exported_files(trained, run_command):
     )
     assert finished.returncode == 0, finished.stderr
     finished = run_command(
-        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:3], "run_dir=of_the_file"),
+        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:4], "run_dir=of_the_file"),
         cwd=trained.parent,
     )
     assert finished.returncode == 0, finished.stderr
@@ -211,7 +213,7 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
         [
             *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
             *("-m", "eldenet.train", *TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:]),
-            *("runtime.threads=1", "runtime.workers=0", "trainer.monitor=abs_rel", "run_dir=run"),
+            *("runtime.threads=1", "trainer.monitor=abs_rel", "run_dir=run"),
         ],
         cwd=tmp_path,
         env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},

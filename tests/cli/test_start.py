@@ -2,12 +2,13 @@
 
 import os
 import subprocess
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from support.commands import CommandServer
 from support.networks import small_net
 from support.stored_study import store, write_plan
 
@@ -19,13 +20,18 @@ runpy.run_module(command, run_name="__main__", alter_sys=True)
 """
 
 
-def run(words: str, folder: Path) -> tuple[subprocess.CompletedProcess[str], set[str]]:
-    """Run a command in a Python of its own; returns the process and the modules that it held at its end."""
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, *words.split()],
-        cwd=folder, env={**os.environ, "OMP_NUM_THREADS": "1"},
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def light_server() -> Iterator[CommandServer]:
+    """Holds what every command loads, and neither torch nor anything of ours beyond the command line."""
+    server = CommandServer({**os.environ, "OMP_NUM_THREADS": "1"}, ["hydra.main", "eldenet.cli.entry_point"])
+    yield server
+    server.close()
+
+
+def run(words: str, folder: Path, server: CommandServer) -> tuple[subprocess.CompletedProcess[str], set[str]]:
+    """Run a command in a process of its own; returns it and the modules that it held at its end."""
+    (folder / "held.py").write_text(RUN)
+    done = server.run(str(folder / "held.py"), words.split(), folder)
     return done, set(done.stdout.rpartition("loaded ")[2].split())
 
 
@@ -53,8 +59,10 @@ def run(words: str, folder: Path) -> tuple[subprocess.CompletedProcess[str], set
         "adapt source=/nope camera_height=1 intrinsics=[9,9,5,5]",
     ],
 )
-def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(words: str, tmp_path: Path) -> None:
-    done, loaded = run(words, tmp_path)
+def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(
+    words: str, tmp_path: Path, light_server: CommandServer
+) -> None:
+    done, loaded = run(words, tmp_path, light_server)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ")
@@ -71,10 +79,12 @@ def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(words: str, tmp_pa
         "report study=.",
     ],
 )
-def test_commands_that_neither_train_nor_score_load_no_torchvision(words: str, tmp_path: Path) -> None:
+def test_commands_that_neither_train_nor_score_load_no_torchvision(
+    words: str, tmp_path: Path, light_server: CommandServer
+) -> None:
     cv2.imwrite(str(tmp_path / "picture.png"), np.full((32, 64, 3), 100, np.uint8))
     small_net().save_pretrained(tmp_path / "model")
     store(write_plan(tmp_path), "small", 0, np.linspace(0.5, 0.9, 40))
-    done, loaded = run(words, tmp_path)
+    done, loaded = run(words, tmp_path, light_server)
     assert done.returncode == 0, done.stderr
     assert not {"torchvision", "torchmetrics"} & loaded

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import torch
 
 import eldenet
 from eldenet.config import build_benchmark, compose
+from eldenet.deploy.benchmarking import measure
 from eldenet.deploy.benchmarking.measure import COLUMNS, Case
 from eldenet.deploy.benchmarking.rows import read_rows
 from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark
@@ -32,6 +34,14 @@ TINY = (
 
 def run(output: Path, *overrides: str) -> list[dict[str, Any]]:
     return benchmark(build_benchmark(compose("benchmark", [*TINY, f"output='{output}'", *overrides])))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_peak() -> Iterator[None]:
+    """Measure the processor's peak by a small product."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "PEAK_SIDE", 64)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -161,7 +161,7 @@ def test_evaluate_writes_and_shows_them(root: Path, run_command, tmp_path: Path)
     finished = run_command(
         "evaluate",
         *("checkpoint=model", "data=cityscapes", f"data.root={root}", "data.input_size=[32,64]"),
-        *("protocol=folder", "run_dir=run"),
+        *("protocol=folder", "runtime.workers=0", "run_dir=run"),
     )
     assert finished.returncode == 0, finished.stderr
     for text in ("errors by class", "traffic sign", "bicycle"):

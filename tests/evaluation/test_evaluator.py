@@ -1,8 +1,6 @@
 """Whole evaluations: every frame once and in order, whatever the batches, sizes and processes."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +76,8 @@ def test_processes_share_the_frames_without_overlap() -> None:
         assert all(SIZES[data.names.index(name)] == tuple(size) for names, size in batches for name in names)
 
 
-SCRIPT = f"""
+SCRIPT = """
 import json, sys, torch
-sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from accelerate import PartialState
 from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL
@@ -98,12 +95,11 @@ state.destroy_process_group()
 """
 
 
-def test_two_processes_score_as_one(tmp_path: Path) -> None:
+def test_two_processes_score_as_one(tmp_path: Path, command_server) -> None:
     script, output = tmp_path / "two.py", tmp_path / "two.json"
     script.write_text(SCRIPT)
-    torchrun = (sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--master_port=0")
-    command = (*torchrun, "--standalone", str(script), str(output))
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    for rank in command_server.run_ranks(str(script), [str(output)], tmp_path):
+        assert rank.returncode == 0, rank.stderr
     metrics, rows = json.loads(output.read_text())
     one = evaluate(FOUR_METERS, SyntheticDepth(7), PROTOCOL, batch_size=2)
     assert metrics == pytest.approx(one.metrics, rel=1e-12)

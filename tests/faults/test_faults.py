@@ -1,9 +1,6 @@
 """No damaged or hostile file ends in a traceback, a crash or a hang; none under a check sum passes unseen."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,21 +8,12 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def run(*arguments: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.faults", *arguments],
-        cwd=REPOSITORY,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def test_the_short_campaign(tmp_path: Path) -> None:
+def test_the_short_campaign(tmp_path: Path, command_server) -> None:
     pytest.importorskip("h5py")
     pytest.importorskip("OpenEXR")
-    run("--quick", "--output", str(tmp_path / "results.json"))
+    words = ["--quick", "--output", str(tmp_path / "results.json")]
+    done = command_server.run("tests.faults", words, REPOSITORY)
+    assert done.returncode == 0, done.stdout + done.stderr
     rows = json.loads((tmp_path / "results.json").read_text())
     assert len(rows) > 60
     assert not any(row["wrong"] for row in rows)
@@ -33,8 +21,10 @@ def test_the_short_campaign(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_the_whole_campaign(tmp_path: Path) -> None:
-    run("--output", str(tmp_path / "results.json"))
+def test_the_whole_campaign(tmp_path: Path, command_server) -> None:
+    words = ["--output", str(tmp_path / "results.json")]
+    done = command_server.run("tests.faults", words, REPOSITORY, timeout=3600)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_page_shows_the_stored_results() -> None:

@@ -1,4 +1,4 @@
-"""Run ``python -m eldenet.<command>`` in a process of its own without seconds of imports each time.
+"""Run ``python -m <module>`` in a process of its own without seconds of imports each time.
 
 A server (``python tests/support/commands.py``) holds the imports and forks for every command, which has its
 own folder, environment and exit code and shares nothing with the tests.
@@ -11,16 +11,20 @@ import json
 import os
 import runpy
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 PRELOADED = (
-    "accelerate", "albumentations", "cv2", "hydra.main", "scipy.stats", "torch.utils.tensorboard",
-    "eldenet.training.trainer", "eldenet.results.score", "eldenet.results.tables", "eldenet.zoo",
+    "accelerate", "albumentations", "cv2", "hydra.main", "scipy.stats", "tabulate",
+    "torch._inductor.config", "torch.distributed", "torch.utils.flop_counter", "torch.utils.tensorboard",
+    "eldenet.training.run", "eldenet.training.trainer", "eldenet.evaluation.metrics", "eldenet.results.score",
+    "eldenet.results.tables", "eldenet.zoo", "eldenet.backbones.pplcnet", "eldenet.decoders.fast_upconv",
     "eldenet.data.rooms",
     "eldenet.data.nyu", "eldenet.data.kitti", "eldenet.data.folder", "eldenet.data.transforms",
 )  # fmt: skip
@@ -31,11 +35,12 @@ class CommandServer:
 
     Args:
         environment: of the server and its commands.
+        preloaded: modules that the server imports.
     """
 
-    def __init__(self, environment: dict[str, str]) -> None:
+    def __init__(self, environment: dict[str, str], preloaded: Sequence[str] = PRELOADED) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, __file__],
+            [sys.executable, __file__, *preloaded],
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -44,37 +49,68 @@ class CommandServer:
 
     def run(
         self,
-        command: str,
-        arguments: tuple[str, ...],
+        module: str,
+        arguments: Sequence[str],
         cwd: Path,
-        environment: dict[str, str],
-        timeout: float,
+        *,
+        environment: dict[str, str] | None = None,
+        timeout: float = 240,
         interrupt_at: str | None = None,
+        number: signal.Signals = signal.SIGINT,
+        delay: float = 0.0,
     ) -> subprocess.CompletedProcess[str]:
         """Like :func:`subprocess.run` with captured output; a command that takes too long is killed.
 
-        Ctrl-C is sent once a file of the pattern ``interrupt_at`` exists.
+        Args:
+            module: such as ``eldenet.train``, or the path of a script.
+            arguments: of the command.
+            cwd: where it runs.
+            environment: what it has beside the server's.
+            timeout: [s].
+            interrupt_at: pattern of files below ``cwd``; ``number`` is sent once one of them is written.
+            number: Ctrl-C, or SIGKILL for the command and the processes that it started.
+            delay: from the file to the signal [s].
         """
+        pattern = None if interrupt_at is None else str(cwd / interrupt_at)
+        job = {"module": module, "arguments": arguments, "cwd": str(cwd), "environment": environment or {}}
+        job |= {"interrupt_at": pattern, "number": number, "delay": delay}
+        (done,) = self._run([job], timeout)
+        return done
+
+    def run_ranks(
+        self, module: str, arguments: Sequence[str], cwd: Path, *, timeout: float = 240
+    ) -> list[subprocess.CompletedProcess[str]]:
+        """Run two processes of one training, with what ``torchrun`` tells them in their environment."""
+        with socket.socket() as free:
+            free.bind(("localhost", 0))
+            port = free.getsockname()[1]
+        shared = {"WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2", "MASTER_ADDR": "localhost"}
+        shared |= {"MASTER_PORT": str(port)}
+        job = {"module": module, "arguments": arguments, "cwd": str(cwd), "interrupt_at": None}
+        ranks = ({"RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in range(2))
+        return self._run([job | {"environment": shared | rank} for rank in ranks], timeout)
+
+    def _run(self, jobs: list[dict[str, Any]], timeout: float) -> list[subprocess.CompletedProcess[str]]:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         with tempfile.TemporaryDirectory() as folder:
-            outputs = [Path(folder) / name for name in ("stdout", "stderr")]
-            job = {
-                "module": f"eldenet.{command}",
-                "arguments": arguments,
-                "cwd": str(cwd),
-                "environment": environment,
-                "outputs": [str(path) for path in outputs],
-                "timeout": timeout,
-                "interrupt_at": None if interrupt_at is None else str(cwd / interrupt_at),
-            }
-            self.process.stdin.write(json.dumps(job) + "\n")
+            for index, job in enumerate(jobs):
+                job["outputs"] = [f"{folder}/{index}.{name}" for name in ("stdout", "stderr")]
+            self.process.stdin.write(json.dumps({"jobs": jobs, "timeout": timeout}) + "\n")
             self.process.stdin.flush()
-            code = json.loads(self.process.stdout.readline())
-            texts = [path.read_text() for path in outputs]
-        if code is None:
-            raise subprocess.TimeoutExpired([command, *arguments], timeout, *texts)
-        return subprocess.CompletedProcess([command, *arguments], code, *texts)
+            codes = json.loads(self.process.stdout.readline())
+            done = [
+                subprocess.CompletedProcess(
+                    [job["module"], *job["arguments"]],
+                    code,
+                    *(Path(file).read_text() for file in job["outputs"]),
+                )
+                for job, code in zip(jobs, codes, strict=True)
+            ]
+        if None in codes:
+            late = done[codes.index(None)]
+            raise subprocess.TimeoutExpired(late.args, timeout, late.stdout, late.stderr)
+        return done
 
     def close(self) -> None:
         """End the server."""
@@ -82,26 +118,50 @@ class CommandServer:
 
 
 def serve() -> None:
-    """Fork for every line of standard input and answer with the exit code, null after a timeout."""
-    for name in PRELOADED:
+    """Fork for the jobs of every line of standard input and answer with exit codes, null after a timeout."""
+    sys.path.append(str(Path(__file__).resolve().parents[1]))  # as pytest has it: scripts may import support
+    for name in sys.argv[1:]:
         __import__(name)
+    if "torch" in sys.modules:
+        from support.timings import short_timings
+
+        short_timings()
     gc.freeze()  # so that children do not copy every page when they collect
     for line in sys.stdin:
-        job = json.loads(line)
-        child = os.fork()
-        if not child:
-            _become(job)
-        deadline = time.monotonic() + job["timeout"]
-        interrupt_at = job["interrupt_at"]
-        while not (ended := os.waitpid(child, os.WNOHANG))[0] and time.monotonic() < deadline:
-            if interrupt_at and glob.glob(interrupt_at):
-                os.kill(child, signal.SIGINT)
-                interrupt_at = None
+        order = json.loads(line)
+        deadline = time.monotonic() + order["timeout"]
+        children = [_fork(job) for job in order["jobs"]]
+        before = [_last_written(job["interrupt_at"]) for job in order["jobs"]]
+        codes: dict[int, int] = {}
+        while len(codes) < len(children) and time.monotonic() < deadline:
+            for child, job, start in zip(children, order["jobs"], before, strict=True):
+                if child in codes:
+                    continue
+                ended, status = os.waitpid(child, os.WNOHANG)
+                if ended:
+                    codes[child] = os.waitstatus_to_exitcode(status)
+                elif _last_written(job["interrupt_at"]) > start:
+                    time.sleep(job["delay"])
+                    (os.killpg if job["number"] == signal.SIGKILL else os.kill)(child, job["number"])
+                    job["interrupt_at"] = None
             time.sleep(0.01)
-        if not ended[0]:
-            os.killpg(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-        print(json.dumps(os.waitstatus_to_exitcode(ended[1]) if ended[0] else None), flush=True)
+        for child in children:
+            if child not in codes:
+                os.killpg(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+        print(json.dumps([codes.get(child) for child in children]), flush=True)
+
+
+def _last_written(pattern: str | None) -> int:
+    """Return when a file of the pattern was last written [ns]; 0 if there is none."""
+    return max((os.stat(file).st_mtime_ns for file in glob.glob(pattern or "")), default=0)
+
+
+def _fork(job: dict[str, Any]) -> int:
+    child = os.fork()
+    if not child:
+        _become(job)
+    return child
 
 
 def _become(job: dict[str, Any]) -> None:
@@ -116,7 +176,10 @@ def _become(job: dict[str, Any]) -> None:
     sys.argv = ["", *job["arguments"]]
     code: Any = 1
     try:
-        runpy.run_module(job["module"], run_name="__main__", alter_sys=True)
+        if job["module"].endswith(".py"):
+            runpy.run_path(job["module"], run_name="__main__")
+        else:
+            runpy.run_module(job["module"], run_name="__main__", alter_sys=True)
         code = 0
     except SystemExit as end:
         code = end.code

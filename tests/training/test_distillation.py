@@ -177,7 +177,7 @@ def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tm
 
 TINY = (
     *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 8, val: 4, test: 4}"),
-    *("trainer.epochs=1", "trainer.batch_size=4", "model=eldenet_s"),
+    *("trainer.epochs=1", "trainer.batch_size=4", "runtime.workers=0", "model=eldenet_s"),
 )
 
 

@@ -131,7 +131,13 @@ def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
 
 def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:
     arguments = ("data=folder", f"data.root={tmp_path / 'set'}", "data.input_size=[32,40]", "model=eldenet_s")
-    arguments += ("trainer.epochs=2", "trainer.batch_size=4", "normalization=dataset", "run_dir=run")
+    arguments += (
+        "trainer.epochs=2",
+        "trainer.batch_size=4",
+        "runtime.workers=0",
+        "normalization=dataset",
+        "run_dir=run",
+    )
     finished = run_command("train", *arguments)
     assert finished.returncode == 0, finished.stderr
     run = json.loads((tmp_path / "run/run.json").read_text())

@@ -3,14 +3,13 @@
 import json
 import os
 import signal
-import socket
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
+from support.ranks import start_ranks
 from support.synthetic import SyntheticDepth
 from support.training import fit, make_trainer
 
@@ -43,18 +42,23 @@ def with_statistics(name: str, seed: int) -> torch.nn.Module:
     seed_everything(seed)
     model = eldenet.load(name).train()
     images = torch.stack([sample["image"] for sample in map(SyntheticDepth(8).__getitem__, range(8))])
+    layers = [layer for layer in model.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    usual = layers[0].momentum
+    for layer in layers:
+        layer.momentum = 1.0  # one pass is enough
     with torch.no_grad():
-        for _ in range(30):
-            model(images)
+        model(images)
+    for layer in layers:
+        layer.momentum = usual
     return model
 
 
-def train(folder: Path, processes: int, *, frozen: bool, ckpt_path: Path | None = None) -> Trainer:
+def train(folder: Path, processes: int, *, ckpt_path: Path | None = None) -> Trainer:
     """Two epochs with ``TOGETHER`` images per update, dealt out to the processes; features are distilled."""
     torch.set_num_threads(1)
     teacher, model = Teacher(with_statistics("eldenet", seed=0)), with_statistics("eldenet_s", seed=1)
     distilled = DistilledTerm(L1Loss(), teacher, weight=0.1, feature_weight=1.0, feature_strides=(16,))
-    trainer = (FrozenStatistics if frozen else Trainer)(
+    trainer = FrozenStatistics(
         optimizer=partial(torch.optim.SGD, lr=3e-4),
         scheduler=constant,
         epochs=2,
@@ -76,25 +80,6 @@ def train(folder: Path, processes: int, *, frozen: bool, ckpt_path: Path | None 
     return trainer
 
 
-SEARCH_PATH = os.pathsep.join(
-    [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-)  # has support
-
-
-def torchrun(*command: str, timeout: int = 240, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [
-            *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
-            *command,
-        ],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": SEARCH_PATH, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=timeout,
-    )
-
-
 def largest_difference(one: Path, two: Path, group: str) -> float:
     """Of a weight; BatchNorm's running statistics apart."""
     first, second = (load_checkpoint(folder)[group] for folder in (one, two))
@@ -104,85 +89,55 @@ def largest_difference(one: Path, two: Path, group: str) -> float:
     return max(float((first[name].double() - second[name].double()).abs().max()) for name in first)
 
 
-def test_two_processes_train_to_the_weights_of_one(tmp_path):
-    """With BatchNorm's own statistics they may not; how far they drift is printed (``pytest -s``)."""
-    finished = torchrun(__file__, str(tmp_path))
-    assert finished.returncode == 0, finished.stderr[-3000:]
-    for frozen in (True, False):
-        train(tmp_path / f"one-{frozen}", 1, frozen=frozen)
-    gap = {
-        (frozen, group): largest_difference(tmp_path / f"one-{frozen}", tmp_path / f"two-{frozen}", group)
-        for frozen in (True, False)
-        for group in ("model", "loss")
-    }
-    print("largest difference of a weight:", gap)
-    assert gap[True, "model"] < 1e-5
-    assert gap[True, "loss"] < 1e-5
+def test_two_processes_train_to_the_weights_of_one(tmp_path, command_server):
+    """BatchNorm's own statistics, which processes do not share, are left as they are."""
+    for rank in command_server.run_ranks(__file__, [str(tmp_path / "two")], tmp_path):
+        assert rank.returncode == 0, rank.stderr[-3000:]
+    train(tmp_path / "one", 1)
+    for group in ("model", "loss"):
+        assert largest_difference(tmp_path / "one", tmp_path / "two", group) < 1e-5
     start = with_statistics("eldenet_s", seed=1).state_dict()  # it did train
-    trained = load_checkpoint(tmp_path / "one-True")["model"]
+    trained = load_checkpoint(tmp_path / "one")["model"]
     assert max(float((trained[name] - start[name]).abs().max()) for name in start) > 1e-3
     # the validation counted each of the five frames once
-    progress = [load_checkpoint(tmp_path / f"{name}-True")["progress"] for name in ("one", "two")]
+    progress = [load_checkpoint(tmp_path / name)["progress"] for name in ("one", "two")]
     for one, two in zip(*(entry["history"] for entry in progress), strict=True):
         assert one["val_rmse"] == pytest.approx(two["val_rmse"], rel=1e-5)
         assert one["train_total"] == pytest.approx(two["train_total"], rel=1e-5)  # the mean of both shares
     # a run of two processes is another one than that of one
     with pytest.raises(ValueError, match=r"belongs to another training: processes=1 \(there 2\)"):
-        train(tmp_path / "more", 1, frozen=True, ckpt_path=tmp_path / "two-True")
-
-
-WATCHED = (
-    "import os, sys\n"
-    "from torch import distributed\n"
-    "from eldenet.system.resources import Resources\n"
-    "from eldenet.training.watch import watched_processes\n"
-    "with watched_processes(Resources('cpu', 'fp32', 1, 0, 1, processes=2), seconds=float(sys.argv[1])):\n"
-    "    distributed.barrier()\n"
-    "    print(os.getpid(), flush=True)\n"
-    "    if sys.argv[2] == 'wait':\n"
-    "        sys.stdin.readline()\n"
-    "    distributed.barrier()\n"
-    "distributed.destroy_process_group()\n"
-)
+        train(tmp_path / "more", 1, ckpt_path=tmp_path / "two")
 
 
 @pytest.mark.parametrize(
     ("number", "hit"),
     [(None, 1), (signal.SIGSTOP, 1), (signal.SIGKILL, 1), (signal.SIGSTOP, 0), (signal.SIGKILL, 0)],
 )
-def test_a_process_ends_where_another_one_is_gone_or_hangs(number: signal.Signals | None, hit: int) -> None:
+def test_a_process_ends_where_another_one_is_gone_or_hangs(
+    tmp_path: Path, number: signal.Signals | None, hit: int
+) -> None:
     """Without a launcher, which would end it too: as on two machines. Process 0 keeps the group's store."""
-    with socket.socket() as free:
-        free.bind(("localhost", 0))
-        port = free.getsockname()[1]
-    shared = {**os.environ, "PYTHONPATH": SEARCH_PATH, "WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2"}
-    shared |= {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
-    ranks = [
-        subprocess.Popen(
-            [sys.executable, "-c", WATCHED, "2" if number else "60", "wait" if rank == hit else "-"],
-            env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )
-        for rank in range(2)
-    ]  # fmt: skip
+    ranks = start_ranks(tmp_path, seconds=2.0 if number else 60.0, waiting=hit)
     try:
         for rank in ranks:
-            assert rank.stdout is not None
-            assert int(rank.stdout.readline()) == rank.pid
+            assert rank.pipe.poll(60)
+            assert rank.pipe.recv() == rank.process.pid
         if number:
-            ranks[hit].send_signal(number)
+            os.kill(ranks[hit].process.pid, number)
         else:
-            ranks[hit].communicate("\n", timeout=60)
-        _, errors = ranks[1 - hit].communicate(timeout=60)
+            ranks[hit].pipe.send("go on")
+        ranks[1 - hit].process.join(60)
+        if number is None:
+            ranks[hit].process.join(60)
     finally:
         for rank in ranks:
-            rank.kill()
-            rank.communicate()
+            rank.process.kill()
+    errors = ranks[1 - hit].errors.read_text()
     lines = [line for line in errors.splitlines() if line.startswith(("error", "Traceback"))]
     if number is None:
-        assert [rank.returncode for rank in ranks] == [0, 0], errors
+        assert [rank.process.exitcode for rank in ranks] == [0, 0], errors
         return
-    assert ranks[1 - hit].returncode == 1
+    assert ranks[1 - hit].process.exitcode == 1
     assert len(lines) == 1, errors
     assert "another of the 2 processes has ended, or has not answered for process_timeout=2 s" in lines[0]
     assert "ckpt_path=auto" in lines[0]
@@ -223,7 +178,7 @@ def test_a_trainer_of_several_processes_asks_for_gpus(tmp_path: Path, monkeypatc
         fit(tmp_path / "two", trainer=make_trainer(sync_batchnorm=True, epochs=1))
 
 
-def test_missing_rooms_are_rendered_by_one_process(tmp_path):
+def test_missing_rooms_are_rendered_by_one_process(tmp_path, command_server):
     script = tmp_path / "ranks.py"
     script.write_text(
         "import json, os, sys, time\n"
@@ -238,8 +193,8 @@ def test_missing_rooms_are_rendered_by_one_process(tmp_path):
         "from accelerate import PartialState\n"
         "PartialState().destroy_process_group()\n"
     )
-    finished = torchrun(str(script), str(tmp_path))
-    assert finished.returncode == 0, finished.stderr[-3000:]
+    for rank in command_server.run_ranks(str(script), [str(tmp_path)], tmp_path):
+        assert rank.returncode == 0, rank.stderr[-3000:]
     assert json.loads((tmp_path / "0").read_text()) == []
     assert json.loads((tmp_path / "1").read_text()) == ["0"]
 
@@ -268,7 +223,5 @@ def test_settings_that_tell_two_runs_apart():
     assert differences(asked, adam) == ["optimizer.amsgrad=True (there False)"]
 
 
-if __name__ == "__main__":  # one of torchrun's processes
-    for statistics in (True, False):
-        done = train(Path(sys.argv[1]) / f"two-{statistics}", 2, frozen=statistics)
-    done.accelerator.end_training()
+if __name__ == "__main__":  # one of the two processes
+    train(Path(sys.argv[1]), 2).accelerator.end_training()

@@ -4,12 +4,8 @@ import math
 import os
 import random
 import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,42 +55,31 @@ def test_a_training_stopped_at_any_step_resumes_to_the_same_weights(tmp_path, op
     assert digest(tmp_path / "other") == digest(tmp_path / "whole")
 
 
-def command_of(folder: Path, *more: str) -> list[str]:
-    return [
-        *(sys.executable, "-m", "eldenet.train", "data=rooms", "model=eldenet_s", f"run_dir={folder}"),
-        *("data.size=[32,40]", "data.input_size=[32,40]", "data.frames={train: 64, val: 8, test: 8}"),
-        *("trainer.epochs=3", "trainer.batch_size=4", "trainer.checkpoint_every=1", "runtime.threads=1"),
-        *("runtime.workers=2", *more),
-    ]
+TINY = (
+    *("data=rooms", "model=eldenet_s", "data.size=[32,40]", "data.input_size=[32,40]"),
+    *("data.frames={train: 32, val: 8, test: 8}", "trainer.epochs=3", "trainer.batch_size=4"),
+    *("trainer.checkpoint_every=1", "runtime.threads=1", "runtime.workers=2"),
+)
 
 
-def test_sigkill_at_random_steps_with_workers_and_augmentation(tmp_path, cache):
-    environment = {**os.environ, "ELDENET_CACHE": cache}
-    subprocess.run(command_of(tmp_path / "whole"), env=environment, check=True, capture_output=True)
+def test_sigkill_at_random_steps_with_workers_and_augmentation(tmp_path, command_server):
+    whole = command_server.run("eldenet.train", (*TINY, "run_dir=whole"), tmp_path)
+    assert whole.returncode == 0, whole.stderr
     generator = random.Random(0)
     kills = 0
     for _attempt in range(8):
-        process = subprocess.Popen(
-            command_of(tmp_path / "killed", "ckpt_path=auto"),
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
+        killed = command_server.run(
+            "eldenet.train",
+            (*TINY, "run_dir=killed", "ckpt_path=auto"),
+            tmp_path,
+            interrupt_at="killed/checkpoints/last.pt" if kills < 3 else None,  # once it has made progress
+            number=signal.SIGKILL,
+            delay=generator.uniform(0.0, 0.5),
         )
-        last = tmp_path / "killed" / "checkpoints" / "last.pt"
-        before = last.stat().st_mtime_ns if last.is_file() else 0
-        deadline = time.monotonic() + 60
-        while process.poll() is None and time.monotonic() < deadline:  # until it has made some progress
-            if last.is_file() and last.stat().st_mtime_ns > before:
-                break
-            time.sleep(0.02)
-        time.sleep(generator.uniform(0.0, 0.5))
-        if kills < 3 and process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            kills += 1
-        elif process.wait(timeout=120) == 0:
+        if killed.returncode == 0:
             break
+        assert killed.returncode == -signal.SIGKILL, killed.stderr
+        kills += 1
     assert kills >= 1, "the training ended before it could be killed once"
     assert digest(tmp_path / "killed") == digest(tmp_path / "whole")
     ends = [load_checkpoint(tmp_path / name)["model"] for name in ("killed", "whole")]
