@@ -69,7 +69,7 @@ class UpConvBlock(nn.Sequential):
 
 
 class UpConvDecoder(Decoder):
-    """The UpConv decoder of sparse-to-dense (Ma & Karaman 2018), the paper's baseline.
+    """The UpConv decoder of sparse-to-dense (Ma & Karaman 2018): our reading of the paper's "Upconv".
 
     The deepest feature -> 1x1 convolution to half the channels and batch normalization -> four up-convolution
     modules, each halving the channels -> 3x3 convolution to one channel. There are no skips. With ResNet18:

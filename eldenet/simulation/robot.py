@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Robot(NamedTuple):
-    """A three-wheeled differential-drive robot with one forward RGB-D camera (the paper's Fig. 13).
+    """A three-wheeled robot with a forward RGB-D camera, as the paper's; its differential drive is ours.
 
     The frame has x ahead, y to the left, and its origin at the center of the footprint, on the wheels' axle.
 

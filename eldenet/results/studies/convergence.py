@@ -11,6 +11,7 @@ import numpy as np
 from eldenet.results.studies.matching import stored_runs
 from eldenet.results.studies.plan import Study
 
+Curve = tuple[list[int], list[float]]  # epochs and values
 SHARE = 0.9  # of a curve's own descent
 MARGIN = 1.15  # of a second level above the one that every run reaches
 WINDOW = 5  # epochs of the running mean
@@ -30,7 +31,8 @@ NOTES = (
     "first to its best value; a bad start makes it early, so it does not compare rows",
     f"fluctuation: mean absolute distance from the running mean over {WINDOW} epochs in the second half of "
     "the training, relative to its mean there",
-    "validation loss: a * (1 - SSIM) / 2 + b * MAE under the protocol, with the training's weights",
+    "training loss: on the labels, without a teacher's term; validation loss: a * (1 - SSIM) / 2 + b * MAE "
+    "under the protocol, with the training's weights; a run that is validated once has no curve of it",
     "mean ± sample standard deviation over the seeds; convergence.csv has every run",
 )
 
@@ -38,38 +40,62 @@ NOTES = (
 def validation_loss(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
     """The training's loss on the validation frames under the protocol, from the metrics of one epoch.
 
-    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights; None for a loss with other terms, a teacher
-    or maps in other units than meters.
+    ``a * (1 - SSIM) / 2 + b * MAE`` with the run's own weights, without a teacher's terms; None for a loss
+    with other terms or maps in other units than meters.
     """
     ssim, mae = (np.nan if row.get(name) is None else row[name] for name in ("val_ssim", "val_mae"))
     values, loss = {"SSIMLoss": (1 - ssim) / 2, "L1Loss": mae}, 0.0
-    for term in run["config"]["loss"]["terms"].values():
+    for term in _label_terms(run).values():
         kind = term["loss"]["_target_"].rpartition(".")[2]
-        if kind not in values or "teacher" in term or term.get("space", "meters") != "meters":
+        if kind not in values or term.get("space", "meters") != "meters":
             return None
         loss += term["weight"] * values[kind]
     return float(loss) if np.isfinite(loss) else None
 
 
-def curves(run: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Training and validation curves of one run by name, one value per validated epoch.
+def _label_terms(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the terms of the loss that compare with labels: all but a teacher's."""
+    terms = run["config"]["loss"]["terms"]
+    return {name: term for name, term in terms.items() if "teacher" not in term}
 
-    A curve with gaps is left out: sparse ground truth has no SSIM. That of the training comes from the loss
-    term ``ssim``, (1 - SSIM) / 2, of augmented frames at the network's input size.
+
+def curves(run: Mapping[str, Any]) -> dict[str, Curve]:
+    """Training and validation curves of one run by name: those of the training have every epoch.
+
+    A curve with gaps is left out: sparse ground truth has no SSIM. The training loss is that on the labels,
+    without a teacher's term. The SSIM of the training comes from the loss term ``ssim``, (1 - SSIM) / 2, of
+    augmented frames at the network's input size.
     """
-    history = [row for row in (run.get("training") or {}).get("history", ()) if "val_mse" in row]
-    found: dict[str, list[Any]] = {
-        "epoch": [row["epoch"] for row in history],
-        "train_loss": [row.get("train_total") for row in history],
-        "train_ssim": [1 - 2 * row["train_ssim"] if "train_ssim" in row else None for row in history],
-        "train_mse": [row.get("train_mse") for row in history],
-        "val_ssim": [row.get("val_ssim") for row in history],
-        "val_mse": [row["val_mse"] for row in history],
+    history = (run.get("training") or {}).get("history", ())
+    validated = [row for row in history if "val_mse" in row]
+    losses = [validation_loss(run, row) for row in validated]
+    found: dict[str, tuple[list[Any], list[Any]]] = {
+        "train_loss": (history, [_loss_on_labels(run, row) for row in history]),
+        "train_ssim": (
+            history,
+            [1 - 2 * row["train_ssim"] if "train_ssim" in row else None for row in history],
+        ),
+        "train_mse": (history, [row.get("train_mse") for row in history]),
+        "val_ssim": (validated, [row.get("val_ssim") for row in validated]),
+        "val_mse": (validated, [row["val_mse"] for row in validated]),
+        "val_loss": (validated, losses),
     }
-    losses = [validation_loss(run, row) for row in history]
-    if None not in losses:
-        found["val_loss"] = [loss for loss in losses if loss is not None]
-    return {name: values for name, values in found.items() if None not in values}
+    return {
+        name: ([row["epoch"] for row in rows], values)
+        for name, (rows, values) in found.items()
+        if values and None not in values
+    }
+
+
+def _loss_on_labels(run: Mapping[str, Any], row: Mapping[str, float]) -> float | None:
+    """The training loss of one epoch without a teacher's terms; None: it was not logged."""
+    total = row.get("train_total")
+    if total is None:
+        return None
+    taught = {
+        name: term["weight"] for name, term in run["config"]["loss"]["terms"].items() if "teacher" in term
+    }
+    return total - sum(weight * row[f"train_{name}"] for name, weight in taught.items())
 
 
 def first_epoch(epochs: Sequence[float], values: Sequence[float], level: float) -> float | None:
@@ -110,9 +136,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Convergence:
-    """Curves of a study (``row/seed0`` -> name -> values) and their figures."""
+    """Curves of a study (``row/seed0`` -> name -> epochs and values) and their figures."""
 
-    curves: Mapping[str, Mapping[str, list[float]]]
+    curves: Mapping[str, Mapping[str, Curve]]
     lines: Sequence[Line]
 
     def by_run(self) -> tuple[list[str], list[list[str]]]:
@@ -154,36 +180,36 @@ def convergence(study: Study) -> Convergence:
     blocks: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for row in study.rows:
         blocks.setdefault(row.block, []).extend((row.name, run) for run in stored_runs(study, row).runs)
-    found: dict[str, dict[str, list[float]]] = {}
+    found: dict[str, dict[str, Curve]] = {}
     lines: list[Line] = []
     for runs in blocks.values():
         of_block = {f"{name}/seed{run['seed']}": curves(run) for name, run in runs}
         levels = _levels([run for _, run in runs], list(of_block.values()))
         for (name, run), values in zip(runs, of_block.values(), strict=True):
             lines += [
-                Line(name, run["seed"], curve, levels[curve], _figures(values, curve, levels[curve]))
+                Line(name, run["seed"], curve, levels[curve], _figures(values[curve], levels[curve]))
                 for curve in CURVES
-                if values.get(curve)
+                if curve in values and len(values[curve][0]) > 1
             ]
         found |= of_block
     return Convergence(found, lines)
 
 
 def _levels(
-    runs: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, list[float]]]
+    runs: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Curve]]
 ) -> dict[str, float | None]:
     """The worst last value of each curve; None for the losses of runs that train with different ones."""
-    one_loss = len({json.dumps(run["config"]["loss"], sort_keys=True) for run in runs}) == 1
+    one_loss = len({json.dumps(_label_terms(run), sort_keys=True) for run in runs}) == 1
     return {
-        key: max((curve[key][-1] for curve in found if curve.get(key)), default=None)
+        key: max((curve[key][1][-1] for curve in found if key in curve), default=None)
         if one_loss or key not in LOSSES
         else None
         for key in CURVES
     }
 
 
-def _figures(found: Mapping[str, list[float]], curve: str, level: float | None) -> dict[str, float | None]:
-    epochs, values = found["epoch"], found[curve]
+def _figures(curve: Curve, level: float | None) -> dict[str, float | None]:
+    epochs, values = curve
     return {
         "epochs": float(epochs[-1]),
         "own": own_descent(epochs, values),

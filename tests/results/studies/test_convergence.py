@@ -8,6 +8,7 @@ from support.stored_study import figures, history, store, write_plan
 from eldenet import config as cfg
 from eldenet.results.studies.convergence import (
     convergence,
+    curves,
     validation_loss,
 )
 from eldenet.results.studies.plan import Study
@@ -56,7 +57,18 @@ def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_pat
 def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> None:
     epochs = [row | {"val_ssim": None} for row in history([3.0, 2.0, 1.0])]  # as run.json has NaN
     store(study, "small", 0, figures(0, 0), training={"history": epochs})
-    assert set(convergence(study).curves["small/seed0"]) == {"epoch", "train_loss", "val_mse"}
+    assert set(convergence(study).curves["small/seed0"]) == {"train_loss", "val_mse"}
+
+
+def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
+    """A run with a teacher has a higher total; its curve is that of the labels, in every epoch."""
+    config = cfg.compose("train", ["model_name=a", "run_dir=b", "loss=ssim_l1_distill", "teacher=big"])
+    epochs = [{"epoch": 1, "train_total": 3.0, "train_distilled": 2.0}]
+    epochs += [{"epoch": 2, "train_total": 1.5, "train_distilled": 0.75, "val_mse": 1.0}]
+    run = {"config": {"loss": cfg.plain(config.loss)}, "training": {"history": epochs}}
+    found = curves(run)
+    assert found["train_loss"] == ([1, 2], [1.0, 0.75])
+    assert found["val_mse"] == ([2], [1.0])
 
 
 @pytest.mark.parametrize(
