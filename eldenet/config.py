@@ -742,18 +742,19 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
         raise ValueError(f"output={folder} holds a training already: give another output, or resume=true")
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.perception.libreyolo_detector import YoloTraining
-    from eldenet.simulation.street_views import NAMES
+    from eldenet.simulation.street_views import names_of
 
     settings = _settings_in(folder, config)
+    kinds = listed(config.data.kinds)
     resources = choose_resources(**settings["runtime"])
     return DetectorTrainingSetup(
         folder=folder,
-        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(NAMES)),
+        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(names_of(kinds))),
         training=YoloTraining(
             **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
         ),
         data=Path(settings["data"]["root"]),
-        kinds=listed(config.data.kinds),
+        kinds=kinds,
         focal=settings["data"]["focal"],
         counts={split: config.data[split] for split in ("train", "test")},
         resources=resources,

@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
-from eldenet.geometry import PinholeCamera, extent_of
+from eldenet.geometry import PinholeCamera
 from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import (
     FED_BY,
@@ -21,14 +21,12 @@ from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
-from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics
+from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics, simulated_detections
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import as_estimate
 
 CAUTION = 0.8  # of the interval whose low end is how near things may be
-MIN_PIXELS = 20  # of an object in the simulator's detections
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
 #: Sizes of the objects in arenas (:func:`eldenet.simulation.arenas.draw_obstacles`); cars are small there.
@@ -128,22 +126,6 @@ class CameraInstance:
         by_box = (faces < ROBOT.far) & (ranges > faces * (1 - IN_FRONT))
         fed_by[by_box] = FED_BY.index("box")
         return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
-
-
-def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
-    """Tight 2D boxes around the visible part of each obstacle but walls, from the renderer."""
-    kinds = tuple(sorted({obstacle.kind for obstacle in arena.obstacles}))
-    boxes, labels = [], []
-    for number in np.unique(photo.obstacle[photo.obstacle >= 0]):
-        if arena.obstacles[number].is_wall:
-            continue
-        rows, columns = np.nonzero(photo.obstacle == number)
-        if len(rows) >= MIN_PIXELS:
-            boxes.append(extent_of(rows, columns))
-            labels.append(kinds.index(arena.obstacles[number].kind))
-    if not boxes:
-        return Detections2D.empty(kinds)
-    return Detections2D(np.array(boxes, float), np.ones(len(boxes)), np.array(labels, np.int64), kinds)
 
 
 def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) -> np.ndarray:

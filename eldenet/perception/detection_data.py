@@ -10,7 +10,7 @@ from eldenet.boxes import Detections2D
 from eldenet.data.array_files import read_text, reading
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.simulation.street_views import KINDS, NAMES, render_objects
+from eldenet.simulation.street_views import names_of, render_objects
 from eldenet.system.files import read_json, write_text
 from eldenet.visualization import write_picture
 
@@ -22,7 +22,7 @@ def write_dataset(
     counts: Mapping[str, int],
     size: tuple[int, int],
     *,
-    kinds: Sequence[str] = KINDS,
+    kinds: Sequence[str],
     focal: tuple[float, float] | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> Path:
@@ -35,20 +35,19 @@ def write_dataset(
             box as shares of the image).
         counts: by split of the simulator: "train", "val", "test".
         size: ``(height, width)`` [px].
-        kinds: of scenes, see :data:`eldenet.simulation.street_views.KINDS`.
+        kinds: of scenes, see :data:`eldenet.simulation.street_views.OBJECTS`.
         focal: range of fx [widths], of which each image draws its own; None: the lens of its kind.
         advance: called with the number of new images.
 
     Raises:
         ValueError: no images, unknown kinds, an impossible lens, or a folder of images of other settings.
     """
-    if not kinds or not set(kinds) <= set(KINDS):
-        raise ValueError(f"kinds={list(kinds)}: give some of {list(KINDS)}")
+    names = names_of(kinds)
     if min(counts.values()) < 1:
         raise ValueError(f"counts={dict(counts)}: give every split at least one image")
     if focal is not None and (len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5):
         raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
-    settings = {"size": list(size), "kinds": list(kinds), "names": list(NAMES)}
+    settings = {"size": list(size), "kinds": list(kinds), "names": list(names)}
     settings |= {} if focal is None else {"focal": list(focal)}
     stored = folder / SETTINGS
     if stored.is_file() and read_json(stored) != settings:
@@ -63,19 +62,21 @@ def write_dataset(
             if not picture.is_file():
                 kind = kinds[number % len(kinds)]
                 view = render_objects(split, number // len(kinds), size, kind, focal=focal)
-                _write_boxes(folder / BOXES / split / f"{number:06d}.txt", view.detections, size)
+                boxes = folder / BOXES / split / f"{number:06d}.txt"
+                _write_boxes(boxes, view.detections, names, size)
                 write_picture(picture, view.image)  # last: an image is only there with its boxes
             if advance is not None:
                 advance(1)
     lines = [f"path: {json.dumps(str(folder.resolve()))}"]
     lines += [f"{split}: {PICTURES}/{split}" for split in counts]
-    lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(NAMES))]
+    lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(names))]
     write_text(folder / "data.yaml", "\n".join(lines) + "\n")
     return folder / "data.yaml"
 
 
 def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, Detections2D]]:
     """The first ``count`` images ``(H, W, 3)`` uint8 of a split with their boxes."""
+    names = tuple(read_json(folder / SETTINGS)["names"])
     pairs = []
     for number in range(count):
         image = read_image(folder / PICTURES / split / f"{number:06d}.png")
@@ -83,18 +84,19 @@ def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, D
         text = read_text(boxes)
         with reading(boxes, "list of boxes"):
             table = np.array(text.split(), float).reshape(-1, 5)
-            if not np.isfinite(table).all() or not np.isin(table[:, 0], np.arange(len(NAMES))).all():
-                raise ValueError(f"classes are 0 to {len(NAMES) - 1}, numbers are finite")
+            if not np.isfinite(table).all() or not np.isin(table[:, 0], np.arange(len(names))).all():
+                raise ValueError(f"classes are 0 to {len(names) - 1}, numbers are finite")
         sides = np.array(image.shape[1::-1])
         center, half = table[:, 1:3] * sides, table[:, 3:] * sides / 2
         xyxy = from_corner(np.concatenate([center - half, center + half], axis=1))
-        pairs.append((image, Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), NAMES)))
+        pairs.append((image, Detections2D(xyxy, np.ones(len(table)), table[:, 0].astype(np.int64), names)))
     return pairs
 
 
-def _write_boxes(path: Path, found: Detections2D, size: tuple[int, int]) -> None:
+def _write_boxes(path: Path, found: Detections2D, names: Sequence[str], size: tuple[int, int]) -> None:
     sides = np.array([size[1], size[0]], float)
     xyxy = to_corner(found.xyxy)
     center, extent = (xyxy[:, :2] + xyxy[:, 2:]) / 2 / sides, (xyxy[:, 2:] - xyxy[:, :2]) / sides
+    label = [names.index(name) for name in found.classes]
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savetxt(path, np.column_stack([found.label, center, extent]), fmt="%d" + 4 * " %.6f")
+    np.savetxt(path, np.column_stack([label, center, extent]), fmt="%d" + 4 * " %.6f")

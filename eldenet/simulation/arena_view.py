@@ -5,12 +5,14 @@ an arena in which drivers are selected or reported.
 """
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from eldenet.geometry import pinhole
+from eldenet.boxes import Detections2D
+from eldenet.geometry import extent_of, pinhole
 from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
 from eldenet.simulation.arenas import SPLITS, Arena, cell_center, clearance_map, generate_arena
 from eldenet.simulation.furnished_rooms.render import Views
@@ -25,6 +27,7 @@ FIRST_ARENA = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 FRAME_STREAM = 104  # beside arenas.SPLITS and tasks.TASK_STREAM
 _LIGHT = (0.05, 3.0)  # dim to glaring, as a share of a normal day's
 _MAX_OBSTACLES, _MAX_PEDESTRIANS = 80, 10
+_MIN_PIXELS = 20  # of an object that a detector can find
 _MIN_CLEARANCE = 0.30  # around the robot's center [m]
 _CLOSE = 0.8  # clearance of a robot among obstacles [m]
 _NOSE_TO_WALL = 0.4  # median depth [m]
@@ -108,6 +111,43 @@ def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), vie
     Raises:
         ValueError: unknown split or index out of range.
     """
+    frames = [
+        (photo.image, photo.depth, robot_intrinsics(size), *camera_pose(pose))
+        for _, pose, photo in _photos(split, index, size, views)
+    ]
+    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+
+
+def render_arena_objects(split: str, index: int, size: tuple[int, int]) -> tuple[np.ndarray, Detections2D]:
+    """Render the first frame of :func:`render_arena`, and the 2D boxes of its obstacles.
+
+    Raises:
+        ValueError: unknown split or index out of range.
+    """
+    arena, _, photo = next(_photos(split, index, size, 1))
+    return photo.image, simulated_detections(photo, arena)
+
+
+def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
+    """Tight 2D boxes around the visible part of each obstacle but walls, from the renderer."""
+    kinds = tuple(sorted({obstacle.kind for obstacle in arena.obstacles}))
+    boxes, labels = [], []
+    for number in np.unique(photo.obstacle[photo.obstacle >= 0]):
+        if arena.obstacles[number].is_wall:
+            continue
+        rows, columns = np.nonzero(photo.obstacle == number)
+        if len(rows) >= _MIN_PIXELS:
+            boxes.append(extent_of(rows, columns))
+            labels.append(kinds.index(arena.obstacles[number].kind))
+    if not boxes:
+        return Detections2D.empty(kinds)
+    return Detections2D(np.array(boxes, float), np.ones(len(boxes)), np.array(labels, np.int64), kinds)
+
+
+def _photos(
+    split: str, index: int, size: tuple[int, int], views: int
+) -> Iterator[tuple[Arena, tuple[float, float, float], Photo]]:
+    """Draw arena ``index`` of a split and yield it with the pose and photo of each frame."""
     if split not in FIRST_ARENA:
         raise ValueError(f"split={split!r}: use one of {list(FIRST_ARENA)}")
     if not 0 <= index < FIRST_ARENA["val"]:
@@ -121,7 +161,6 @@ def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), vie
     view = ArenaView(arena, size, light=light)
     clearance = clearance_map(arena.obstacles)
     probe = ArenaView(arena, (9, 16))
-    frames = []
     for frame in range(views):
         time = draw.uniform(0.0, 60.0)
         pose = _draw_pose(draw, arena, clearance, time)
@@ -129,9 +168,7 @@ def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), vie
             if np.median(probe.photo(pose, time).depth) > _NOSE_TO_WALL:
                 break
             pose = _draw_pose(draw, arena, clearance, time)
-        photo = view.photo(pose, time, noise=frame, settings=frame)
-        frames.append((photo.image, photo.depth, view.intrinsics, *camera_pose(pose)))
-    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+        yield arena, pose, view.photo(pose, time, noise=frame, settings=frame)
 
 
 def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> tuple[float, float, float]:

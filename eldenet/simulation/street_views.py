@@ -1,11 +1,13 @@
-"""Frames of streets, halls and rooms whose objects are known: exact depth, instances, 2D and 3D boxes."""
+"""Frames whose objects are known: streets and halls with depth and 3D boxes; any scene with 2D boxes."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
+from eldenet.simulation.arena_view import render_arena_objects
 from eldenet.simulation.furnished_rooms.render import KINECT, Views, choose_pose, draw_intrinsics
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import (
@@ -23,11 +25,16 @@ from eldenet.simulation.streets import NAMES as STREET_NAMES
 
 #: Version of the frames of streets, halls and a detector's rooms. Golden frames in the tests watch over it.
 STREETS_VERSION = 1
-#: Kinds of scenes and names of objects for a 2D detector.
-KINDS = ("street", "hall", "room")
-NAMES = (*STREET_NAMES, "furniture")
-#: Names of the boxes: cyclists are in crossings, which are no kind for a detector.
-BOX_NAMES = (*NAMES, "cyclist")
+#: Names of the boxes in streets and halls (furniture is in rooms alone).
+BOX_NAMES = (*STREET_NAMES, "furniture", "cyclist")
+#: Kinds of scenes for a 2D detector, and what it finds there.
+OBJECTS = {
+    "street": ("car", "van", "truck", "person", "pillar"),
+    "crossing": ("car", "van", "truck", "person", "pillar", "cyclist"),
+    "hall": ("person", "box", "pillar"),
+    "room": ("person", "furniture"),
+    "arena": ("cylinder", "person", "box", "vehicle"),
+}
 #: fx [widths]: KITTI's field of view outdoors, a wide robot's camera in halls.
 FOCAL = {"street": 0.58, "hall": 0.62, "crossing": 0.58}
 _ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
@@ -65,6 +72,18 @@ class StreetView(NamedTuple):
     instance: np.ndarray
     height: float
     rotation: np.ndarray
+
+
+def names_of(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of all objects in some kinds of scenes.
+
+    Raises:
+        ValueError: no kinds, or unknown ones.
+    """
+    if not kinds or not set(kinds) <= set(OBJECTS):
+        raise ValueError(f"kinds={list(kinds)}: give some of {list(OBJECTS)}")
+    found = {name for kind in kinds for name in OBJECTS[kind]}
+    return tuple(name for name in (*BOX_NAMES, "cylinder", "vehicle") if name in found)
 
 
 class ObjectView(NamedTuple):
@@ -150,18 +169,22 @@ def render_objects(
 ) -> ObjectView:
     """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
 
-    Objects that are mostly hidden or smaller than a few pixels are left out. Classes keep the numbers they
-    have in streets; everything else in a room is "furniture". ``focal`` is a range of fx [widths], of which
-    each frame draws its own; None: the lens of its kind.
+    Objects that are mostly hidden or smaller than a few pixels are left out. Classes are those of ``OBJECTS``;
+    everything but people is "furniture" in a room. ``focal`` is a range of fx [widths], of which each frame
+    draws its own; None: the lens of its kind.
 
     Raises:
-        ValueError: unknown kind or split.
+        ValueError: unknown kind or split, or a lens for arenas, which the robot's own camera sees.
     """
+    if kind == "arena":
+        if focal is not None:
+            raise ValueError(f"focal={list(focal)}: arenas are seen by the robot's camera; give null")
+        image, found = render_arena_objects(split, index, size)
+        return ObjectView(image, _large_enough(found))
     if kind == "room":
         return _render_room(split, index, size, focal or KINECT)
     view = render_street(split, index, size, kind, focal=focal)
-    found = view.detections.select(view.visible >= _MIN_VISIBLE)
-    return ObjectView(view.image, _large_enough(found.xyxy, found.label))
+    return ObjectView(view.image, _large_enough(view.detections.select(view.visible >= _MIN_VISIBLE)))
 
 
 def _render_room(split: str, index: int, size: tuple[int, int], focal: tuple[float, float]) -> ObjectView:
@@ -176,14 +199,14 @@ def _render_room(split: str, index: int, size: tuple[int, int], focal: tuple[flo
         rows, columns = np.nonzero(body == number)
         if len(rows) >= _MIN_PIXELS_ROOM:
             boxes.append(extent_of(rows, columns))
-            labels.append(NAMES.index("person" if maker == "person" else "furniture"))
-    return ObjectView(image, _large_enough(np.array(boxes, float).reshape(-1, 4), np.array(labels, np.int64)))
+            labels.append(OBJECTS["room"].index("person" if maker == "person" else "furniture"))
+    xyxy, label = np.array(boxes, float).reshape(-1, 4), np.array(labels, np.int64)
+    return ObjectView(image, _large_enough(Detections2D(xyxy, np.ones(len(xyxy)), label, OBJECTS["room"])))
 
 
-def _large_enough(xyxy: np.ndarray, label: np.ndarray) -> Detections2D:
-    """Return the boxes ``(N, 4)`` without the smallest."""
-    kept = (xyxy[:, 2:] - xyxy[:, :2] >= _MIN_SIDE).all(1)
-    return Detections2D(xyxy[kept], np.ones(int(kept.sum())), label[kept], NAMES)
+def _large_enough(found: Detections2D) -> Detections2D:
+    """Return the boxes without the smallest."""
+    return found.select((found.xyxy[:, 2:] - found.xyxy[:, :2] >= _MIN_SIDE).all(1))
 
 
 def _visibility(
