@@ -169,9 +169,9 @@ def render_objects(
 ) -> ObjectView:
     """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
 
-    Objects that are mostly hidden or smaller than a few pixels are left out. Classes are those of ``OBJECTS``;
-    everything but people is "furniture" in a room. ``focal`` is a range of fx [widths], of which each frame
-    draws its own; None: the lens of its kind.
+    Objects that are mostly hidden or smaller than a few pixels are left out. Classes are those of
+    ``OBJECTS``; everything but people is "furniture" in a room. ``focal`` is a range of
+    fx [widths], of which each frame draws its own; None: the lens of its kind.
 
     Raises:
         ValueError: unknown kind or split, or a lens for arenas, which the robot's own camera sees.

@@ -46,7 +46,7 @@ def main() -> None:
     args = arguments()
     torch.set_num_threads(1)
     settings, notes = [], []
-    for kind in SIZES:
+    for kind in SIZES if args.frames else ():
         more, said = in_simulation(args, kind)
         settings, notes = settings + more, notes + said
     more, said = on_kitti(args)
@@ -79,7 +79,7 @@ def main() -> None:
 
 def arguments() -> argparse.Namespace:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--frames", type=int, default=50, help="test scenes of each kind")
+    options.add_argument("--frames", type=int, default=50, help="test scenes of each kind; 0: KITTI alone")
     options.add_argument("--sim-model", help="folder of a network trained on rendered streets")
     options.add_argument("--hall-model", help="folder of a network trained on rendered halls")
     options.add_argument("--kitti-model", help="folder of a network for KITTI's pictures")
@@ -109,7 +109,7 @@ def in_simulation(args: argparse.Namespace, kind: str) -> tuple[list[Setting], l
         f"{size}, {seen_by(network)}", SEEN,
     )  # fmt: skip
     if args.detector:
-        notes += stages(learned, network, OnnxDetector(args.detector, keep=ROAD_NAMES))
+        notes += stages(learned, network, traffic_detector(args.detector))
     return [exact, learned], [f"{kind}: the network is {Path(model).name}", *notes]
 
 
@@ -121,7 +121,7 @@ def on_kitti(args: argparse.Namespace) -> tuple[list[Setting], list[str]]:
         print(f"KITTI is left out: {error}")
         return [], []
     network = DepthPredictor(eldenet.load(args.kitti_model), steady=False) if args.kitti_model else None
-    detector = OnnxDetector(args.detector, keep=ROAD_NAMES) if args.detector else None
+    detector = traffic_detector(args.detector) if args.detector else None
     depths = {"KITTI: LiDAR": lambda name, image: kitti.lidar_depth(name, image.shape[:2])}
     notes = []
     if network is not None:
@@ -139,6 +139,13 @@ def on_kitti(args: argparse.Namespace) -> tuple[list[Setting], list[str]]:
     if network is not None and detector is not None:
         notes += stages(settings[-2], network, detector)
     return settings, notes
+
+
+def traffic_detector(path: Path | str) -> OnnxDetector:
+    """Return a detector of what is in traffic, with COCO's names or its own."""
+    detector = OnnxDetector(path)
+    detector.keep = [name for name in (*ROAD_NAMES, "van", "cyclist") if name in detector.names]
+    return detector
 
 
 def seen_by(network: DepthPredictor) -> str:

@@ -132,6 +132,7 @@ def test_damaged_labels_and_boxes_are_named(tmp_path: Path) -> None:
             read_labels(label)
     layouts.picture(tmp_path / "images/val/000000.png", np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "labels/val").mkdir(parents=True)
+    (tmp_path / "settings.json").write_text('{"names": ["car", "person"]}')
     for text in ("0 0.5 0.5", "99 0.5 0.5 0.1 0.1", "0 nan 0.5 0.1 0.1", "a"):
         (tmp_path / "labels/val/000000.txt").write_text(text)
         with pytest.raises(ValueError, match=r"000000\.txt is truncated or not a valid list of boxes"):

@@ -20,7 +20,6 @@ from eldenet.navigation.cameras import (
     camera,
     near_faces,
     objects,
-    simulated_detections,
 )
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.policy import Navigator
@@ -37,7 +36,7 @@ from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter
-from eldenet.simulation.arena_view import ArenaView
+from eldenet.simulation.arena_view import ArenaView, simulated_detections
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena, generate_arena
 from eldenet.simulation.obstacle import Obstacle

@@ -11,9 +11,10 @@ from eldenet.config import build_train_detector, compose
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.detector_training import average_precisions, train_detector
 from eldenet.perception.libreyolo_detector import LibreYoloDetector, YoloTraining
-from eldenet.simulation.street_views import KINDS, NAMES, render_objects
+from eldenet.simulation.street_views import names_of, render_objects
 
 SIZE = (96, 160)
+NAMES = names_of(("street", "hall"))
 NEEDED = "pip install 'eldenet[yolo]'"
 
 
@@ -28,7 +29,7 @@ def test_a_data_set_holds_the_rendered_images_and_continues_where_it_stopped(tmp
     yaml = write_dataset(tmp_path, {"train": 2, "test": 3}, SIZE, kinds=("hall", "street"))
     text = yaml.read_text()
     assert "train: images/train" in text
-    assert f"  {len(NAMES) - 1}: furniture" in text
+    assert f"  {len(NAMES) - 1}: {NAMES[-1]}" in text
     pairs = read_split(tmp_path, "test", 3)
     for number, (image, boxes) in enumerate(pairs):
         view = render_objects("test", number // 2, SIZE, ("hall", "street")[number % 2])
@@ -53,15 +54,36 @@ def test_a_data_set_holds_the_rendered_images_and_continues_where_it_stopped(tmp
 
 
 def test_a_data_set_of_other_lenses_is_another_one(tmp_path):
+    kinds = ("street", "hall", "room")
     for name, focal in (("own", None), ("any", (0.4, 2.0))):
-        write_dataset(tmp_path / name, {"train": 3}, SIZE, focal=focal)
+        write_dataset(tmp_path / name, {"train": 3}, SIZE, kinds=kinds, focal=focal)
         images = [image for image, _ in read_split(tmp_path / name, "train", 3)]
-        wanted = [render_objects("train", 0, SIZE, kind, focal=focal).image for kind in KINDS]
+        wanted = [render_objects("train", 0, SIZE, kind, focal=focal).image for kind in kinds]
         np.testing.assert_array_equal(images, wanted)
     with pytest.raises(ValueError, match="other settings"):
-        write_dataset(tmp_path / "own", {"train": 3}, SIZE, focal=(0.4, 2.0))
+        write_dataset(tmp_path / "own", {"train": 3}, SIZE, kinds=kinds, focal=(0.4, 2.0))
     with pytest.raises(ValueError, match=r"focal=\[2.0, 0.4\]"):
-        write_dataset(tmp_path / "wrong", {"train": 3}, SIZE, focal=(2.0, 0.4))
+        write_dataset(tmp_path / "wrong", {"train": 3}, SIZE, kinds=kinds, focal=(2.0, 0.4))
+    with pytest.raises(ValueError, match="the robot's camera"):
+        write_dataset(tmp_path / "arena", {"train": 1}, SIZE, kinds=("arena",), focal=(0.4, 2.0))
+
+
+def test_classes_are_those_of_the_kinds_and_keep_their_names_in_files(tmp_path):
+    """Crossings have cyclists, arenas their obstacles; the numbers in files are those of the list of both."""
+    kinds = ("crossing", "arena")
+    write_dataset(tmp_path, {"test": 4}, SIZE, kinds=kinds)
+    found = set()
+    for number, (image, boxes) in enumerate(read_split(tmp_path, "test", 4)):
+        view = render_objects("test", number // 2, SIZE, kinds[number % 2])
+        np.testing.assert_array_equal(image, view.image)
+        assert boxes.classes == view.detections.classes
+        assert boxes.names == names_of(kinds)
+        found |= set(boxes.classes)
+    assert {"cyclist", "person"} < found
+    assert found & {"cylinder", "vehicle"}
+    assert names_of(("street", "hall", "room")) == (
+        "car", "van", "truck", "person", "box", "pillar", "furniture",
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,15 @@ import pytest
 
 from eldenet.geometry import to_corner
 from eldenet.simulation.furnished_rooms.rooms import generate_room
-from eldenet.simulation.street_views import KINDS, render_objects
+from eldenet.simulation.street_views import OBJECTS, render_objects
 
 SIZE = (96, 160)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OBJECTS)
 def test_boxes_lie_inside_the_image_and_rendering_is_reproducible(kind):
     views = [render_objects("train", index, SIZE, kind) for index in range(3)]
+    assert {name for view in views for name in view.detections.classes} <= set(OBJECTS[kind])
     assert sum(len(view.detections) for view in views) > 3
     for view in views:
         corners = to_corner(view.detections.xyxy)
