@@ -1,6 +1,7 @@
 """Sensors with a camera: rendered RGB, a depth network, and 3D boxes of detected objects."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -183,7 +184,7 @@ def camera(
 def objects(
     checkpoint: str | None = None,
     *,
-    detector: Detector | None = None,
+    detector: Detector | str | Path | None = None,
     method: Method = "refine",
     depth_sigma: float = 0.08,
     size: tuple[int, int] = (96, 128),
@@ -191,7 +192,15 @@ def objects(
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     latency: float = 0.0,
 ) -> Camera:
-    """A camera with depth and the near faces of 3D boxes; see :class:`Camera` and :class:`BoxLifter`."""
+    """A camera with depth and the near faces of 3D boxes; see :class:`Camera` and :class:`BoxLifter`.
+
+    ``detector`` may also be the path of an ONNX file for
+    :class:`~eldenet.perception.onnx_detector.OnnxDetector`.
+    """
+    if isinstance(detector, str | Path):
+        from eldenet.perception.onnx_detector import OnnxDetector
+
+        detector = OnnxDetector(detector)
     sensor = camera(checkpoint, size=size, light=light, drift=drift, latency=latency)
     ground = flat_ground(ROBOT.camera_height)
     sensor.lifter = BoxLifter(method, priors=ARENA_PRIORS, ground=ground, depth_sigma=depth_sigma)

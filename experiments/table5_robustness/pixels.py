@@ -6,7 +6,6 @@ All rows cross the same test arenas. Stored rows of the same depth network and d
 that was stopped goes on with the row where it stopped.
 """
 
-import csv
 import hashlib
 import sys
 from argparse import ArgumentParser
@@ -22,14 +21,19 @@ import torch  # noqa: E402
 
 from eldenet.navigation.cameras import camera, objects  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import Episode, mcnemar, run_episodes, summarize  # noqa: E402
+from eldenet.navigation.evaluation import (  # noqa: E402
+    Episode,
+    mcnemar,
+    read_episodes,
+    run_episodes,
+    summarize,
+    write_episodes,
+)
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges, Sensor  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
-from eldenet.perception.onnx_detector import OnnxDetector  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 from eldenet.weights import located  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -60,7 +64,6 @@ CONDITIONS: Mapping[str, Condition] = {
     "80 obstacles, 10 pedestrians, tracked": Condition(80, 10, True),
 }
 LABELS = ("condition", "sensor", "version")
-EPISODE = ("world", "outcome", "seconds", "travelled", "shortest")
 
 # (condition, sensor, version) -> episodes by arena
 Rows = dict[tuple[str, str, str], list[Episode]]
@@ -103,7 +106,7 @@ def make_sensor(kind: str, detector: Path | None) -> Sensor:
         return Ranges()
     if kind == "camera":
         return camera(DEPTH)
-    return objects(DEPTH, detector=OnnxDetector(detector) if kind == SENSORS[3] and detector else None)
+    return objects(DEPTH, detector=detector if kind == SENSORS[3] else None)
 
 
 def version(kind: str, detector: Path | None) -> str:
@@ -131,31 +134,18 @@ def digest(file: Path) -> str:
 
 def read(file: Path) -> Rows:
     """Return the stored rows of today's episodes and depth network."""
-    out: Rows = {}
-    if not file.is_file():
-        return out
-    with file.open(newline="") as lines:
-        for line in csv.DictReader(lines):
-            kind = line["sensor"]
-            if line["version"].startswith(version("camera" if kind != SENSORS[0] else kind, None)):
-                episode = Episode(
-                    line["world"], CONDITIONS[line["condition"]].density, line["outcome"],
-                    *(float(line[name]) for name in ("seconds", "travelled", "shortest")),
-                )  # fmt: skip
-                out.setdefault((line["condition"], kind, line["version"]), []).append(episode)
-    return out
+    return {
+        (name, kind, made_with): episodes
+        for (name, kind, made_with), episodes in read_episodes(file, LABELS).items()
+        if made_with.startswith(version(SENSORS[min(SENSORS.index(kind), 1)], None))
+    }
 
 
 def write(folder: Path, rows: Rows) -> None:
     """Write every episode to ``pixels.csv`` and the table to ``pixels.md``."""
     order = sorted(rows, key=lambda key: (list(CONDITIONS).index(key[0]), SENSORS.index(key[1]), key[2]))
     made = {key: rows[key] for key in order if rows[key]}
-    lines = [
-        [*key, *(getattr(episode, name) for name in EPISODE)]
-        for key, episodes in made.items()
-        for episode in episodes
-    ]
-    write_rows(folder / "pixels.csv", [*LABELS, *EPISODE], lines)
+    write_episodes(folder / "pixels.csv", LABELS, made)
     text = [
         "# Driving by pixels",
         "",

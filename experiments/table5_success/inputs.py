@@ -113,11 +113,7 @@ def make_sensor(sensor: str, args: Namespace) -> Sensor:
     depth = None if args.depth == TRUTH else args.depth
     if kind == "camera":
         return camera(depth, light=float(light or 1.0))
-    detector = None
-    if args.detector != TRUTH:
-        from eldenet.perception.onnx_detector import OnnxDetector
-
-        detector = OnnxDetector(args.detector)
+    detector = None if args.detector == TRUTH else args.detector
     return objects(depth, detector=detector, light=float(light or 1.0))
 
 

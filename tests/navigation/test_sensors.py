@@ -156,6 +156,17 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
         camera("no-such-run")
 
 
+def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
+    from support.detector_files import FILES, WANTED, save
+
+    path = save(tmp_path / "d.onnx", *FILES["yolov9"])
+    config = compose("navigate", ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"])
+    sensor = instantiate(config.sensor)
+    assert sensor.sources["detector"] == (str(path), path)
+    scan = instance_of(sensor).scan()
+    assert len(scan.boxes) == len(WANTED)  # those of the file, whatever the frame shows
+
+
 def test_the_network_of_a_camera_is_told_the_robots_lens():
     predictor, size = canonical_predictor(60, 80), (60, 80)
     seen = instance_of(Camera(predictor, size=size)).scan()
