@@ -191,6 +191,7 @@ def test_a_detector_learns_resumes_and_exports_what_it_learned(tmp_path):
     assert len(loss) == 4
     assert loss[-1] < 0.9 * loss[0]
     assert record["file"]["bytes"] > 1e6
+    assert record["frames"] == "streets-v1"
     with pytest.raises(ValueError, match="resume=true"):
         setup(folder, *options, "training.epochs=5")
     train_detector(setup(folder, *options, "training.epochs=5", "resume=true"))

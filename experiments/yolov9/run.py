@@ -1,6 +1,6 @@
 """Average precision of detectors on KITTI's labeled frames and on rendered test streets.
 
-python experiments/table4_centres/detectors.py runs/yolov9_streets.onnx yolox_nano_coco_256x832.onnx
+python experiments/yolov9/run.py runs/yolov9_streets.onnx yolox_nano_coco_256x832.onnx
 
 Nothing is tuned on these frames; KITTI's were scored once. Needs ELDENET_DATA.
 """
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from cases import LEAST_HEIGHT, SIZES
 
 from eldenet.boxes import Detections2D
 from eldenet.perception.detectors import merge_cyclists
@@ -24,9 +23,10 @@ from eldenet.simulation.street_views import render_street
 from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
+SIZE = (256, 832)  # of rendered frames [px]
 OVERLAP = 0.5
 THRESHOLD = 0.3  # of detections that table 4 takes
-KITTI_HEIGHT = 25  # [px]
+KITTI_HEIGHT, RENDERED_HEIGHT = 25, 18  # least heights of objects that count, as in table 4 [px]
 LEAST_VISIBLE = 0.25  # share of a rendered object
 LEAST_SCORE = 0.01  # of those that count for average precision
 #: Names of one group count as one class: detectors and labels divide vehicles differently.
@@ -104,13 +104,13 @@ def kitti() -> Iterator[Frame]:
 
 
 def rendered(count: int) -> Iterator[Frame]:
-    """Yield rendered streets and crossings; objects that are seen to 25 %, as high as table 4's, count."""
+    """Yield rendered streets and crossings; objects that are seen to 25 % or more count."""
     for kind in ("street", "crossing"):
         for index in range(count):
-            view = render_street("test", index, SIZES[kind], kind)
+            view = render_street("test", index, SIZE, kind)
             xyxy = view.detections.xyxy
-            counts = (xyxy[:, 3] - xyxy[:, 1] >= LEAST_HEIGHT) & (view.visible >= LEAST_VISIBLE)
-            yield Frame(view.image, xyxy, np.array(view.detections.classes, object), counts, LEAST_HEIGHT)
+            counts = (xyxy[:, 3] - xyxy[:, 1] >= RENDERED_HEIGHT) & (view.visible >= LEAST_VISIBLE)
+            yield Frame(view.image, xyxy, np.array(view.detections.classes, object), counts, RENDERED_HEIGHT)
 
 
 def match(frame: Frame, found: Detections2D, group: str) -> Matches:
@@ -167,8 +167,8 @@ def average_precision(parts: Sequence[Matches]) -> float:
 
 
 def write(folder: Path, rows: Sequence[Sequence[str]]) -> None:
-    """Write ``detectors.csv`` and the table to ``detectors.md``."""
-    write_rows(folder / "detectors.csv", COLUMNS, rows)
+    """Write ``results.csv`` and the table to ``results.md``."""
+    write_rows(folder / "results.csv", COLUMNS, rows)
     lines = [
         f"| {frames} | `{name}` | {group} | {count} | {ap} [{low}, {high}] | {found} | {false} |"
         for frames, name, _, group, count, ap, low, high, found, false in rows
@@ -185,14 +185,14 @@ def write(folder: Path, rows: Sequence[Sequence[str]]) -> None:
         f"detections from a score of {THRESHOLD}, which table 4 takes. Vehicles: car, van, truck, bus as one "
         'class. KITTI: objects up to "hard"; smaller ones and detections, sitting people and DontCare areas '
         "are neither found nor "
-        f"missed. Rendered: test streets and crossings, objects of {LEAST_HEIGHT} px or more, seen to "
+        f"missed. Rendered: test streets and crossings, objects of {RENDERED_HEIGHT} px or more, seen to "
         f"{100 * LEAST_VISIBLE:.0f} % or more.",
         "",
-        f"{environment()['date'][:10]}. `detectors.csv` has the first digits of "
-        "each file's SHA-256. Made by `python experiments/table4_centres/detectors.py "
+        f"{environment()['date'][:10]}. `results.csv` has the first digits of "
+        "each file's SHA-256. Made by `python experiments/yolov9/run.py "
         "runs/yolov9_streets.onnx yolox_nano_coco_256x832.onnx`.",
     ]
-    (folder / "detectors.md").write_text("\n".join(text) + "\n")
+    (folder / "results.md").write_text("\n".join(text) + "\n")
 
 
 if __name__ == "__main__":

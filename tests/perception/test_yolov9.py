@@ -1,8 +1,7 @@
-"""Average precision of detectors beside table 4: by hand, and the stored table."""
+"""Average precision of the trained YOLOv9: by hand, and the stored tables."""
 
 import csv
 import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +9,13 @@ import pytest
 
 from eldenet.boxes import Detections2D
 
-FOLDER = Path(__file__).resolve().parents[2] / "experiments" / "table4_centres"
+FOLDER = Path(__file__).resolve().parents[2] / "experiments" / "yolov9"
+_SPEC = importlib.util.spec_from_file_location("yolov9", FOLDER / "run.py")
+study = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(study)
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        spec = importlib.util.spec_from_file_location("table4_detectors", FOLDER / "detectors.py")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(FOLDER))
-    return module
-
-
-def frame(study, boxes, counts):
+def frame(boxes, counts):
     names = np.array([name for name, _ in boxes], object)
     xyxy = np.array([box for _, box in boxes], float).reshape(-1, 4)
     return study.Frame(np.zeros((100, 300, 3), np.uint8), xyxy, names, np.array(counts, bool), 20.0)
@@ -37,10 +27,9 @@ def found(boxes, scores):
     )
 
 
-def test_average_precision_by_hand(study):
+def test_average_precision_by_hand():
     """Right, wrong, right of three: precision 1 at a third, 2/3 at two thirds of the recall."""
     labeled = frame(
-        study,
         [("car", [0, 0, 40, 40]), ("van", [100, 0, 140, 40]), ("truck", [200, 0, 240, 40])],
         [True, True, True],
     )
@@ -55,9 +44,8 @@ def test_average_precision_by_hand(study):
     assert np.isnan(study.average_precision([study.match(labeled, guess, "cyclists")]))
 
 
-def test_what_does_not_count_is_neither_found_nor_missed(study):
+def test_what_does_not_count_is_neither_found_nor_missed():
     labeled = frame(
-        study,
         [("car", [0, 0, 40, 40]), ("car", [60, 0, 100, 40]), ("dontcare", [110, 0, 300, 60])],
         [True, False, False],
     )
@@ -73,13 +61,13 @@ def test_what_does_not_count_is_neither_found_nor_missed(study):
     assert matches.right.tolist() == [True, False]  # an object is found once
 
 
-def test_the_stored_table_shows_the_stored_figures(study, tmp_path):
-    with (FOLDER / "detectors.csv").open(newline="") as lines:
+def test_the_stored_table_shows_the_stored_figures(tmp_path):
+    with (FOLDER / "results.csv").open(newline="") as lines:
         rows = list(csv.reader(lines))[1:]
     study.write(tmp_path, rows)
-    assert (tmp_path / "detectors.csv").read_text() == (FOLDER / "detectors.csv").read_text()
+    assert (tmp_path / "results.csv").read_text() == (FOLDER / "results.csv").read_text()
     shown, made = (
-        [line for line in (folder / "detectors.md").read_text().splitlines() if line.startswith("| ")]
+        [line for line in (folder / "results.md").read_text().splitlines() if line.startswith("| ")]
         for folder in (FOLDER, tmp_path)
     )
     assert shown == made
