@@ -74,7 +74,7 @@ class Matches(NamedTuple):
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("detectors", nargs="+", type=Path, help=".onnx files")
-    parser.add_argument("--streets", type=int, default=40, help="rendered test scenes of each kind")
+    parser.add_argument("--streets", type=int, default=25, help="rendered test scenes of each kind")
     args = parser.parse_args(arguments)
     frames = {"KITTI": list(kitti())}
     if args.streets:
