@@ -29,7 +29,7 @@ KINDS = {
     "vehicles": ("Car",),
 }
 METHOD_NAMES = (*METHODS, "refine, height unknown")
-RUNTIME = "boxes: numpy; depth networks: torch; YOLOX: ONNX Runtime"
+RUNTIME = "boxes: numpy; depth networks: torch; detectors: ONNX Runtime"
 
 
 def table_rows(
@@ -139,6 +139,11 @@ def accuracy_by_distance(setting: Setting, group: str, pairs: dict[str, Pairs]) 
 def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]:
     """Return lines that describe the protocol and the machine."""
     machine = dict(zip(COLUMNS[COLUMNS.index("protocol") :], where(example), strict=True))
+    simulation = (
+        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; "
+        "objects seen to 30 % or more, not cut by the border, 18 pixels high or more; tight boxes around "
+        "what is seen."
+    )
     return [
         "Center accuracy: mean of 1 - |c - c*| / |c*| over objects that the 2D boxes hold (IoU 0.5, one to "
         "one). BEV and 3D: share of those whose boxes overlap by more. Yaw: median error modulo 180 degrees. "
@@ -155,10 +160,7 @@ def protocol_notes(frames: int, notes: list[str], example: Setting) -> list[str]
         f"there depth_sigma={SENSOR_SIGMA[0]} is given. `refine, height unknown` is not told the camera's "
         "height; the other methods are told the nominal one.",
         "",
-        f"Simulation: {frames} test scenes each, streets and crossings at 256 x 832, halls at 240 x 320; "
-        "objects seen to 30 % or more, not cut by the border, 18 pixels high or more; tight boxes around "
-        "what is seen.",
-        "",
+        *([simulation, ""] if frames else []),
         'KITTI: training frames at hand with a scan, or all with a network; objects not beyond "hard". '
         "Label boxes are projections of the 3D boxes, so they leak the answer. `no_depth` knows the class "
         "sizes and the nominal camera height.",
