@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support import layouts
 
-from eldenet.check_data import check
 from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split, spread
+from eldenet.results.data_check import check
 from eldenet.training.run import common_frames
 
 

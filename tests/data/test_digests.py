@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support import layouts
 
-from eldenet.check_data import check
 from eldenet.config import build_check_data, compose
+from eldenet.results.data_check import check
 
 
 def run(root: Path, *overrides: str) -> tuple[bool, dict]:

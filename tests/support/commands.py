@@ -20,13 +20,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+#: What trainings, evaluations and drives load; what is missing here costs each command its import again.
 PRELOADED = (
-    "accelerate", "albumentations", "cv2", "hydra.main", "scipy.stats", "tabulate",
-    "torch._inductor.config", "torch.distributed", "torch.utils.flop_counter", "torch.utils.tensorboard",
-    "eldenet.training.run", "eldenet.training.trainer", "eldenet.evaluation.metrics", "eldenet.results.score",
-    "eldenet.results.tables", "eldenet.zoo", "eldenet.backbones.pplcnet", "eldenet.decoders.fast_upconv",
-    "eldenet.data.rooms",
-    "eldenet.data.nyu", "eldenet.data.kitti", "eldenet.data.folder", "eldenet.data.transforms",
+    "accelerate", "albumentations", "cv2", "hydra.main", "matplotlib.pyplot", "mujoco", "scipy.stats",
+    "tabulate", "torch._inductor.config", "torch.distributed", "torch.utils.flop_counter",
+    "torch.utils.tensorboard",
+    "eldenet.backbones.pplcnet", "eldenet.data.folder", "eldenet.data.kitti", "eldenet.data.nyu",
+    "eldenet.data.rooms", "eldenet.data.transforms", "eldenet.decoders.fast_upconv",
+    "eldenet.evaluation.metrics",
+    "eldenet.navigation.env", "eldenet.navigation.modes", "eldenet.results.score", "eldenet.results.tables",
+    "eldenet.training.run", "eldenet.zoo",
 )  # fmt: skip
 
 

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
 from support.training import digest, fit, make_trainer
@@ -84,9 +82,9 @@ main()
 """
 
 
-def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path):
-    words = [sys.executable, "-c", INTERRUPTED]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, command_server):
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    done = command_server.run(str(tmp_path / "interrupted.py"), [], tmp_path)
     assert done.returncode == 130
     (line,) = done.stderr.splitlines()
     assert line.startswith("stopped; to go on: eldenet train loss=l1 'data.root='")

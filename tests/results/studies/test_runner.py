@@ -12,6 +12,7 @@ from support.tiny_study import TRAINING, cells, run, run_all, short
 
 from eldenet import config as cfg
 from eldenet.config import training_composition
+from eldenet.deploy.benchmarking import measure as measuring
 from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
@@ -126,7 +127,8 @@ def test_a_study_is_found_from_inside_its_folder(tiny, tmp_path, monkeypatch):
     assert read_study("..", training_composition()).name == "other"
 
 
-def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path):
+def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(measuring, "PEAK_SIDE", 64)  # a small product for the processor's peak
     (tiny / "sweep.yaml").write_text(re.sub(r"  elsewhere:.*\n", "", (tiny / "sweep.yaml").read_text()))
     rows = "  same: {overrides: [model=eldenet_s, loss=l1_sparse], learning_rate: 1.0e-3}\n"
     rows += "  plain: {overrides: [model=eldenet_s, model.backbone.shortcuts=false]}\n"
