@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _RAYS = 24  # of each lamp
 _GLOWS = 6  # places that shine on
+_SHADOWED = 3  # of them, the strongest: each shadow costs a cast
 _LATER_BOUNCES = 1.5  # what the second and later bounces add, as a factor on the first
 _NEAR = 0.6  # [m2] keeps a glow's neighborhood from burning out
 _GLOW_STRIDE = 6
@@ -60,10 +61,11 @@ def _gather(point: np.ndarray, normal: np.ndarray, power: np.ndarray) -> list[Gl
         squared = np.square(features - features[:, chosen[-1], None]).sum(axis=0)
         nearest[squared < away] = len(chosen) - 1
         away = np.minimum(away, squared)
-    return [
+    found = [
         Glow(point[:, place], normal[:, place], power[:, nearest == number].sum(axis=1))
         for number, place in enumerate(chosen)
     ]
+    return sorted(found, key=lambda glow: -float(glow.power.sum()))
 
 
 def _sphere(count: int) -> np.ndarray:
@@ -78,14 +80,15 @@ def add_bounces(light: np.ndarray, room: "CompiledRoom", hits: Hits, size: tuple
     """Add the light of :func:`glows` to ``light`` ``(3, N)``, in place."""
     from eldenet.simulation.rendering.shading import shadow
 
-    for glow in room.glows:
+    for number, glow in enumerate(room.glows):
         ray = glow.point[:, None] - hits.point
         squared = (ray * ray).sum(axis=0)
         ray /= np.sqrt(squared) + np.float32(1e-6)
         strength = np.maximum((ray * hits.normal).sum(axis=0), np.float32(0.0))
         strength *= np.maximum(-(glow.normal @ ray), np.float32(0.0)) / (np.float32(_NEAR) + squared)
-        origin = glow.point + np.float32(0.03) * glow.normal
-        strength *= shadow(room.model, room.data, origin, hits, size, stride=_GLOW_STRIDE)
+        if number < _SHADOWED:
+            origin = glow.point + np.float32(0.03) * glow.normal
+            strength *= shadow(room.model, room.data, origin, hits, size, stride=_GLOW_STRIDE)
         for c in range(3):
             light[c] += strength * glow.power[c]
 

@@ -64,7 +64,7 @@ class CompiledRoom:
         self.model: Any = mujoco.MjModel.from_xml_string(room.text)
         self.data: Any = mujoco.MjData(self.model)
         self.update()
-        self.glows = glows(self) if room.detail else []
+        self.glows = glows(self) if room.detail and room.kind != "street" else []
 
     def update(self) -> None:
         """Recompute where every geom is."""
@@ -128,7 +128,8 @@ class CompiledRoom:
             strength = np.maximum(_dot(ray, normal) * np.float32(0.92) + np.float32(0.08), 0) * open_sky
             strength /= np.float32(0.25) + squared * np.float32(1 / row[6] ** 2)
             if rank == 0 or (rank == 1 and self.room.detail):
-                strength *= shadow(self.model, self.data, lamp, hits, camera.size)
+                far = 400.0 if self.room.detail else 30.0  # a street's sun is far away
+                strength *= shadow(self.model, self.data, lamp, hits, camera.size, far=far)
             if rank == 0:
                 ray += view  # the half vector: only the strongest light leaves highlights
                 peak = _dot(ray, normal) ** 2 / (_dot(ray, ray) + np.float32(1e-6))
@@ -189,6 +190,8 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
         near = np.float32(half) - np.abs(point[axis] - np.float32(middle))
         edge = np.float32(0.5) / (np.float32(1) + np.square(np.maximum(near, 0) * np.float32(3.0)))
         out *= 1 - edge * (1 - np.abs(normal[axis]))
+    if room.detail:  # contact_shade knows better
+        return out
     # behind something: the pixel lies deeper than its neighborhood
     for window in (depth.shape[1] // 20 * 2 + 1, depth.shape[1] // 8 * 2 + 1):
         mean = cv2.blur(depth, (window, window), borderType=cv2.BORDER_REPLICATE)
@@ -203,16 +206,21 @@ def shadow(
     light: np.ndarray,
     hits: Hits,
     size: tuple[int, int],
+    *,
     stride: int = _SHADOW_STRIDE,
+    far: float = 30.0,
 ) -> np.ndarray:
-    """Return the visibility ``(N,)`` of a light, cast at ``1 / stride`` of the resolution and softened."""
+    """Return the visibility ``(N,)`` of a light, cast at ``1 / stride`` of the resolution and softened.
+
+    What is farther than ``far`` [m] from the light counts as lit.
+    """
     height, width = size
     points = hits.point.reshape(3, height, width)[:, 1::stride, 1::stride]
     rows, columns = points.shape[1:]
     rays = points.reshape(3, -1).astype(np.float64) - light[:, None]
     distance = np.sqrt(np.square(rays).sum(axis=0))
     rays /= np.maximum(distance, 1e-9)
-    reached, _, _ = cast_rays(model, data, light, rays.T, 30.0, normals=False)
+    reached, _, _ = cast_rays(model, data, light, rays.T, far, normals=False)
     lit = ((reached < 0) | (reached > distance - 0.03 - 0.004 * distance)).astype(np.float32)
     lit = cv2.GaussianBlur(lit.reshape(rows, columns), (3, 3), 0.8)
     lit = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
