@@ -31,7 +31,7 @@ class Rooms(RenderedScenes):
     generator = Generator(
         "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
     )
-    detailed = Generator("rooms", 1, generator.renderer, {}, detail=True)
+    detailed = generator._replace(digests={}, detail=True)
 
     def __init__(
         self,
@@ -45,5 +45,5 @@ class Rooms(RenderedScenes):
         detail: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
-        self.generator = (self.detailed if detail else self.generator).with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, **options)
+        self.generator = self.generator.with_focal(focal)
+        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)

@@ -48,5 +48,5 @@ class Streets(RenderedScenes):
         detail: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
-        self.generator = (self.detailed if detail else self.generator).with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, **options)
+        self.generator = self.generator.with_focal(focal)
+        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)

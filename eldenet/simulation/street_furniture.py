@@ -61,6 +61,12 @@ class StreetFurniture:
                 if d.chance(chance):
                     add(x, side, near + d.uniform(0.3, 0.9))
                 x += gap * d.uniform(0.7, 1.3)
+        x = d.uniform(0, 8)
+        while x < END + 20:  # trees behind the houses and at the end of the street
+            crown, y = d.uniform(2.0, 4.5), side * (near + pavement + d.uniform(9, 16))
+            y = side * d.uniform(0, 8) if x > END else y
+            self.b.ellipsoid((x, y, crown), (crown, crown, crown * d.uniform(0.9, 1.6)), self.leaves)
+            x += d.uniform(3, 10) if x < END else 2.0
         x = 0.0
         while x < END:  # in front of the houses
             long = d.uniform(3, 15)

@@ -1,0 +1,63 @@
+"""Scores weights that saw no real frame on real ones: NYU's, and those of two other cameras.
+
+``python experiments/renders/score.py train today=runs/today detail=runs/detail`` measures these run folders on the
+665 NYU frames of split ``train``, puts their rows into ``results.csv`` and prints the table; ``val`` are the 130
+frames of other scenes, for the end. ``cameras`` scores the places of ``$ELDENET_DATA/other_cameras`` instead.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+import eldenet
+from eldenet.config import build_protocol, build_split, compose
+from eldenet.evaluation.evaluator import evaluate
+from eldenet.system.files import read_table, write_rows
+
+HERE = Path(__file__).parent
+STORED = HERE / "results.csv"
+COLUMNS = ("weights", "frames", "delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
+
+
+def score(source: str, split: str) -> list[float]:
+    """Return delta1 and AbsRel on NYU's frames of a split, unaligned, then median-aligned."""
+    model = eldenet.load(source)
+    size = list(model.info["input_size"])
+    config = compose("train", ["data=nyu_labelled", f"data.input_size={size}", f"data.val.split={split}"])
+    protocol = build_protocol(config)
+    frames, found = build_split(config, "val", protocol), []
+    for scale in ("metric", "median"):
+        result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))
+        found += [result.metrics["delta1"], result.metrics["abs_rel"]]
+    return found
+
+
+def main(split: str, sources: list[str]) -> None:
+    """Measure ``sources``, store their rows, and print the table."""
+    torch.set_num_threads(1)
+    rows = {}
+    if STORED.exists():
+        rows = {(row["weights"], row["frames"]): row for row in read_table(STORED, COLUMNS)}
+    for source in sources:
+        name, _, folder = source.rpartition("=")
+        if split == "cameras":
+            sys.path.insert(0, str(HERE.parent / "indoor"))
+            import other_cameras
+
+            found = {place: other_cameras.score(folder, place) for place in other_cameras.PLACES}
+        else:
+            found = {f"nyu_{split}": score(folder, split)}
+        for frames, figures in found.items():
+            values = [f"{figure:.3f}" for figure in figures]
+            row = dict(zip(COLUMNS, [name or folder, frames, *values], strict=True))
+            rows[row["weights"], frames] = row
+            write_rows(STORED, list(rows.values()), COLUMNS)
+    print("| " + " | ".join(COLUMNS) + " |\n|---|---|---:|---:|---:|---:|")
+    for row in rows.values():
+        print("| " + " | ".join(row[column] for column in COLUMNS) + " |")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])
