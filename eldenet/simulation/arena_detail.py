@@ -1,7 +1,7 @@
 """Arenas as a camera sees them with ``detail``: furniture, doors, windows, cables, things that hang.
 
-Footprints stay those of :mod:`eldenet.simulation.arena_mjcf`, which physics and ranges use. A table has legs and
-air below it here, and a chair a back, so this is for pictures and their depth alone.
+Footprints stay those of :mod:`eldenet.simulation.arena_mjcf`, which physics and ranges use. A table has legs
+and air below it here, so this is for pictures and their depth alone.
 """
 
 from eldenet.simulation.arena_mjcf import CEILING, WALL_HEIGHT
@@ -44,7 +44,9 @@ def _obstacle(d: Draw, m: Materials, obstacle: Obstacle) -> str:
             body.box((0, side * deep / 2, 0), (wide, 0.02, 0.1), m.trim)
     elif obstacle.kind == "cylinder":
         if tall < 1.2 and d.chance(0.5):
-            surfaces = d.pick((furniture.stool, furniture.round_table, household.plant))(d, m, body, wide, deep)
+            surfaces = d.pick((furniture.stool, furniture.round_table, household.plant))(
+                d, m, body, wide, deep
+            )
         else:
             body.cylinder((0, 0, 0), wide / 2, tall, d.pick((*m.colors, *m.walls, m.metal)))
     elif obstacle.kind == "vehicle" or d.chance(0.25):

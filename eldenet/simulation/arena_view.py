@@ -61,7 +61,9 @@ class ArenaView:
         intrinsics: ``(3, 3)`` [px], of the robot's field of view.
     """
 
-    def __init__(self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0, detail: bool = False) -> None:
+    def __init__(
+        self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0, detail: bool = False
+    ) -> None:
         self.intrinsics = robot_intrinsics(size)
         self.camera = RayCamera(size, self.intrinsics)
         self.arena, self.size = arena, size

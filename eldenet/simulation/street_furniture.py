@@ -1,7 +1,7 @@
 """What stands along a street: pavements, trees, lamp posts, signs, hedges, fences, house fronts.
 
-World coordinates as in :mod:`eldenet.simulation.streets`: x ahead, y to the left; a street's ``side`` is 1 (left)
-or -1. Everything goes into one body, for it has no box of its own.
+World coordinates as in :mod:`eldenet.simulation.streets`: x ahead, y to the left; a street's ``side`` is 1
+(left) or -1. Everything goes into one body, for it has no box of its own.
 """
 
 import numpy as np
@@ -24,7 +24,8 @@ class StreetFurniture:
     """
 
     def __init__(self, draw: Draw, materials: Materials, body: Body) -> None:
-        self.d, self.m, self.b = d, m, _ = draw, materials, body
+        self.d, self.m, self.b = draw, materials, body
+        d = draw
         plain, add = variants("plain")[0], materials.palette.add
         slab = jitter(d, (0.4, 0.39, 0.37), 0.06)
         self.slabs = add([slab, (0.3, 0.3, 0.29), (0.25, 0.25, 0.25)], d.pick(variants("tiles")), 1.5)
@@ -35,7 +36,7 @@ class StreetFurniture:
         self.leaves = add([green, light, (0.04, 0.08, 0.02)], d.pick(variants("foliage")), 0.8)
         self.lawn = add([green, light, (0.2, 0.2, 0.08)], variants("carpet")[0], 2.0)
         self.signs = [add([color], plain, 1.0) for color in _SIGNS]
-        self.poles = [m.metal, m.dark]
+        self.poles = [materials.metal, materials.dark]
         walls = (natural_color(d, 0.5), natural_color(d, 0.5), (0.5, 0.28, 0.2), (0.7, 0.66, 0.58))
         self.fronts = [
             add([wall, (0.05, 0.06, 0.08), jitter(d, (0.7, 0.7, 0.68))], front, d.uniform(7, 12), offset=0.5)
@@ -89,7 +90,9 @@ class StreetFurniture:
     def _tree(self, x: float, side: int, away: float) -> None:
         d, y = self.d, side * away
         trunk, crown = d.uniform(1.8, 3.2), d.uniform(0.9, 2.2)
-        self.b.limb((x, y, 0), (x + d.uniform(-0.2, 0.2), y, trunk + crown * 0.6), d.uniform(0.08, 0.2), self.bark)
+        self.b.limb(
+            (x, y, 0), (x + d.uniform(-0.2, 0.2), y, trunk + crown * 0.6), d.uniform(0.08, 0.2), self.bark
+        )
         for _ in range(d.integer(3, 7)):
             spot = [d.uniform(-0.6, 0.6) * crown for _ in range(3)]
             radii = (crown * d.uniform(0.4, 0.8), crown * d.uniform(0.4, 0.8), crown * d.uniform(0.35, 0.7))
@@ -123,7 +126,7 @@ class StreetFurniture:
 
 
 def sky_color(rays: np.ndarray, tone: tuple[float, float, float], draw: Draw) -> np.ndarray:
-    """Return the sky's light ``(N, 3)`` in the directions ``(N, 3)``: white at the horizon, with soft clouds."""
+    """Return the sky's light ``(N, 3)`` in directions ``(N, 3)``: white at the horizon, with clouds."""
     up = np.clip(rays[:, 2], 0, 1)
     haze = np.exp(-up / draw.uniform(0.05, 0.4))
     across = np.arctan2(rays[:, 1], rays[:, 0])

@@ -1,8 +1,8 @@
 """Scores weights that saw no real frame on real ones: NYU's, and those of two other cameras.
 
-``python experiments/renders/score.py train today=runs/today detail=runs/detail`` measures these run folders on the
-665 NYU frames of split ``train``, puts their rows into ``results.csv`` and prints the table; ``val`` are the 130
-frames of other scenes, for the end. ``cameras`` scores the places of ``$ELDENET_DATA/other_cameras`` instead.
+``python experiments/renders/score.py train today=runs/today detail=runs/detail`` measures these run folders
+on the 665 NYU frames of split ``train``, puts their rows into ``results.csv`` and prints the table. ``val`` are
+the 130 frames of other scenes, for the end; ``cameras`` are the places of ``$ELDENET_DATA/other_cameras``.
 """
 
 import sys
@@ -50,10 +50,9 @@ def main(split: str, sources: list[str]) -> None:
         else:
             found = {f"nyu_{split}": score(folder, split)}
         for frames, figures in found.items():
-            values = [f"{figure:.3f}" for figure in figures]
-            row = dict(zip(COLUMNS, [name or folder, frames, *values], strict=True))
-            rows[row["weights"], frames] = row
-            write_rows(STORED, list(rows.values()), COLUMNS)
+            values = [name or folder, frames, *(f"{figure:.3f}" for figure in figures)]
+            rows[values[0], frames] = dict(zip(COLUMNS, values, strict=True))
+            write_rows(STORED, COLUMNS, [[row[column] for column in COLUMNS] for row in rows.values()])
     print("| " + " | ".join(COLUMNS) + " |\n|---|---|---:|---:|---:|---:|")
     for row in rows.values():
         print("| " + " | ".join(row[column] for column in COLUMNS) + " |")

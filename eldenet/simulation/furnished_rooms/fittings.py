@@ -1,6 +1,7 @@
-"""What makes a room look lived in: sun through windows, fans, beams, pipes, cables, coats, shoes, heaps of clothes."""
+"""What makes a room look lived in: sun, fans, beams, pipes, cables, coats, shoes, heaps of clothes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -77,7 +78,11 @@ def _pipes(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> 
     """Pipes or ducts below the ceiling, one of them down a wall."""
     sx, sy, h = size
     for _ in range(d.integer(1, 3)):
-        y, z, radius = d.uniform(-0.45, 0.45) * sy, h - d.uniform(0.12, 0.35), d.pick((0.02, 0.03, 0.06, 0.12))
+        y, z, radius = (
+            d.uniform(-0.45, 0.45) * sy,
+            h - d.uniform(0.12, 0.35),
+            d.pick((0.02, 0.03, 0.06, 0.12)),
+        )
         b.limb((-sx / 2, y, z), (sx / 2, y, z), radius, d.pick((m.metal, m.white, m.dark)))
     b.limb((sx / 2 - 0.06, -sy / 2 + 0.08, 0), (sx / 2 - 0.06, -sy / 2 + 0.08, h), 0.025, m.white)
 
@@ -118,7 +123,7 @@ def _cable(d: Draw, m: Materials, b: Body, x: float) -> None:
     for _ in range(d.integer(1, 4)):
         px, py, _ = points[-1]
         points.append((px + d.uniform(-0.5, 0.5), max(0.03, py + d.uniform(-0.15, 0.3)), 0.01))
-    for start, end in zip(points, points[1:], strict=False):
+    for start, end in pairwise(points):
         b.limb(start, end, 0.006, cable)
 
 
@@ -165,6 +170,3 @@ def _clothes(d: Draw, m: Materials, b: Body, z: float, reach: float) -> None:
             d.pick((*m.clothes, *m.fabrics)),
             euler=(d.uniform(-15, 15), d.uniform(-15, 15), d.uniform(0, 180)),
         )
-
-
-Adder = Callable[[Draw, Materials, Body, tuple[float, float, float]], None]

@@ -245,13 +245,17 @@ def small_object(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -
     elif style == 10:  # a framed photograph or a tablet
         width, tall = d.uniform(0.1, 0.3), d.uniform(0.12, 0.3)
         b.box((x, y, z), (width, 0.02, tall), m.dark, euler=(-12, 0, turn[2]))
-        b.box((x, y, z + 0.015), (width - 0.03, 0.026, tall - 0.03), d.pick(m.pictures), euler=(-12, 0, turn[2]))
+        b.box(
+            (x, y, z + 0.015), (width - 0.03, 0.026, tall - 0.03), d.pick(m.pictures), euler=(-12, 0, turn[2])
+        )
     elif style == 11:  # a computer, a radio, a printer
         b.box((x, y, z), (d.uniform(0.2, 0.5), d.uniform(0.15, 0.4), d.uniform(0.1, 0.3)), m.dark, euler=turn)
     elif style == 12:  # bottles, jars or cans side by side
         for k in range(d.integer(2, 5)):
             tall = d.uniform(0.08, 0.3)
-            b.cylinder((x + 0.075 * k, y, z), d.uniform(0.02, 0.036), tall, d.pick((*m.colors, m.white, m.dark)))
+            b.cylinder(
+                (x + 0.075 * k, y, z), d.uniform(0.02, 0.036), tall, d.pick((*m.colors, m.white, m.dark))
+            )
     else:
         b.cylinder((x, y, z), 0.06, 0.02, m.dark)
         b.cylinder((x, y, z + 0.02), 0.015, 0.2, m.metal)

@@ -1,8 +1,9 @@
 """Furnished rooms: walls with doors and windows, furniture along them, clutter on top.
 
 A room depends on ``(split, index)`` alone and is the same on every machine (:class:`~.rendering.mjcf.Draw`,
-four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras and
-``(..., 2, view)`` for a frame's noise; ``(..., 7)`` is for the fittings of ``detail``; the splits share none, so no room is in two of them.
+four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras,
+``(..., 2, view)`` for a frame's noise and ``(..., 7)`` for what ``detail`` adds; the splits share none, so no
+room is in two of them.
 """
 
 from eldenet.simulation.furnished_rooms import furniture, household

@@ -1,7 +1,7 @@
 """What lamps alone leave out: light after one bounce, sun through windows, and the shade where things touch.
 
-Bounces follow instant radiosity (Keller 1997): rays from the lamps hit walls and furniture, and a few of those
-places shine on as weak lamps of the surface's color, with shadows of their own.
+Bounces follow instant radiosity (Keller 1997): rays from the lamps hit walls and furniture, and a few of
+those places shine on as weak lamps of the surface's color, the strongest with shadows of their own.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,13 +45,13 @@ def glows(room: "CompiledRoom") -> list[Glow]:
         points.append(hits.point)
         normals.append(hits.normal)
         powers.append(power * np.float32(4 * _LATER_BOUNCES / _RAYS * lamp[6] ** 2))
-    if not points:
+    if not any(point.size for point in points):  # no lamp, or each shut in by something
         return []
     return _gather(*(np.concatenate(part, axis=1) for part in (points, normals, powers)))
 
 
 def _gather(point: np.ndarray, normal: np.ndarray, power: np.ndarray) -> list[Glow]:
-    """Join ``(3, N)`` lit places into a few that lie far apart; each takes the power of those nearest to it."""
+    """Join ``(3, N)`` lit places into a few far apart, each with the power of those nearest to it."""
     features = np.concatenate([point, normal * np.float32(0.7)])
     chosen = [int(power.sum(axis=0).argmax())]
     away = np.square(features - features[:, chosen[0], None]).sum(axis=0)
@@ -128,8 +128,15 @@ def _shifted(length: int, step: int) -> tuple[slice, slice]:
 
 
 class Sun(NamedTuple):
-    """Sun through a window: center, along the wall, inward normal and direction to the sun ``(3,)``; half
-    width and height [m], strength.
+    """Sun through a window.
+
+    Attributes:
+        center: of the window [m].
+        along: the wall.
+        normal: of the wall, inwards.
+        toward: the sun.
+        half: width and height [m].
+        strength: of its light.
     """
 
     center: tuple[float, float, float]
