@@ -66,9 +66,9 @@ def _hall(d: Draw, m: Materials, b: Body, side: float) -> None:
     half, thick, outer = side / 2, 0.05, side / 2 + 1
     b.plane((0, 0, 0), (0, 0, 1), m.floor)
     b.plane((0, 0, CEILING), (0, 0, -1), m.ceiling)
-    for number, (x, y) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
-        b.plane((x * outer, y * outer, 0), (-x, -y, 0), m.walls[1])
-        wall = Body((x * half, y * half, 0), (90.0, -90.0, 180.0, 0.0)[number])  # +y looks into the arena
+    for number, (nx, ny) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
+        b.plane((nx * outer, ny * outer, 0), (-nx, -ny, 0), m.walls[1])
+        wall = Body((nx * half, ny * half, 0), (90.0, -90.0, 180.0, 0.0)[number])  # +y looks into the arena
         wall.box((0, -thick, 0), (side + 0.2, 0.1, WALL_HEIGHT), m.walls[0])
         wall.box((0, 0.01, 0), (side, 0.02, 0.12), m.trim)
         place = -half + d.uniform(0.5, 2.0)

@@ -1,8 +1,8 @@
 """Scores weights that saw no real frame on real ones: NYU's, and those of two other cameras.
 
-``python experiments/renders/score.py train today=runs/today detail=runs/detail`` measures these run folders
-on the 665 NYU frames of split ``train``, puts their rows into ``results.csv`` and prints the table. ``val`` are
-the 130 frames of other scenes, for the end; ``cameras`` are the places of ``$ELDENET_DATA/other_cameras``.
+``python experiments/renders/score.py dev today=runs/today detail=runs/detail`` measures these run folders on
+NYU's frames of split ``dev``, puts their rows into ``results.csv`` and prints the table. ``val`` are the 130
+frames of other scenes, for the end; ``cameras`` are the places of ``$ELDENET_DATA/other_cameras``.
 """
 
 import sys

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from eldenet.simulation.rendering.camera import Hits, cast_rays
+from eldenet.simulation.rendering.shadows import shadow
 
 if TYPE_CHECKING:
     from eldenet.simulation.rendering.shading import CompiledRoom
@@ -78,8 +79,6 @@ def _sphere(count: int) -> np.ndarray:
 
 def add_bounces(light: np.ndarray, room: "CompiledRoom", hits: Hits, size: tuple[int, int]) -> None:
     """Add the light of :func:`glows` to ``light`` ``(3, N)``, in place."""
-    from eldenet.simulation.rendering.shading import shadow
-
     for number, glow in enumerate(room.glows):
         ray = glow.point[:, None] - hits.point
         squared = (ray * ray).sum(axis=0)
@@ -149,8 +148,6 @@ class Sun(NamedTuple):
 
 def add_sun(light: np.ndarray, sun: Sun, room: "CompiledRoom", hits: Hits, size: tuple[int, int]) -> None:
     """Add the patch of sun that falls through a window to ``light`` ``(3, N)``, in place."""
-    from eldenet.simulation.rendering.shading import shadow
-
     center, along, normal, toward = (np.array(part, np.float32) for part in sun[:4])
     inside = normal @ (hits.point - center[:, None])  # distance to the window's plane
     through = hits.point - toward[:, None] * (inside / (toward @ normal)) - center[:, None]

@@ -127,7 +127,7 @@ class Materials:
         color = jitter(d, d.pick(WALLS)) if d.chance(0.85) else self._color(0.9)
         color = shade(color, d.uniform(0.75, 1.1))
         quiet = ("stripes", "blobs", "plaster", "plain", "grain")  # their colors lie close together
-        others = ("tiles", "bricks", "stripes", "blobs", "grain")
+        others: tuple[str, ...] = ("tiles", "bricks", "stripes", "blobs", "grain")
         if self.natural:
             others = ("plain",) * 8 + ("tiles", "bricks", "stripes")
         family = d.pick(("plain",) * 4 + ("plaster",) * 2 + others)

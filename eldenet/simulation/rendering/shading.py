@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from eldenet.simulation.rendering.bounced_light import Sun, add_bounces, add_sun, contact_shade, glows
-from eldenet.simulation.rendering.camera import Hits, RayCamera, cast_rays
+from eldenet.simulation.rendering.camera import Hits, RayCamera
 from eldenet.simulation.rendering.mjcf import Palette
+from eldenet.simulation.rendering.shadows import shadow
 from eldenet.simulation.rendering.textures import atlas
 
 _FACE_U = np.array([1, 0, 0], dtype=np.intp)  # which local axes span a face, by its normal's axis
 _FACE_V = np.array([2, 2, 1], dtype=np.intp)
-_SHADOW_STRIDE = 4
 
 
 @dataclass
@@ -198,30 +198,3 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
         dip = np.clip((depth - mean) / (np.float32(0.12) * mean + np.float32(0.05)), 0, 1)
         out *= (1 - np.float32(0.3) * dip).ravel()
     return out
-
-
-def shadow(
-    model: Any,
-    data: Any,
-    light: np.ndarray,
-    hits: Hits,
-    size: tuple[int, int],
-    *,
-    stride: int = _SHADOW_STRIDE,
-    far: float = 30.0,
-) -> np.ndarray:
-    """Return the visibility ``(N,)`` of a light, cast at ``1 / stride`` of the resolution and softened.
-
-    What is farther than ``far`` [m] from the light counts as lit.
-    """
-    height, width = size
-    points = hits.point.reshape(3, height, width)[:, 1::stride, 1::stride]
-    rows, columns = points.shape[1:]
-    rays = points.reshape(3, -1).astype(np.float64) - light[:, None]
-    distance = np.sqrt(np.square(rays).sum(axis=0))
-    rays /= np.maximum(distance, 1e-9)
-    reached, _, _ = cast_rays(model, data, light, rays.T, far, normals=False)
-    lit = ((reached < 0) | (reached > distance - 0.03 - 0.004 * distance)).astype(np.float32)
-    lit = cv2.GaussianBlur(lit.reshape(rows, columns), (3, 3), 0.8)
-    lit = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
-    return lit.ravel() * np.float32(0.88) + np.float32(0.12)
