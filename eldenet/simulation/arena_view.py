@@ -89,6 +89,13 @@ class ArenaView:
         else:
             self._obstacle_of = _obstacle_numbers(self.room.model, arena)
 
+    def walk_to(self, time: float) -> None:
+        """Put the pedestrians where they are at a time [s]."""
+        pedestrians = self.arena.pedestrians
+        if pedestrians:
+            self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
+            self.room.update()
+
     def photo(
         self, pose: tuple[float, float, float], time: float = 0.0, noise: int = 0, settings: int = 0
     ) -> Photo:
@@ -101,10 +108,7 @@ class ArenaView:
             settings: seed of the camera's exposure, tone and blur; keep it over a video, so that it does not
                 flicker.
         """
-        pedestrians = self.arena.pedestrians
-        if pedestrians:
-            self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
-            self.room.update()
+        self.walk_to(time)
         linear, hits = self.room.photograph(self.camera, *camera_pose(pose))
         finish = develop_photo if self.room.room.detail else develop
         image = finish(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
@@ -172,12 +176,14 @@ def _photos(
     light = _LIGHT[0] * (_LIGHT[1] / _LIGHT[0]) ** draw.unit()
     view = ArenaView(arena, size, light=light, detail=detail)
     clearance = clearance_map(arena.obstacles)
-    probe = ArenaView(arena, (9, 16), detail=detail)
+    probe = RayCamera((9, 16), robot_intrinsics((9, 16)))
     for frame in range(views):
         time = draw.uniform(0.0, 60.0)
         pose = _draw_pose(draw, arena, clearance, time)
         for _ in range(5):  # few frames show nothing but the nearest wall
-            if np.median(probe.photo(pose, time).depth) > _NOSE_TO_WALL:
+            view.walk_to(time)
+            ahead = probe.cast(view.room.model, view.room.data, *camera_pose(pose)).depth
+            if np.median(ahead.astype(np.float32)) > _NOSE_TO_WALL:
                 break
             pose = _draw_pose(draw, arena, clearance, time)
         yield arena, pose, view.photo(pose, time, noise=frame, settings=frame)
