@@ -1,0 +1,34 @@
+"""Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
+
+``python experiments/renders/paired.py detail today`` reads ``dev_detail.csv`` and ``dev_today.csv``, which are
+``per_image.csv`` of the runs.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from eldenet.evaluation.bootstrap import bootstrap_interval
+
+METRICS = ("delta1", "abs_rel", "rmse")
+
+
+def read(name: str) -> dict[str, list[float]]:
+    """Return the metrics of each frame."""
+    with Path(__file__).with_name(f"dev_{name}.csv").open() as file:
+        return {row["name"]: [float(row[metric]) for metric in METRICS] for row in csv.DictReader(file)}
+
+
+def main(ours: str, theirs: str) -> None:
+    """Print the mean difference and interval of each metric."""
+    first, second = read(ours), read(theirs)
+    difference = np.array([np.subtract(first[name], second[name]) for name in first])
+    for metric, values in zip(METRICS, difference.T, strict=True):
+        low, high = bootstrap_interval(lambda drawn, values=values: float(values[drawn].mean()), len(values))
+        print(f"{metric}: {values.mean():+.3f} [{low:+.3f}, {high:+.3f}] of {len(values)} frames")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
