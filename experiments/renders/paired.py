@@ -1,7 +1,7 @@
 """Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
 
-``python experiments/renders/paired.py detail today`` reads ``dev_detail.csv`` and ``dev_today.csv``, which are
-``per_image.csv`` of the runs.
+``python experiments/renders/paired.py detail today`` reads ``dev_detail.csv`` and ``dev_today.csv``: columns
+of the runs' ``per_image.csv``.
 """
 
 import csv

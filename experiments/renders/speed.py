@@ -1,6 +1,6 @@
-"""Images per second of one core, without and with ``detail``: CPU time, so that a busy machine does not matter.
+"""Images per second of CPU time, without and with ``detail``.
 
-``python experiments/renders/speed.py`` writes ``speed.csv``.
+``python experiments/renders/speed.py`` writes ``speed.csv``. CPU time, so that a busy machine matters less.
 """
 
 import time
