@@ -1,7 +1,7 @@
 """Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
 
-``python experiments/renders/paired.py detail today`` reads ``dev_detail.csv`` and ``dev_today.csv``: columns
-of the runs' ``per_image.csv``.
+``python experiments/renders/paired.py val detail today`` reads ``val_detail.csv`` and ``val_today.csv`` of
+``score.py``.
 """
 
 import csv
@@ -12,18 +12,18 @@ import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
 
-METRICS = ("delta1", "abs_rel", "rmse")
+METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
 
 
-def read(name: str) -> dict[str, list[float]]:
+def read(split: str, name: str) -> dict[str, list[float]]:
     """Return the metrics of each frame."""
-    with Path(__file__).with_name(f"dev_{name}.csv").open() as file:
+    with Path(__file__).with_name(f"{split}_{name}.csv").open() as file:
         return {row["name"]: [float(row[metric]) for metric in METRICS] for row in csv.DictReader(file)}
 
 
-def main(ours: str, theirs: str) -> None:
+def main(split: str, ours: str, theirs: str) -> None:
     """Print the mean difference and interval of each metric."""
-    first, second = read(ours), read(theirs)
+    first, second = read(split, ours), read(split, theirs)
     difference = np.array([np.subtract(first[name], second[name]) for name in first])
     for metric, values in zip(METRICS, difference.T, strict=True):
         low, high = bootstrap_interval(lambda drawn, values=values: float(values[drawn].mean()), len(values))

@@ -13,7 +13,7 @@ import torch
 
 import eldenet
 from eldenet.config import build_protocol, build_split, compose
-from eldenet.evaluation.evaluator import evaluate
+from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.system.files import read_table, write_rows
 
 HERE = Path(__file__).parent
@@ -21,16 +21,24 @@ STORED = HERE / "results.csv"
 COLUMNS = ("weights", "frames", "delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
 
 
-def score(source: str, split: str) -> list[float]:
-    """Return delta1 and AbsRel on NYU's frames of a split, unaligned, then median-aligned."""
+def score(name: str, source: str, split: str) -> list[float]:
+    """Return delta1 and AbsRel on NYU's frames of a split, unaligned, then median-aligned.
+
+    Those of each frame go into ``<split>_<name>.csv``, for ``paired.py``.
+    """
     model = eldenet.load(source)
     size = list(model.info["input_size"])
     config = compose("train", ["data=nyu_labelled", f"data.input_size={size}", f"data.val.split={split}"])
     protocol = build_protocol(config)
     frames, found = build_split(config, "val", protocol), []
+    per_frame = [[frame] for frame in frames.names]
+    columns = [PER_IMAGE_HEADER.index(metric) for metric in ("delta1", "abs_rel")]
     for scale in ("metric", "median"):
         result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))
         found += [result.metrics["delta1"], result.metrics["abs_rel"]]
+        for cells, row in zip(per_frame, result.rows, strict=True):
+            cells += [f"{row[column]:.4f}" for column in columns]
+    write_rows(HERE / f"{split}_{name}.csv", ("name", *COLUMNS[2:]), per_frame)
     return found
 
 
@@ -48,7 +56,7 @@ def main(split: str, sources: list[str]) -> None:
 
             found = {place: other_cameras.score(folder, place) for place in other_cameras.PLACES}
         else:
-            found = {f"nyu_{split}": score(folder, split)}
+            found = {f"nyu_{split}": score(name or folder, folder, split)}
         for frames, figures in found.items():
             values = [name or folder, frames, *(f"{figure:.3f}" for figure in figures)]
             rows[values[0], frames] = dict(zip(COLUMNS, values, strict=True))
