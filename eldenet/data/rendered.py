@@ -31,11 +31,13 @@ class RenderedScenes(DepthDataset):
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         workers: processes that render what is missing; None for two (one on a single core), 0 renders in this
             process.
+        detail: frames of ``detailed``: closer to real pictures.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
             0 to ``generator.farthest``.
 
     Attributes:
         generator: what renders the frames; a subclass names it.
+        detailed: what renders them with ``detail``; it has versions of its own.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -46,6 +48,7 @@ class RenderedScenes(DepthDataset):
     depth_range = (0.1, 10.0)
     frame_lists = ("names", "places")
     generator: Generator
+    detailed: Generator
 
     def __init__(
         self,
@@ -55,8 +58,11 @@ class RenderedScenes(DepthDataset):
         size: Sequence[int] = (128, 160),
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
+        detail: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
+        if detail:
+            self.generator = self.detailed.with_focal(self.generator.focal)
         one_of("split", split, SPLITS)
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
             raise ValueError(f"frames={frames!r}: give a whole number of frames, at least 1")

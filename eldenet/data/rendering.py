@@ -40,6 +40,7 @@ class Generator(NamedTuple):
             know their frames by it.
         focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
         depth_step: stored depth is a multiple of this [m].
+        detail: passed on to the renderer where it is true.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Generator(NamedTuple):
     digests: Mapping[tuple[int, int], str]
     focal: tuple[float, float] | None = None
     depth_step: float = DEPTH_STEP
+    detail: bool = False
 
     @property
     def farthest(self) -> int:
@@ -68,11 +70,12 @@ class Generator(NamedTuple):
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
+        name = f"{self.name}-detail" if self.detail else self.name
         if self.focal is not None:
             low, high = self.focal
-            return f"{self.name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
+            return f"{name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
         digest = self.digests.get(size)
-        return f"{self.name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
+        return f"{name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
 
 
 def encode_depth(depth: np.ndarray, depth_step: float = DEPTH_STEP) -> np.ndarray:
@@ -112,7 +115,9 @@ class SceneStore:
 
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
-        options = {} if generator.focal is None else {"focal": generator.focal}
+        options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
+        if generator.detail:
+            options["detail"] = True
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)

@@ -20,6 +20,8 @@ class Rooms(RenderedScenes):
         workers: processes that render, see there.
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: about the Kinect's, 0.76 to 0.88.
+        detail: rooms as people photograph them: natural colors, more things, light that bounces, shade where
+            things touch.
         **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:
@@ -29,6 +31,7 @@ class Rooms(RenderedScenes):
     generator = Generator(
         "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
     )
+    detailed = generator._replace(digests={}, detail=True)
 
     def __init__(
         self,
@@ -39,7 +42,8 @@ class Rooms(RenderedScenes):
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
         focal: Sequence[float] | None = None,
+        detail: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         self.generator = self.generator.with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, **options)
+        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)

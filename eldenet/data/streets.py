@@ -23,6 +23,7 @@ class Streets(RenderedScenes):
         workers: processes that render, see there.
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: KITTI's, 0.58.
+        detail: streets with pavements, trees, poles, signs, house fronts, clouds and shadows.
         **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:
@@ -33,6 +34,7 @@ class Streets(RenderedScenes):
     generator = Generator(
         "streets", 1, "eldenet.simulation.street_views.render_streets", {}, depth_step=0.002
     )
+    detailed = generator._replace(detail=True)
 
     def __init__(
         self,
@@ -43,7 +45,8 @@ class Streets(RenderedScenes):
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
         focal: Sequence[float] | None = None,
+        detail: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         self.generator = self.generator.with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, **options)
+        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)

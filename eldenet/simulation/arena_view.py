@@ -13,11 +13,12 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.geometry import extent_of, pinhole
+from eldenet.simulation.arena_detail import detailed_arena
 from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
 from eldenet.simulation.arenas import SPLITS, Arena, cell_center, clearance_map, generate_arena
 from eldenet.simulation.furnished_rooms.render import Views
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
-from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom, Room
 from eldenet.simulation.robot import ROBOT
@@ -54,12 +55,15 @@ class ArenaView:
         arena: the world.
         size: of the image, ``(height, width)`` [px].
         light: brightness of the lamps, as a share of a normal day's: 0.05 is dusk, 3 is glaring.
+        detail: obstacles are furniture and people, with doors, windows, cables and light that bounces.
 
     Attributes:
         intrinsics: ``(3, 3)`` [px], of the robot's field of view.
     """
 
-    def __init__(self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0) -> None:
+    def __init__(
+        self, arena: Arena, size: tuple[int, int] = (120, 160), *, light: float = 1.0, detail: bool = False
+    ) -> None:
         self.intrinsics = robot_intrinsics(size)
         self.camera = RayCamera(size, self.intrinsics)
         self.arena, self.size = arena, size
@@ -73,12 +77,24 @@ class ArenaView:
             Room(
                 "arena",
                 (outer, outer, CEILING),
-                arena_mjcf(arena, "none", visual=True),
+                detailed_arena(arena) if detail else arena_mjcf(arena, "none", visual=True),
                 lights=[(x, y, CEILING - 0.4, *(power * t for t in tone), 4.0) for x, y in lamps],
                 ambient=light * draw.uniform(0.15, 0.4),
+                detail=detail,
             )
         )
-        self._obstacle_of = _obstacle_numbers(self.room.model, arena)
+        if detail:  # body n + 1 is obstacle n; 0 is the world, the last one the hall
+            body = np.append(self.room.model.geom_bodyid, 0)
+            self._obstacle_of = np.where(body <= len(arena.obstacles), body - 1, -1)
+        else:
+            self._obstacle_of = _obstacle_numbers(self.room.model, arena)
+
+    def walk_to(self, time: float) -> None:
+        """Put the pedestrians where they are at a time [s]."""
+        pedestrians = self.arena.pedestrians
+        if pedestrians:
+            self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
+            self.room.update()
 
     def photo(
         self, pose: tuple[float, float, float], time: float = 0.0, noise: int = 0, settings: int = 0
@@ -92,28 +108,28 @@ class ArenaView:
             settings: seed of the camera's exposure, tone and blur; keep it over a video, so that it does not
                 flicker.
         """
-        pedestrians = self.arena.pedestrians
-        if pedestrians:
-            self.room.data.mocap_pos[:, :2] = [pedestrian.position(time) for pedestrian in pedestrians]
-            self.room.update()
+        self.walk_to(time)
         linear, hits = self.room.photograph(self.camera, *camera_pose(pose))
-        image = develop(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
+        finish = develop_photo if self.room.room.detail else develop
+        image = finish(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
         depth = hits.depth.astype(np.float32).reshape(self.size)
         return Photo(image, depth, self._obstacle_of[hits.geom].reshape(self.size))
 
 
-def render_arena(split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8) -> Views:
+def render_arena(
+    split: str, index: int, size: tuple[int, int] = (128, 160), views: int = 8, *, detail: bool = False
+) -> Views:
     """Render frames of arena ``index`` of a split at ``(height, width)`` [px].
 
     Density, light and number of pedestrians vary by arena; pose, time and camera settings by frame. Half of
-    the poses are close to something, as a robot's are among obstacles.
+    the poses are close to something, as a robot's are among obstacles. ``detail`` is :class:`ArenaView`'s.
 
     Raises:
         ValueError: unknown split or index out of range.
     """
     frames = [
         (photo.image, photo.depth, robot_intrinsics(size), *camera_pose(pose))
-        for _, pose, photo in _photos(split, index, size, views)
+        for _, pose, photo in _photos(split, index, size, views, detail)
     ]
     return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
 
@@ -145,7 +161,7 @@ def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
 
 
 def _photos(
-    split: str, index: int, size: tuple[int, int], views: int
+    split: str, index: int, size: tuple[int, int], views: int, detail: bool = False
 ) -> Iterator[tuple[Arena, tuple[float, float, float], Photo]]:
     """Draw arena ``index`` of a split and yield it with the pose and photo of each frame."""
     if split not in FIRST_ARENA:
@@ -158,14 +174,16 @@ def _photos(
     pedestrians = draw.integer(1, _MAX_PEDESTRIANS) if draw.chance(0.5) else 0
     arena = generate_arena("train", draw.integer(0, _MAX_OBSTACLES), number, pedestrians=pedestrians)
     light = _LIGHT[0] * (_LIGHT[1] / _LIGHT[0]) ** draw.unit()
-    view = ArenaView(arena, size, light=light)
+    view = ArenaView(arena, size, light=light, detail=detail)
     clearance = clearance_map(arena.obstacles)
-    probe = ArenaView(arena, (9, 16))
+    probe = RayCamera((9, 16), robot_intrinsics((9, 16)))
     for frame in range(views):
         time = draw.uniform(0.0, 60.0)
         pose = _draw_pose(draw, arena, clearance, time)
         for _ in range(5):  # few frames show nothing but the nearest wall
-            if np.median(probe.photo(pose, time).depth) > _NOSE_TO_WALL:
+            view.walk_to(time)
+            ahead = probe.cast(view.room.model, view.room.data, *camera_pose(pose)).depth
+            if np.median(ahead.astype(np.float32)) > _NOSE_TO_WALL:
                 break
             pose = _draw_pose(draw, arena, clearance, time)
         yield arena, pose, view.photo(pose, time, noise=frame, settings=frame)

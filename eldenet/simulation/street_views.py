@@ -17,9 +17,10 @@ from eldenet.simulation.rendering.camera import (
     cast_rays,
     only_visible,
 )
-from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom
+from eldenet.simulation.street_furniture import sky_color
 from eldenet.simulation.streets import FAR, STREAM, generate_scene
 from eldenet.simulation.streets import NAMES as STREET_NAMES
 
@@ -105,6 +106,7 @@ def render_street(
     kind: str = "street",
     *,
     focal: tuple[float, float] | None = None,
+    detail: bool = False,
 ) -> StreetView:
     """Render scene ``index``; objects of few visible pixels are left out.
 
@@ -114,8 +116,9 @@ def render_street(
         size: ``(height, width)`` of the frame [px].
         kind: "street", "hall" or "crossing": a street with more people, and with cyclists.
         focal: range of fx [widths], of which each scene draws its own; None: ``FOCAL`` of its kind.
+        detail: streets with pavements, trees, poles, signs, house fronts, clouds and shadows.
     """
-    scene = generate_scene(split, index, kind)
+    scene = generate_scene(split, index, kind, detail)
     compiled = CompiledRoom(scene.room)
     height, width = size
     fx = width * (FOCAL[kind] if focal is None else Draw((STREAM, SPLITS[split], index, 3)).uniform(*focal))
@@ -124,9 +127,15 @@ def render_street(
     position = np.array([0.0, 0.0, scene.camera_height])
     rotation = camera_rotation(0.0, *scene.tilt)
     linear, hits = compiled.photograph(camera, position, rotation)
-    linear[hits.geom.reshape(size) < 0] = scene.sky
-    seed = (STREAM, SPLITS[split], index, 2)
-    image = develop(linear, Draw(seed), (*seed, 1))
+    sky, seed = hits.geom.reshape(size) < 0, (STREAM, SPLITS[split], index, 2)
+    if detail:
+        linear[sky] = sky_color(camera.rays(rotation)[sky.ravel()], scene.sky, Draw((*seed, 2)))
+    else:
+        linear[sky] = scene.sky
+    if detail:
+        image = develop_photo(linear, Draw(seed), (*seed, 1), outdoors=kind != "hall")
+    else:
+        image = develop(linear, Draw(seed), (*seed, 1))
     owner = np.append(compiled.model.geom_bodyid - 1, -1)[hits.geom]
     instance = np.where(owner < len(scene.names), owner, -1).reshape(size)
     numbers, pixels = np.unique(instance[instance >= 0], return_counts=True)
@@ -151,10 +160,18 @@ def render_street(
 
 
 def render_streets(
-    split: str, index: int, size: tuple[int, int], views: int, *, focal: tuple[float, float] | None = None
+    split: str,
+    index: int,
+    size: tuple[int, int],
+    views: int,
+    *,
+    focal: tuple[float, float] | None = None,
+    detail: bool = False,
 ) -> Views:
     """Render streets ``index * views`` to ``(index + 1) * views - 1`` by :func:`render_street`."""
-    found = [render_street(split, index * views + view, size, focal=focal) for view in range(views)]
+    found = [
+        render_street(split, index * views + view, size, focal=focal, detail=detail) for view in range(views)
+    ]
     return Views(
         np.stack([view.image for view in found]),
         np.stack([view.depth for view in found]),

@@ -14,6 +14,7 @@ from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
 from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw
 from eldenet.simulation.rendering.textures import variants
+from eldenet.simulation.street_furniture import StreetFurniture
 
 KINDS = ("street", "hall", "crossing")
 NAMES = ("car", "van", "truck", "person", "box", "pillar")  # cyclists are in crossings alone
@@ -49,8 +50,10 @@ class Scene(NamedTuple):
     tilt: tuple[float, float]
 
 
-def generate_scene(split: str, index: int, kind: str = "street") -> Scene:
+def generate_scene(split: str, index: int, kind: str = "street", detail: bool = False) -> Scene:
     """Generate scene ``index`` of a split; the first bodies of the model are its objects.
+
+    With ``detail`` a street has pavements, trees, poles, signs and house fronts; a hall looks natural.
 
     Raises:
         ValueError: unknown split or kind, or negative index.
@@ -60,20 +63,25 @@ def generate_scene(split: str, index: int, kind: str = "street") -> Scene:
             f"split={split!r}, kind={kind!r}, index={index}: give one of {list(SPLITS)}, one of "
             f"{KINDS}, and a number from 0"
         )
-    return _Builder(Draw((STREAM, SPLITS[split], index, KINDS.index(kind))), kind).build()
+    details = Draw((STREAM, SPLITS[split], index, len(KINDS))) if detail else None
+    return _Builder(Draw((STREAM, SPLITS[split], index, KINDS.index(kind))), kind, details).build()
 
 
 class _Builder:
-    """Places objects where there is room; world x is ahead of the camera, y to its left."""
+    """Places objects where there is room; world x is ahead of the camera, y to its left.
 
-    def __init__(self, draw: Draw, kind: str) -> None:
+    ``details`` are the draws of what ``detail`` adds; None: nothing.
+    """
+
+    def __init__(self, draw: Draw, kind: str, details: Draw | None) -> None:
         self.d, self.kind = draw, kind
-        self.m = Materials(draw)
+        self.m = Materials(draw, natural=details is not None)
         self.paint = vehicles.paints(draw, self.m.palette)
         self.bodies: list[Body] = []
         self.names: list[str] = []
         self.taken: list[tuple[float, float, float]] = []  # circles x, y, radius [m]
         self.shell = Body()
+        self.furniture = None if details is None else StreetFurniture(details, self.m, self.shell)
 
     def build(self) -> Scene:
         d = self.d
@@ -91,6 +99,7 @@ class _Builder:
             '<mujoco model="street">\n<compiler angle="degree"/>\n'
             f"{self.m.palette.assets()}\n<worldbody>\n{bodies}\n{self.shell.text()}\n</worldbody>\n</mujoco>\n"
         )
+        room.detail = self.furniture is not None
         tone = d.uniform(0.6, 1.0)
         return Scene(room, self.names, (0.55 * tone, 0.7 * tone, 0.95 * tone), camera, tilt)
 
@@ -115,8 +124,13 @@ class _Builder:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
                 if d.chance(0.8):
                     y = edge + side * (deep / 2 + d.uniform(0, 2))
-                    self.shell.box((x + wide / 2, y, 0), (wide, deep, tall), d.pick(self.m.walls))
+                    walls = self.m.walls if self.furniture is None else self.furniture.fronts
+                    self.shell.box((x + wide / 2, y, 0), (wide, deep, tall), d.pick(walls))
+                    if self.furniture is not None:
+                        self.furniture.roof(x + wide / 2, y, wide, deep, tall)
                 x += wide + d.uniform(0, 5)
+            if self.furniture is not None:
+                self.furniture.side(side, half, pavement)
             self._row(side, half, parked=True)
             for _ in range(d.integer(1, 4)):
                 x, y = d.uniform(5, 40), side * (half + d.uniform(1.3, 2.5 + pavement))

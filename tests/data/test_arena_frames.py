@@ -63,11 +63,11 @@ def test_light_goes_from_dim_to_bright_and_people_walk(monkeypatch):
     lights, movers = [], []
 
     class Dark(ArenaView):
-        def __init__(self, arena, size, *, light=1.0):
+        def __init__(self, arena, size, *, light=1.0, detail=False):
             if size != (9, 16):
                 lights.append(light)
                 movers.append(len(arena.pedestrians))
-            super().__init__(arena, size, light=light)
+            super().__init__(arena, size, light=light, detail=detail)
 
     monkeypatch.setattr(arena_view, "ArenaView", Dark)
     for index in range(12):

@@ -1,10 +1,11 @@
 """Rendered frames change only together with their version, on any machine.
 
 After an intended change: raise the version beside the generator, then write the new golden files with
-``python tests/simulation/test_golden_frames.py`` and look at them.
+``python tests/simulation/test_golden_frames.py`` and look at them. It leaves existing files alone.
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import encode_depth
 from eldenet.data.rooms import Rooms
+from eldenet.data.streets import Streets
 from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.street_views import STREETS_VERSION, render_objects, render_street
@@ -22,19 +24,24 @@ SIZE = (96, 128)  # (height, width)
 Frames = dict[str, np.ndarray]
 
 
-def rooms() -> Frames:
-    views = [render_room(split, index, SIZE, 2) for split, index in (("train", 0), ("test", 7))]
+def rooms(detail: bool = False) -> Frames:
+    names = (("train", 0), ("test", 7))
+    views = [render_room(split, index, SIZE, 2, detail=detail) for split, index in names]
     return stacked([view.image for view in views], [view.depth for view in views])
 
 
-def arenas() -> Frames:
-    views = [render_arena(split, index, SIZE, 2) for split, index in (("train", 1), ("test", 3))]
+def arenas(detail: bool = False) -> Frames:
+    names = (("train", 1), ("test", 3))
+    views = [render_arena(split, index, SIZE, 2, detail=detail) for split, index in names]
     return stacked([view.image for view in views], [view.depth for view in views])
 
 
-def streets() -> Frames:
-    views = [render_street("test", index, (96, 312), kind) for index, kind in ((0, "street"), (1, "hall"))]
+def streets(detail: bool = False) -> Frames:
+    kinds = ((0, "street"), (1, "hall"))
+    views = [render_street("test", index, (96, 312), kind, detail=detail) for index, kind in kinds]
     frames = stacked([view.image[None] for view in views], [view.depth[None] for view in views])
+    if detail:
+        return frames
     return frames | {"room_image": render_objects("test", 2, (96, 312), "room").image[None]}
 
 
@@ -46,6 +53,9 @@ GENERATORS: dict[str, tuple[int, Callable[[], Frames]]] = {
     "rooms": (Rooms.generator.version, rooms),
     "arenas": (Arenas.generator.version, arenas),
     "streets": (STREETS_VERSION, streets),
+    "rooms-detail": (Rooms.detailed.version, partial(rooms, detail=True)),
+    "arenas-detail": (Arenas.detailed.version, partial(arenas, detail=True)),
+    "streets-detail": (Streets.detailed.version, partial(streets, detail=True)),
 }
 
 
@@ -64,4 +74,6 @@ def test_frames_change_only_together_with_their_version(name: str) -> None:
 
 if __name__ == "__main__":
     for generator, (version, render) in GENERATORS.items():
+        if (GOLDEN / f"{generator}-v{version}.npz").exists():
+            continue
         np.savez_compressed(GOLDEN / f"{generator}-v{version}.npz", **render())

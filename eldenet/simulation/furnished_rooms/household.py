@@ -205,9 +205,13 @@ def clutter(d: Draw, m: Materials, b: Body, surface: Surface, amount: float) -> 
         small_object(d, m, b, x, y, surface.z)
 
 
+_NATURAL_STYLES = (0, 0, 1, 2, 2, 3, 4, 4, 5, 5, 6, 7, 9, 9, 10, 10, 11, 12, 12, 12, 8)
+
+
 def small_object(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -> None:
     """Add one small object that stands at (x, y, z)."""
-    style, color, turn = d.integer(0, 8), d.pick((*m.colors, m.white, m.metal)), (0.0, 0.0, d.uniform(0, 180))
+    style = d.pick(_NATURAL_STYLES) if m.natural else d.integer(0, 8)
+    color, turn = d.pick((*m.colors, m.white, m.metal)), (0.0, 0.0, d.uniform(0, 180))
     if style <= 1:
         b.box(
             (x, y, z), (d.uniform(0.06, 0.3), d.uniform(0.05, 0.22), d.uniform(0.04, 0.3)), color, euler=turn
@@ -235,6 +239,23 @@ def small_object(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -
         b.cylinder((x, y, z), r, d.uniform(0.08, 0.25), color)
         if d.chance(0.5):
             b.ellipsoid((x, y, z + 0.28), (r * 1.6, r * 1.6, 0.12), m.leaves)
+    elif style == 9:  # a row of books or folders
+        width = d.uniform(0.15, 0.5)
+        b.box((x, y, z), (width, d.uniform(0.14, 0.22), d.uniform(0.18, 0.3)), d.pick(m.books), euler=turn)
+    elif style == 10:  # a framed photograph or a tablet
+        width, tall = d.uniform(0.1, 0.3), d.uniform(0.12, 0.3)
+        b.box((x, y, z), (width, 0.02, tall), m.dark, euler=(-12, 0, turn[2]))
+        b.box(
+            (x, y, z + 0.015), (width - 0.03, 0.026, tall - 0.03), d.pick(m.pictures), euler=(-12, 0, turn[2])
+        )
+    elif style == 11:  # a computer, a radio, a printer
+        b.box((x, y, z), (d.uniform(0.2, 0.5), d.uniform(0.15, 0.4), d.uniform(0.1, 0.3)), m.dark, euler=turn)
+    elif style == 12:  # bottles, jars or cans side by side
+        for k in range(d.integer(2, 5)):
+            tall = d.uniform(0.08, 0.3)
+            b.cylinder(
+                (x + 0.075 * k, y, z), d.uniform(0.02, 0.036), tall, d.pick((*m.colors, m.white, m.dark))
+            )
     else:
         b.cylinder((x, y, z), 0.06, 0.02, m.dark)
         b.cylinder((x, y, z + 0.02), 0.015, 0.2, m.metal)

@@ -8,7 +8,7 @@ import numpy as np
 from eldenet.geometry import pinhole
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
-from eldenet.simulation.rendering.camera_noise import develop
+from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom
 
@@ -40,6 +40,7 @@ def render_room(
     views: int = 8,
     *,
     focal: tuple[float, float] = KINECT,
+    detail: bool = False,
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -49,17 +50,18 @@ def render_room(
         size: of the frames.
         views: how many.
         focal: range of fx [widths]; each frame draws its own.
+        detail: rooms as people photograph them: natural colors, more things, light that bounces.
     """
     cv2.setNumThreads(0)
-    room = CompiledRoom(generate_room(split, index))
+    room = CompiledRoom(generate_room(split, index, detail))
     draw = Draw((SPLITS[split], index, 1))
     frames = []
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size, focal))
-        position, rotation = choose_pose(room, camera, draw)
+        position, rotation = choose_pose(room, camera, draw, by_hand=detail)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
-        image = develop(linear, Draw(seed), (*seed, 1))
+        image = (develop_photo if detail else develop)(linear, Draw(seed), (*seed, 1))
         depth = hits.depth.astype(np.float32).reshape(size)
         frames.append((image, depth, camera.intrinsics, position, rotation))
     return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
@@ -75,8 +77,12 @@ def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float
     return pinhole(fx, fy, cx, cy)
 
 
-def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
+def choose_pose(
+    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Draw the position and rotation of a camera on a robot (0.25-1.0 m) or in a hand (1.2-1.8 m).
+
+    A robot has three of ten frames, and one of ten with ``by_hand``, where hands are steadier too.
 
     Each candidate casts a handful of rays; the first that is neither too close to a wall nor faces an empty
     room is taken.
@@ -91,13 +97,21 @@ def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw) -> tuple[np.n
     geoms_wanted = draw.integer(3, 14)  # in view: few frames show a bare wall
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for _ in range(12):
-        z = draw.uniform(0.25, 1.0) if draw.chance(0.3) else draw.uniform(1.2, min(1.8, h - 0.2))
+        z = (
+            draw.uniform(0.25, 1.0)
+            if draw.chance(0.1 if by_hand else 0.3)
+            else draw.uniform(1.2, min(1.8, h - 0.2))
+        )
         x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
         yaw = draw.uniform(-np.pi, np.pi)
         if draw.chance(0.65):  # look across the room rather than at the nearest wall
             yaw = float(np.arctan2(-y, -x)) + draw.uniform(-0.7, 0.7)
-        pitch = draw.uniform(-0.55, 0.04) if z > 1.1 else draw.uniform(-0.15, 0.25)
-        roll = draw.uniform(-0.06, 0.06) if draw.chance(0.7) else draw.uniform(-0.2, 0.2)
+        pitch = (
+            draw.uniform(*((-0.62, 0.0) if by_hand else (-0.55, 0.04)))
+            if z > 1.1
+            else draw.uniform(-0.15, 0.25)
+        )
+        roll = draw.uniform(-0.06, 0.06) if draw.chance(0.95 if by_hand else 0.7) else draw.uniform(-0.2, 0.2)
         if any(
             x0 - 0.2 < x < x1 + 0.2 and y0 - 0.2 < y < y1 + 0.2 and z < top + 0.2
             for x0, y0, x1, y1, top in room.room.obstacles

@@ -1,11 +1,13 @@
 """Furnished rooms: walls with doors and windows, furniture along them, clutter on top.
 
 A room depends on ``(split, index)`` alone and is the same on every machine (:class:`~.rendering.mjcf.Draw`,
-four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras and
-``(..., 2, view)`` for a frame's noise; the splits share none, so no room is in two of them.
+four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras,
+``(..., 2, view)`` for a frame's noise and ``(..., 7)`` for what ``detail`` adds; the splits share none, so no
+room is in two of them.
 """
 
 from eldenet.simulation.furnished_rooms import furniture, household
+from eldenet.simulation.furnished_rooms.fittings import add_fittings
 from eldenet.simulation.furnished_rooms.kinds import KINDS, Item, Kind
 from eldenet.simulation.furnished_rooms.walls import Wall, overlaps
 from eldenet.simulation.rendering.materials import Materials
@@ -16,8 +18,13 @@ from eldenet.simulation.rendering.shading import Room
 SPLITS = {"train": 0, "val": 1, "test": 2}
 
 
-def generate_room(split: str, index: int) -> Room:
+def generate_room(split: str, index: int, detail: bool = False) -> Room:
     """Generate room ``index`` of a split.
+
+    Args:
+        split: "train", "val" or "test".
+        index: of the room.
+        detail: natural colors, more things, light that bounces.
 
     Raises:
         ValueError: unknown split or negative index.
@@ -27,22 +34,27 @@ def generate_room(split: str, index: int) -> Room:
     if index < 0:
         raise ValueError(f"index={index}: rooms are numbered from 0")
     draw = Draw((SPLITS[split], index, 0))
-    return _Builder(draw).build()
+    return _Builder(draw, Draw((SPLITS[split], index, 7)) if detail else None).build()
 
 
 class _Builder:
-    """Builds one room. The order of the random draws defines it, so new features belong at the end."""
+    """Builds one room. The order of the random draws defines it, so new features belong at the end.
 
-    def __init__(self, draw: Draw) -> None:
+    ``details`` are the draws of what ``detail`` adds; None: nothing.
+    """
+
+    def __init__(self, draw: Draw, details: Draw | None) -> None:
         d = self.d = draw
         name = d.pick([kind for kind, spec in KINDS.items() for _ in range(spec.share)])
         self.kind: Kind = KINDS[name]
         size = (d.uniform(*self.kind.side), d.uniform(*self.kind.side), d.uniform(*self.kind.height))
         self.room = Room(name, size)
-        self.m = Materials(d)
+        self.details = details
+        self.m = Materials(d, natural=details is not None)
         self.shell = Body()
         self.bodies: list[Body] = []
-        self.clutter = d.uniform(0.4, 1.7)
+        self.walls: list[Wall] = []
+        self.clutter = d.uniform(0.4, 1.7) if details is None else d.uniform(0.8, 2.6)
 
     def build(self) -> Room:
         d, (sx, sy, h) = self.d, self.room.size
@@ -57,6 +69,10 @@ class _Builder:
         self._people()
         for _ in range(int(d.uniform(0, 5) * self.clutter)):
             self._on_floor()
+        if self.details is not None:
+            self.bodies += add_fittings(self.details, self.m, self.room, self.walls)
+            self.room.detail = True
+            self.room.ambient *= 0.5  # the other half bounces
         bodies = "\n".join(body.text() for body in self.bodies)
         shell = "\n".join(self.shell.geoms)
         self.room.text = (
@@ -74,13 +90,14 @@ class _Builder:
         self._furnish(wall)
         wall.decorate()
         self.bodies.append(wall.body)
+        self.walls.append(wall)
         self.room.lights += wall.lights
 
     def _furnish(self, wall: Wall) -> None:
         """Set pieces side by side along a wall."""
         d = self.d
         x = -wall.length / 2 + d.uniform(0.0, 0.5)
-        density = d.uniform(0.65, 1.0)
+        density = d.uniform(0.65, 1.0) if self.details is None else d.uniform(0.85, 1.0)
         while x < wall.length / 2 - 0.4:
             item: Item = d.pick(self.kind.along)
             width, depth = d.uniform(*item.width), d.uniform(*item.depth)

@@ -37,23 +37,25 @@ class Wall:
         high: spans in use at eye height.
         doorway: ``(x, width)`` of a door to keep free, or None.
         lights: rows as in :class:`~eldenet.simulation.furnished_rooms.rooms.Room`.
+        windows: x, width, lower and upper edge [m] of each.
     """
 
     def __init__(self, draw: Draw, materials: Materials, side: int, size: tuple[float, float, float]) -> None:
         self.d, self.m, self.side = draw, materials, side
         along_x = side % 2 == 0
         self.length, self.height = size[0] if along_x else size[1], size[2]
-        self.normal, self._along, self.yaw = SIDES[side]
+        self.normal, self.along, self.yaw = SIDES[side]
         back = (size[1] if along_x else size[0]) / 2
         self.body = Body((-self.normal[0] * back, -self.normal[1] * back, 0.0), self.yaw)
         self.taken: list[Span] = []
         self.high: list[Span] = []
         self.doorway: Span | None = None
         self.lights: list[tuple[float, ...]] = []
+        self.windows: list[tuple[float, float, float, float]] = []
 
     def to_world(self, x: float, y: float) -> tuple[float, float]:
         """Return a point of the wall's frame in the room's floor coordinates."""
-        (nx, ny), (ax, ay) = self.normal, self._along
+        (nx, ny), (ax, ay) = self.normal, self.along
         return self.body.position[0] + ax * x + nx * y, self.body.position[1] + ay * x + ny * y
 
     def build(self, shell: Body) -> None:
@@ -154,6 +156,7 @@ class Wall:
             self._curtains(x, width, low, high)
         if d.chance(0.3) and low > 0.7:
             body.box((x, 0.07, 0.12), (width * 0.8, 0.1, low - 0.3), m.blind)
+        self.windows.append((x, width, low, high))
         if m.daylight > 0:
             power = 0.35 * m.daylight * (width * (high - low)) ** 0.5
             place = (*self.to_world(x, 0.35), (low + high) / 2)

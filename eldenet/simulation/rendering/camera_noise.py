@@ -44,6 +44,49 @@ def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray
     return np.clip(image * 255 + np.float32(0.5), 0, 255).astype(np.uint8)
 
 
+def develop_photo(
+    linear: np.ndarray, draw: Draw, seed: tuple[int, ...], *, outdoors: bool = False
+) -> np.ndarray:
+    """Develop linear RGB ``(H, W, 3)`` float32 as a phone or a Kinect does: ``(H, W, 3)`` uint8.
+
+    Milder than :func:`develop` in color and noise; dark corners go black and windows burn out.
+
+    Args:
+        linear: light; changed in place.
+        draw: of exposure, tone and blur.
+        seed: of the pixel noise.
+        outdoors: by daylight, whose color a camera balances well.
+    """
+    height, width, _ = linear.shape
+    level = float(cv2.mean(np.minimum(cv2.resize(linear, (16, 12), interpolation=cv2.INTER_AREA), 2.0))[1])
+    gain = draw.uniform(0.10, 0.32) / max(level, 0.02)
+    # lamps are warm, and the white balance leaves some of it
+    red, blue = ((0.92, 1.08), (0.92, 1.12)) if outdoors else ((0.95, 1.5), (0.75, 1.25))
+    cast = [gain * draw.uniform(*red), gain, gain * draw.uniform(*blue)]
+    linear *= np.array(cast, dtype=np.float32)
+    if draw.chance(0.7):
+        linear *= _vignette(height, width, draw.uniform(0.05, 0.4))
+    linear *= 1 + linear * np.float32(0.08)
+    np.divide(linear, 1 + linear * np.float32(draw.uniform(0.2, 0.6)), out=linear)
+    image = cv2.pow(np.clip(linear, 0, 1), 1 / draw.uniform(2.0, 2.4))
+    black, white = draw.uniform(0.0, 0.22), draw.uniform(0.78, 1.0)
+    image = (image - np.float32(black)) / np.float32(white - black)
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    image = gray + (image - gray) * np.float32(draw.uniform(*((0.7, 1.2) if outdoors else (0.8, 1.6))))
+    pixel = width / 160
+    if draw.chance(0.4):
+        image = cv2.GaussianBlur(image, (0, 0), draw.uniform(0.3, 0.45) * pixel)
+    edge = draw.uniform(0.0, 0.6)
+    image = cv2.addWeighted(image, 1 + edge, cv2.GaussianBlur(image, (0, 0), pixel), -edge, 0)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    noise = rng.integers(0, 256, (2, *image.shape), dtype=np.uint8)
+    grain = noise[0].astype(np.float32) + noise[1] - np.float32(255)
+    grain += 2 * cv2.blur(grain, (3, 3))  # of neighbors alike, as the demosaicing leaves it
+    strength = np.float32(draw.pick((0.001, 0.002, 0.004, 0.008)) / 125.0)
+    image += grain * strength
+    return np.clip(image * 255 + np.float32(0.5), 0, 255).astype(np.uint8)
+
+
 def _vignette(height: int, width: int, amount: float) -> np.ndarray:
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     x = np.linspace(-1, 1, width, dtype=np.float32)[None]

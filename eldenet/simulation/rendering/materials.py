@@ -35,11 +35,25 @@ def any_color(draw: Draw, saturation: float = 0.8) -> Color:
     return (color[0], color[1], color[2])
 
 
-class Materials:
-    """Material numbers of one room, by role; lists hold several to choose from."""
+def natural_color(draw: Draw, saturation: float = 0.8) -> Color:
+    """Draw a color as people buy things: gray, beige, brown and navy far more often than pink or green."""
+    hue = draw.pick((0.02, 0.06, 0.08, 0.1, 0.12, 0.58, 0.62)) if draw.chance(0.8) else draw.unit()
+    value = draw.uniform(0.1, 0.95) ** 1.5 + 0.02
+    strength = saturation * draw.uniform(0.05, 0.6) * (1.0 if draw.chance(0.85) else 1.7)
+    color = colorsys.hsv_to_rgb((hue + draw.uniform(-0.02, 0.02)) % 1.0, min(1.0, strength), value)
+    return (color[0], color[1], color[2])
 
-    def __init__(self, draw: Draw) -> None:
-        self.draw, self.palette = draw, Palette()
+
+class Materials:
+    """Material numbers of one room, by role; lists hold several to choose from.
+
+    Args:
+        draw: of the room.
+        natural: colors and patterns as most homes and offices have them; without it, any color.
+    """
+
+    def __init__(self, draw: Draw, natural: bool = False) -> None:
+        self.draw, self.palette, self.natural = draw, Palette(), natural
         self.wood_colors = [jitter(draw, draw.pick(WOODS)) for _ in range(3)]
         self.walls = [self._wall() for _ in range(2)]
         self.floor = self._floor()
@@ -53,8 +67,8 @@ class Materials:
         self.fabrics = [self.fabric() for _ in range(5)]
         self.beddings = [self.bedding() for _ in range(2)]
         self.rug = self.fabric(scale=1.6)
-        self.curtain = self._add(any_color(draw, 0.6), "folds", draw.uniform(0.6, 1.4))
-        self.stone = self._add(any_color(draw, 0.3), "speckle", draw.uniform(0.4, 1.2), gloss=0.5)
+        self.curtain = self._add(self._color(0.6), "folds", draw.uniform(0.6, 1.4))
+        self.stone = self._add(self._color(0.3), "speckle", draw.uniform(0.4, 1.2), gloss=0.5)
         self.white = self._add(jitter(draw, (0.85, 0.85, 0.84), 0.04), "plain", 1.0, gloss=0.4)
         self.dark = self._add(jitter(draw, (0.08, 0.08, 0.08), 0.04), "plain", 1.0, gloss=0.3)
         self.metal = self._add(jitter(draw, (0.5, 0.5, 0.52), 0.15), "plain", 1.0, gloss=0.7)
@@ -64,7 +78,7 @@ class Materials:
         self.colors = [self._goods() for _ in range(14)]
         self.books = [self._fit("books", 1.2) for _ in range(4)]
         self.pictures = [self._fit("poster", 1.1) for _ in range(5)]
-        self.papers = [self._add3((WHITE, (0.2, 0.2, 0.25), any_color(draw)), "text", 0.0) for _ in range(2)]
+        self.papers = [self._add3((WHITE, (0.2, 0.2, 0.25), self._color()), "text", 0.0) for _ in range(2)]
         self.appliances = [self._appliance() for _ in range(2)]
         self.blind = self._add3((jitter(draw, WHITE), shade(jitter(draw, WHITE), 0.5)), "blinds", 0.0)
         self.leaves = self._add3(((0.12, 0.25, 0.08), (0.25, 0.42, 0.15), (0.4, 0.45, 0.2)), "foliage", 0.4)
@@ -79,9 +93,12 @@ class Materials:
         )
         self.daylight = day
 
+    def _color(self, saturation: float = 0.8) -> Color:
+        return (natural_color if self.natural else any_color)(self.draw, saturation)
+
     def _add(self, color: Color, family: str, period: float, gloss: float = 0.0) -> int:
         second = jitter(self.draw, shade(color, self.draw.uniform(0.6, 1.1)), 0.05)
-        return self._add3((color, second, any_color(self.draw)), family, period, gloss)
+        return self._add3((color, second, self._color()), family, period, gloss)
 
     def _add3(
         self, colors: tuple[Color, ...], family: str, period: float, gloss: float = 0.0, emission: float = 0.0
@@ -91,12 +108,12 @@ class Materials:
         return self.palette.add(colors, pattern, period, gloss=gloss, emission=emission, offset=offset)
 
     def _fit(self, family: str, saturation: float, emission: float = 0.0) -> int:
-        colors = tuple(any_color(self.draw, saturation) for _ in range(3))
+        colors = tuple(self._color(saturation) for _ in range(3))
         return self._add3(colors, family, 0.0, 0.1, emission)
 
     def _goods(self) -> int:
         """Small objects: boxes, bottles, bags, plain or printed."""
-        color = any_color(self.draw, 1.0)
+        color = self._color(1.0)
         family = self.draw.pick(("plain", "plain", "poster", "text", "stripes", "blobs"))
         return self._add(color, family, 0.0, gloss=self.draw.uniform(0, 0.4))
 
@@ -107,10 +124,12 @@ class Materials:
 
     def _wall(self) -> int:
         d = self.draw
-        color = jitter(d, d.pick(WALLS)) if d.chance(0.85) else any_color(d, 0.9)
+        color = jitter(d, d.pick(WALLS)) if d.chance(0.85) else self._color(0.9)
         color = shade(color, d.uniform(0.75, 1.1))
         quiet = ("stripes", "blobs", "plaster", "plain", "grain")  # their colors lie close together
-        others = ("tiles", "bricks", "stripes", "blobs", "grain")
+        others: tuple[str, ...] = ("tiles", "bricks", "stripes", "blobs", "grain")
+        if self.natural:
+            others = ("plain",) * 8 + ("tiles", "bricks", "stripes")
         family = d.pick(("plain",) * 4 + ("plaster",) * 2 + others)
         if family in quiet:
             tones = (color, shade(color, d.uniform(0.82, 1.05)), jitter(d, shade(color, 0.9), 0.05))
@@ -134,13 +153,13 @@ class Materials:
 
     def _wood(self, index: int) -> int:
         d = self.draw
-        color = self.wood_colors[index] if d.chance(0.75) else any_color(d, 0.5)
+        color = self.wood_colors[index] if d.chance(0.75) else self._color(0.5)
         tones = (color, shade(color, d.uniform(0.5, 0.9)), shade(color, 0.4))
         return self._add3(tones, d.pick(("grain", "grain", "plain")), d.uniform(0.4, 1.2), d.uniform(0, 0.5))
 
     def _front(self, index: int) -> int:
         d = self.draw
-        color = self.wood_colors[index] if d.chance(0.6) else d.pick((any_color(d, 0.6), (0.82, 0.82, 0.8)))
+        color = self.wood_colors[index] if d.chance(0.6) else d.pick((self._color(0.6), (0.82, 0.82, 0.8)))
         handle = d.pick(((0.6, 0.6, 0.6), (0.1, 0.1, 0.1), (0.65, 0.5, 0.25)))
         tones = (color, shade(color, d.uniform(0.6, 0.95)), handle)
         return self._add3(tones, "fronts", 0.0, d.uniform(0, 0.4))
@@ -154,18 +173,19 @@ class Materials:
     def fabric(self, scale: float = 1.0) -> int:
         """Add a cloth: plain, striped, checked or printed."""
         d = self.draw
-        family = d.pick(("carpet", "carpet", "crumple", "stripes", "plaid", "blobs", "tufted"))
-        color = any_color(d, 0.9)
-        if d.chance(0.7):
-            tones = (color, shade(color, d.uniform(0.5, 1.6)), any_color(d, 0.9))
+        quiet = ("carpet", "carpet", "crumple")
+        family = d.pick((*quiet, *(quiet * 3 if self.natural else ()), "stripes", "plaid", "blobs", "tufted"))
+        color = self._color(0.9)
+        if d.chance(0.93 if self.natural else 0.7):
+            tones = (color, shade(color, d.uniform(0.5, 1.6)), self._color(0.9))
         else:
-            tones = (color, any_color(d), any_color(d))
+            tones = (color, self._color(), self._color())
         return self._add3(tones, family, scale * d.uniform(0.3, 1.2))
 
     def bedding(self) -> int:
         """Add a bed cover: often light, crumpled or printed."""
         d = self.draw
-        color = jitter(d, (0.8, 0.8, 0.78)) if d.chance(0.4) else any_color(d, 0.9)
+        color = jitter(d, (0.8, 0.8, 0.78)) if d.chance(0.4) else self._color(0.9)
         family = d.pick(("crumple", "crumple", "tufted", "stripes", "plaid", "blobs", "folds"))
-        tones = (color, shade(color, d.uniform(0.6, 1.2)), any_color(d))
+        tones = (color, shade(color, d.uniform(0.6, 1.2)), self._color())
         return self._add3(tones, family, d.uniform(0.5, 1.5))

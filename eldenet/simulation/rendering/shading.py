@@ -11,13 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from eldenet.simulation.rendering.camera import Hits, RayCamera, cast_rays
+from eldenet.simulation.rendering.bounced_light import Sun, add_bounces, add_sun, contact_shade, glows
+from eldenet.simulation.rendering.camera import Hits, RayCamera
 from eldenet.simulation.rendering.mjcf import Palette
+from eldenet.simulation.rendering.shadows import shadow
 from eldenet.simulation.rendering.textures import atlas
 
 _FACE_U = np.array([1, 0, 0], dtype=np.intp)  # which local axes span a face, by its normal's axis
 _FACE_V = np.array([2, 2, 1], dtype=np.intp)
-_SHADOW_STRIDE = 4
 
 
 @dataclass
@@ -32,6 +33,8 @@ class Room:
         obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
         pieces: body number in the model -> maker ("chair", "person", ...) of the furniture and people.
         ambient: share of the light that comes from everywhere.
+        suns: sun that falls through a window; only seen with ``detail``.
+        detail: light bounces once, and it is darker where things touch.
     """
 
     kind: str
@@ -41,6 +44,8 @@ class Room:
     obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     pieces: dict[int, str] = field(default_factory=dict)
     ambient: float = 0.5
+    suns: list[Sun] = field(default_factory=list)
+    detail: bool = False
 
 
 class CompiledRoom:
@@ -59,6 +64,7 @@ class CompiledRoom:
         self.model: Any = mujoco.MjModel.from_xml_string(room.text)
         self.data: Any = mujoco.MjData(self.model)
         self.update()
+        self.glows = glows(self) if room.detail and room.kind != "street" else []
 
     def update(self) -> None:
         """Recompute where every geom is."""
@@ -102,8 +108,10 @@ class CompiledRoom:
         view /= np.sqrt(_dot(view, view)) + np.float32(1e-6)
         facing = np.maximum(np.abs(_dot(view, normal)), np.float32(0.25))
         footprint = depth / (np.float32(camera.intrinsics[0, 0]) * facing)
-        albedo = self._albedo(hits, footprint)
+        albedo = self.albedo(hits, footprint)
         occlusion = ambient_occlusion(self.room, point, normal, depth.reshape(camera.size))
+        if self.room.detail:
+            occlusion *= contact_shade(hits, camera.size)
         ambient = (
             np.float32(self.room.ambient) * occlusion * (np.float32(0.75) + np.float32(0.25) * normal[2])
         )
@@ -119,8 +127,10 @@ class CompiledRoom:
             ray /= np.sqrt(squared) + np.float32(1e-6)
             strength = np.maximum(_dot(ray, normal) * np.float32(0.92) + np.float32(0.08), 0) * open_sky
             strength /= np.float32(0.25) + squared * np.float32(1 / row[6] ** 2)
+            if rank == 0 or (rank == 1 and self.room.detail):
+                far = 400.0 if self.room.detail else 30.0  # a street's sun is far away
+                strength *= shadow(self.model, self.data, lamp, hits, camera.size, far=far)
             if rank == 0:
-                strength *= shadow(self.model, self.data, lamp, hits, camera.size)
                 ray += view  # the half vector: only the strongest light leaves highlights
                 peak = _dot(ray, normal) ** 2 / (_dot(ray, ray) + np.float32(1e-6))
                 peak *= peak
@@ -129,11 +139,14 @@ class CompiledRoom:
                 shine[:] = gloss * peak * strength * np.float32(0.3 * row[4])
             for c in range(3):
                 light[c] += strength * np.float32(row[3 + c])
+        add_bounces(light, self, hits, camera.size)
+        for sun in self.room.suns:
+            add_sun(light, sun, self, hits, camera.size)
         albedo *= light
         albedo += shine
         return np.ascontiguousarray(albedo.T).reshape(*camera.size, 3), hits
 
-    def _albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
+    def albedo(self, hits: Hits, footprint: np.ndarray) -> np.ndarray:
         """Return the surface color ``(3, N)`` of every hit; ``footprint`` is a pixel's size there [m]."""
         geom, point, normal = hits.geom, hits.point, hits.normal
         rot = [row.take(geom) for row in self.rotation]
@@ -177,24 +190,11 @@ def ambient_occlusion(room: Room, point: np.ndarray, normal: np.ndarray, depth: 
         near = np.float32(half) - np.abs(point[axis] - np.float32(middle))
         edge = np.float32(0.5) / (np.float32(1) + np.square(np.maximum(near, 0) * np.float32(3.0)))
         out *= 1 - edge * (1 - np.abs(normal[axis]))
+    if room.detail:  # contact_shade knows better
+        return out
     # behind something: the pixel lies deeper than its neighborhood
     for window in (depth.shape[1] // 20 * 2 + 1, depth.shape[1] // 8 * 2 + 1):
         mean = cv2.blur(depth, (window, window), borderType=cv2.BORDER_REPLICATE)
         dip = np.clip((depth - mean) / (np.float32(0.12) * mean + np.float32(0.05)), 0, 1)
         out *= (1 - np.float32(0.3) * dip).ravel()
     return out
-
-
-def shadow(model: Any, data: Any, light: np.ndarray, hits: Hits, size: tuple[int, int]) -> np.ndarray:
-    """Return the visibility ``(N,)`` of a light, cast at a quarter of the resolution and softened."""
-    height, width = size
-    points = hits.point.reshape(3, height, width)[:, 1::_SHADOW_STRIDE, 1::_SHADOW_STRIDE]
-    rows, columns = points.shape[1:]
-    rays = points.reshape(3, -1).astype(np.float64) - light[:, None]
-    distance = np.sqrt(np.square(rays).sum(axis=0))
-    rays /= np.maximum(distance, 1e-9)
-    reached, _, _ = cast_rays(model, data, light, rays.T, 30.0, normals=False)
-    lit = ((reached < 0) | (reached > distance - 0.03 - 0.004 * distance)).astype(np.float32)
-    lit = cv2.GaussianBlur(lit.reshape(rows, columns), (3, 3), 0.8)
-    lit = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
-    return lit.ravel() * np.float32(0.88) + np.float32(0.12)

@@ -299,6 +299,22 @@ def foliage(rng: np.random.Generator) -> Weights:
     return mix(second, third, 0.5 + 0.7 * noise(rng, 16, 16, 3))
 
 
+def facade(rng: np.random.Generator) -> Weights:
+    """House front: a wall (A) with rows of windows (B) in frames (C), some with a cornice."""
+    u, v = grid()
+    nu, nv = int(rng.integers(2, 6)), int(rng.integers(2, 4))
+    wide, tall = 0.3 + 0.35 * rng.random(), 0.4 + 0.3 * rng.random()
+    x, y = np.abs((u * nu) % 1.0 - 0.5) * 2, np.abs((v * nv) % 1.0 - 0.45) * 2
+    frame, pane = (x < wide + 0.12) & (y < tall + 0.08), (x < wide) & (y < tall)
+    pane &= (x > 0.05) | (rng.random() < 0.4)
+    iu, iv = np.floor(u * nu).astype(int), np.floor(v * nv).astype(int)
+    glass = 0.55 + 0.45 * rng.random((nv, nu))[iv, iu]
+    cornice = ((v * nv) % 1.0 > 0.94) & (rng.random() < 0.6)
+    edge = frame & ~pane if rng.random() < 0.8 else frame & ~frame
+    light = 0.85 + 0.2 * noise(rng, 4, 4, 4) + 0.08 * noise(rng, 32, 32, 1)
+    return mix(np.where(pane, glass, 0.12 * noise(rng, 8, 8, 3)), (edge | cornice) * 0.9, light)
+
+
 # Variants of each pattern in the atlas. Their order fixes the patterns' numbers and so the rooms.
 FAMILIES: tuple[tuple[Pattern, int], ...] = (
     (plain, 3),
@@ -324,6 +340,7 @@ FAMILIES: tuple[tuple[Pattern, int], ...] = (
     (blinds, 6),
     (appliance, 6),
     (foliage, 3),
+    (facade, 10),
 )
 
 

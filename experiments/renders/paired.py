@@ -1,0 +1,34 @@
+"""Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
+
+``python experiments/renders/paired.py val detail today`` reads ``val_detail.csv`` and ``val_today.csv`` of
+``score.py``.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from eldenet.evaluation.bootstrap import bootstrap_interval
+
+METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
+
+
+def read(split: str, name: str) -> dict[str, list[float]]:
+    """Return the metrics of each frame."""
+    with Path(__file__).with_name(f"{split}_{name}.csv").open() as file:
+        return {row["name"]: [float(row[metric]) for metric in METRICS] for row in csv.DictReader(file)}
+
+
+def main(split: str, ours: str, theirs: str) -> None:
+    """Print the mean difference and interval of each metric."""
+    first, second = read(split, ours), read(split, theirs)
+    difference = np.array([np.subtract(first[name], second[name]) for name in first])
+    for metric, values in zip(METRICS, difference.T, strict=True):
+        low, high = bootstrap_interval(lambda drawn, values=values: float(values[drawn].mean()), len(values))
+        print(f"{metric}: {values.mean():+.3f} [{low:+.3f}, {high:+.3f}] of {len(values)} frames")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
