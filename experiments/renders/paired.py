@@ -4,21 +4,21 @@
 ``score.py``.
 """
 
-import csv
 import sys
 from pathlib import Path
 
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.system.files import read_table
 
 METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
 
 
 def read(split: str, name: str) -> dict[str, list[float]]:
     """Return the metrics of each frame."""
-    with Path(__file__).with_name(f"{split}_{name}.csv").open() as file:
-        return {row["name"]: [float(row[metric]) for metric in METRICS] for row in csv.DictReader(file)}
+    rows = read_table(Path(__file__).with_name(f"{split}_{name}.csv"), ["name", *METRICS])
+    return {row["name"]: [float(row[metric]) for metric in METRICS] for row in rows}
 
 
 def main(split: str, ours: str, theirs: str) -> None:
