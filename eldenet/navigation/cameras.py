@@ -24,6 +24,7 @@ from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
 from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics, simulated_detections
 from eldenet.simulation.arena_world import ArenaWorld
+from eldenet.simulation.depth_camera import StereoArtifacts
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import as_estimate
 
@@ -61,12 +62,14 @@ class Camera:
         light: brightness of the lamps, relative to a normal day.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].
+        artifacts: of a depth camera, on the renderer's own depth; None: that depth is exact.
 
     Attributes:
         sources: name -> name and file of each network, for ``run.json``.
 
     Raises:
-        ValueError: a detector without a lifter, or frames too narrow for the driver's columns.
+        ValueError: a detector without a lifter, frames too narrow for the driver's columns, or artifacts of
+            a depth camera with a depth network.
     """
 
     def __init__(
@@ -79,14 +82,17 @@ class Camera:
         light: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
         latency: float = 0.0,
+        artifacts: StereoArtifacts | None = None,
     ) -> None:
+        if artifacts is not None and predictor is not None:
+            raise ValueError("artifacts are those of a depth camera: leave the depth network out")
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which turns its detections into boxes")
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
         check_view(width, intrinsics)
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
-        self.lifter, self.detector = lifter, detector
+        self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
         self.size, self.light = (height, width), light
         self.drift, self.latency = as_drift(drift), check_latency(latency)
         self.sources: dict[str, tuple[str, Any]] = {}
@@ -103,13 +109,15 @@ class CameraInstance:
         self.sensor, self.world, self.view, self.rng = sensor, world, view, rng
         self.camera = PinholeCamera(view.intrinsics)
         self.photo: Photo
+        if sensor.artifacts is not None:
+            self.dead = sensor.artifacts.draw_dead(sensor.size[1], rng)
 
     def scan(self) -> Observation:
         """Render a frame, estimate its depth, and lift objects if there is a lifter."""
         sensor = self.sensor
         self.photo = self.view.photo(self.world.pose, self.world.time, int(self.rng.integers(2**31)))
         frame = self.photo.image
-        estimate = as_estimate(self.photo.depth if sensor.predictor is None else sensor.predictor(frame))
+        estimate = as_estimate(self._depth() if sensor.predictor is None else sensor.predictor(frame))
         depth, cautious = estimate.depth, None
         ranges = depth_to_ranges(depth, self.view.intrinsics)
         if estimate.sigma is not None:
@@ -127,6 +135,13 @@ class CameraInstance:
         by_box = (faces < ROBOT.far) & (ranges > faces * (1 - IN_FRONT))
         fed_by[by_box] = FED_BY.index("box")
         return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
+
+    def _depth(self) -> np.ndarray:
+        """The renderer's own depth, exact or as a depth camera measures it."""
+        if self.sensor.artifacts is None:
+            return self.photo.depth
+        focal = float(self.view.intrinsics[0, 0])
+        return self.sensor.artifacts.apply(self.photo.depth, focal, self.dead, self.rng)
 
 
 def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) -> np.ndarray:
@@ -179,6 +194,19 @@ def camera(
     if checkpoint is not None:
         sensor.sources["depth"] = (checkpoint, checkpoint)
     return sensor
+
+
+def depth_camera(
+    *,
+    size: tuple[int, int] = (96, 128),
+    light: float = 1.0,
+    dead_columns: int = 1,
+    drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    latency: float = 0.0,
+) -> Camera:
+    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`."""
+    artifacts = StereoArtifacts(dead_columns=dead_columns)
+    return Camera(size=size, light=light, drift=drift, latency=latency, artifacts=artifacts)
 
 
 def objects(

@@ -1,4 +1,4 @@
-"""Measure the packaged driver with a camera: depth by a network, boxes by an ideal detector or a trained one.
+"""Measure the packaged driver with a camera: depth by a network or a depth camera, boxes by a detector.
 
 python experiments/table5_robustness/pixels.py --detector runs/detector-arenas/detector.onnx
 
@@ -19,7 +19,7 @@ prepare_environment()
 
 import torch  # noqa: E402
 
-from eldenet.navigation.cameras import camera, objects  # noqa: E402
+from eldenet.navigation.cameras import camera, depth_camera, objects  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
 from eldenet.navigation.evaluation import (  # noqa: E402
     Episode,
@@ -31,6 +31,7 @@ from eldenet.navigation.evaluation import (  # noqa: E402
 )
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
+from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges, Sensor  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
@@ -38,7 +39,15 @@ from eldenet.weights import located  # noqa: E402
 
 HERE = Path(__file__).parent
 DEPTH = "eldenet_arenas"
-SENSORS = ("true ranges", "camera", "objects, ideal detector", "objects, trained detector")
+SENSORS = (
+    "true ranges",
+    "camera",
+    "objects, ideal detector",
+    "objects, trained detector",
+    "depth camera",
+    "depth camera, range filter",
+)
+BY_NETWORK = SENSORS[1:4]
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
                     walkers=tracked, slows_within=1.0, robots=robots
                 ),
                 make_sensor(kind, args.detector),
-                EpisodeSettings("wheels"),
+                EpisodeSettings("wheels", range_filter="range filter" in kind),
                 robots=8,
             )
             write(folder, stored)
@@ -106,6 +115,8 @@ def make_sensor(kind: str, detector: Path | None) -> Sensor:
         return Ranges()
     if kind == "camera":
         return camera(DEPTH)
+    if kind in SENSORS[4:]:
+        return depth_camera()
     return objects(DEPTH, detector=detector if kind == SENSORS[3] else None)
 
 
@@ -116,8 +127,10 @@ def version(kind: str, detector: Path | None) -> str:
         ValueError: the row needs a detector, and none is given.
     """
     parts = [str(EPISODE_VERSION)]
-    if kind != "true ranges":
+    if kind in BY_NETWORK:
         parts.append(digest(located(DEPTH) / "model.safetensors"))
+    if "range filter" in kind:
+        parts.append(f"filter {FILTER_VERSION}")
     if kind == "objects, trained detector":
         if detector is None:
             raise ValueError(
@@ -137,7 +150,7 @@ def read(file: Path) -> Rows:
     return {
         (name, kind, made_with): episodes
         for (name, kind, made_with), episodes in read_episodes(file, LABELS).items()
-        if made_with.startswith(version(SENSORS[min(SENSORS.index(kind), 1)], None))
+        if made_with.startswith(version("camera" if kind in BY_NETWORK else kind, None))
     }
 
 
@@ -150,8 +163,9 @@ def write(folder: Path, rows: Rows) -> None:
         "# Driving by pixels",
         "",
         "The packaged driver, success [%] with Wilson's 95 % interval on the first test arenas; wheels, goal "
-        f"known, depth by `{DEPTH}`. {environment()['date']}. The last columns count arenas that only the "
-        "other sensor and only the sensor of the row solved, and McNemar's p-value.",
+        f"known, depth by `{DEPTH}` or a simulated depth camera. {environment()['date']}. The last columns "
+        "count arenas that only the other sensor and only the sensor of the row solved, and McNemar's "
+        "p-value.",
         "",
         "| arenas | sensor | count | success | collisions | time-outs | time of successes [s] |"
         " only `camera` : only it | only ideal detector : only it |",

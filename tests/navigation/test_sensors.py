@@ -175,7 +175,9 @@ def test_the_network_of_a_camera_is_told_the_robots_lens():
     assert not np.allclose(seen.depth, predictor(seen.image))
 
 
-@pytest.mark.parametrize("sensor", ["ranges", "objects"])  # tests of the modes use noisy and camera
+@pytest.mark.parametrize(
+    "sensor", ["ranges", "objects", "depth_camera"]
+)  # tests of the modes use noisy and camera
 def test_sensors_of_the_configs_scan(sensor):
     config = compose("navigate", [f"sensor={sensor}"])
     instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
