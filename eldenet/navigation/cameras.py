@@ -29,6 +29,7 @@ from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import as_estimate
 
 CAUTION = 0.8  # of the interval whose low end is how near things may be
+FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
 #: Sizes of the objects in arenas (:func:`eldenet.simulation.arenas.draw_obstacles`); cars are small there.
@@ -162,7 +163,8 @@ def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) 
 def footprints(boxes: Boxes3D) -> np.ndarray:
     """``(K, 5)`` center ahead of and left of the camera [m], yaw [rad], half length, half width [m]."""
     x, z, length, width, yaw = boxes.bev.T
-    return np.stack([z, -x, np.pi / 2 + yaw, length / 2, width / 2], axis=1)
+    # the length axis (cos, -sin) in x, z is (-sin, -cos) ahead and to the left
+    return np.stack([z, -x, np.pi / 2 - yaw, length / 2, width / 2], axis=1)
 
 
 def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:

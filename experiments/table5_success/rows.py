@@ -18,6 +18,7 @@ from typing import Any
 from inputs import digest, input_hashes, make_sensor, trained_policy
 from methods import LEARNED, PLANNERS
 
+from eldenet.navigation.cameras import FACES_VERSION
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, read_episodes, run_episodes, write_episodes
 from eldenet.navigation.planners.dwa import DWA_VERSION
@@ -146,6 +147,7 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
         "versions": {name: versions[name] for name in ("mujoco", "numpy", "torch")},
         "policy": None if weights is None else digest([weights]),
         "drives": planner_version(row.method) if row.seed is None else LEARNED[row.method].drives,
+        **({"faces": FACES_VERSION} if row.sensor.startswith("objects") else {}),
         **input_hashes(row.sensor, args),
     }
 

@@ -79,6 +79,24 @@ def test_near_faces_agree_with_rays():
     assert np.abs(np.log(seen.ranges[shows] / true[shows])).mean() < 0.06
 
 
+@pytest.mark.parametrize("yaw", [0.5, -0.5, 1.0, -1.0])
+def test_the_near_face_of_a_long_box_lies_on_its_own_side(yaw):
+    """A truck that stands askew is nearer at one end, and must not be mirrored."""
+    truck = Obstacle("box", 3.5, 0.3, yaw, (1.0, 0.25), 0.8)
+    arena = Arena("", 1, 0, (truck,), (0.0, 0.0, 0.0), ((9.0, 0.0),))
+    instance = instance_of(objects(), arena)
+    instance.scan()
+    found = simulated_detections(instance.photo, arena)
+    askew = Boxes3D(
+        np.array([[-truck.y, 0.0, truck.x - ROBOT.camera_ahead]]), np.array([[2.0, 0.5, 0.8]]),
+        np.array([np.pi / 2 - yaw]), np.ones(1), np.zeros(1, np.int64), ("box",),
+    )  # fmt: skip
+    faces, true = near_faces(askew, found, instance.camera), ArenaWorld(arena).ranges()
+    shows = (faces < ROBOT.far) & (true < ROBOT.far)
+    assert shows.sum() > 6
+    assert faces[shows] == pytest.approx(true[shows], rel=0.01)
+
+
 def test_the_simulator_s_detections_enclose_visible_pixels():
     view = ArenaView(ARENA, (120, 160))
     photo = view.photo(ARENA.start)
