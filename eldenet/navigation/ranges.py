@@ -59,16 +59,17 @@ def depth_to_ranges(
     if not known.all():
         depth = _standing_on_the_floor(depth, known, down, camera_height, heights[0])
     above_floor = camera_height - down * depth
-    counts = (above_floor > heights[0]) & (above_floor < heights[1])
+    # what is too close or may hide something counts at any height: the camera may be above the robot
+    counts = (depth == 0) | ((above_floor > heights[0]) & (above_floor < heights[1]))
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     rows = _rows_at(down[:, 0], camera_height, robot, heights)
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
-        values = ranges[:, column == number]
-        width, values = values.shape[1], np.sort(values[np.isfinite(values)])
+        pixels = ranges[:, column == number]
+        values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
-        asked = OUTLIERS * width * np.interp(values[first:], *rows)
+        asked = OUTLIERS * pixels.shape[1] * np.interp(values[first:], *rows)
         enough = np.flatnonzero(np.arange(first, values.size) + 1 > asked)
         if enough.size:
             out[number] = values[first + enough[0]]
@@ -78,10 +79,14 @@ def depth_to_ranges(
 def _rows_at(
     down: np.ndarray, camera_height: float, robot: Robot, heights: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depths [m], and how many pixel rows see heights that can touch the robot there ``(20,)`` each."""
+    """Depths [m], and how many pixel rows see heights that can touch the robot there ``(21,)`` each.
+
+    Depth 0 stands for blind pixels, which any row may have.
+    """
     depths = np.geomspace(robot.near, robot.far, 20)
     above = camera_height - down * depths[:, None]
-    return depths, ((above > heights[0]) & (above < heights[1])).sum(axis=1)
+    seen = ((above > heights[0]) & (above < heights[1])).sum(axis=1)
+    return np.array([0.0, *depths]), np.array([len(down), *seen])
 
 
 def _standing_on_the_floor(

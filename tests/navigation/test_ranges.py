@@ -65,6 +65,26 @@ def test_infinite_depth_is_far_and_missing_depth_is_near():
     assert (got > 7).any()
 
 
+@pytest.mark.parametrize("camera_height", [0.2, 0.4, 0.8, 1.4])
+def test_a_blind_camera_reads_as_near_at_any_height(camera_height):
+    """Also above the highest point that the robot can touch."""
+    depth, intrinsics = hall(camera_height=camera_height, size=(480, 640))
+
+    def ranges(seen: np.ndarray) -> np.ndarray:
+        return depth_to_ranges(seen, intrinsics, camera_height=camera_height)
+
+    free = ranges(depth)
+    assert (free > 7.9).all()
+    for blind in (0.0, np.nan, -np.inf):
+        assert (ranges(np.full_like(depth, blind)) == ROBOT.near).all()
+        seen = depth.copy()
+        seen[120:, 200:300] = blind  # a thing so close that stereo loses it, and the floor below it
+        assert (ranges(seen) == ROBOT.near).sum() >= 5
+        dead = depth.copy()
+        dead[:, 250] = blind
+        assert ranges(dead) == pytest.approx(free, rel=0.01)
+
+
 def test_a_camera_at_another_height_sees_the_same_wall():
     """10 cm lower it sees the floor nearer, and must not take it for an obstacle."""
     depth, intrinsics = hall(camera_height=0.2)
