@@ -19,7 +19,7 @@ prepare_environment()
 
 import torch  # noqa: E402
 
-from eldenet.navigation.cameras import camera, depth_camera, objects  # noqa: E402
+from eldenet.navigation.cameras import FACES_VERSION, camera, depth_camera, objects  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
 from eldenet.navigation.evaluation import (  # noqa: E402
     Episode,
@@ -121,22 +121,27 @@ def make_sensor(kind: str, detector: Path | None) -> Sensor:
 
 
 def version(kind: str, detector: Path | None) -> str:
-    """Return the versions of what a row depends on: episodes, depth network, detector.
+    """Return the versions of what a row depends on: episodes, depth network, faces of boxes, detector.
 
     Raises:
         ValueError: the row needs a detector, and none is given.
     """
+    if kind != "objects, trained detector":
+        return code_version(kind)
+    if detector is None:
+        raise ValueError("--detector is missing: give the .onnx file, or leave its sensor out of --sensors")
+    return f"{code_version(kind)}.{digest(detector)}"
+
+
+def code_version(kind: str) -> str:
+    """Return :func:`version` without a detector."""
     parts = [str(EPISODE_VERSION)]
     if kind in BY_NETWORK:
         parts.append(digest(located(DEPTH) / "model.safetensors"))
+    if "objects" in kind:
+        parts.append(f"faces {FACES_VERSION}")
     if "range filter" in kind:
         parts.append(f"filter {FILTER_VERSION}")
-    if kind == "objects, trained detector":
-        if detector is None:
-            raise ValueError(
-                "--detector is missing: give the .onnx file, or leave its sensor out of --sensors"
-            )
-        parts.append(digest(detector))
     return ".".join(parts)
 
 
@@ -150,7 +155,7 @@ def read(file: Path) -> Rows:
     return {
         (name, kind, made_with): episodes
         for (name, kind, made_with), episodes in read_episodes(file, LABELS).items()
-        if made_with.startswith(version("camera" if kind in BY_NETWORK else kind, None))
+        if made_with.startswith(code_version(kind))
     }
 
 
