@@ -117,6 +117,7 @@ class Navigator:
         self.files: list[Path] = []
         self.range_filter: RangeFilter | None = RangeFilter()
         self.stop_reason: str | None = None
+        self._origin: np.ndarray | None = None  # of step's poses (1, 3)
 
     @classmethod
     def load(
@@ -188,6 +189,7 @@ class Navigator:
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
         self.observer.reset(robot)
+        self._origin = None
         if self.range_filter is not None:
             self.range_filter.reset()
 
@@ -208,6 +210,7 @@ class Navigator:
         *,
         intrinsics: np.ndarray | None = None,
         camera_height: float = ROBOT.camera_height,
+        scanned_from: tuple[float, float, float] | None = None,
     ) -> tuple[float, float]:
         """Decide for one robot; call this every 0.2 s.
 
@@ -221,9 +224,10 @@ class Navigator:
             odometry: x, y [m] and heading [rad] in any fixed frame.
             intrinsics: ``(3, 3)`` of the depth map [px].
             camera_height: of its optical center above the floor [m].
+            scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
 
         Returns:
-            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if odometry, goal or intrinsics
+            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if a pose, goal or intrinsics
             are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
             and inf as free.
 
@@ -232,20 +236,24 @@ class Navigator:
                 than the 69.4 degrees of the training.
         """
         depth = np.asarray(depth, dtype=np.float64)
-        odometry_row, goal_row = np.array([odometry], np.float64), np.array([goal], np.float64)
+        now, goal_row = np.array([odometry], np.float64), np.array([goal], np.float64)
+        then = None if scanned_from is None else np.array([scanned_from], np.float64)
         if intrinsics is not None and not np.isfinite(intrinsics).all():
             self.stop_reason = "intrinsics not finite"
         elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
             self.stop_reason = "no value of depth is known"
         else:
             ranges = as_ranges(depth, intrinsics, camera_height)
-            self.stop_reason = Senses(ranges[None], odometry_row, goal_row).fault
+            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
         if self.stop_reason:
             self.observer.last[:] = 0.0  # it stands
             return 0.0, 0.0
+        # the memory has float32, which does not suffice for positions such as UTM's
+        self._origin = now * (1, 1, 0) if self._origin is None else self._origin
+        now, then = now - self._origin, None if then is None else then - self._origin
         if self.range_filter is not None:
-            ranges, _ = self.range_filter(ranges, odometry_row[0])
-        speed, turn = self.commands(Senses(ranges[None], odometry_row, goal_row))[0].tolist()
+            ranges, _ = self.range_filter(ranges, (now if then is None else then)[0])
+        speed, turn = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0].tolist()
         return speed, turn
 
 

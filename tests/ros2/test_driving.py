@@ -120,6 +120,34 @@ def test_a_speed_limit_keeps_the_arc() -> None:
     assert other.turn * one.speed == pytest.approx(one.turn * other.speed)
 
 
+def test_a_speed_limit_holds_backwards_too_and_the_policy_knows_the_speed(monkeypatch) -> None:
+    pilot = fed(max_speed=0.2)
+    monkeypatch.setattr(pilot.navigator, "step", lambda *_, **__: (-0.5, 0.5))
+    command = pilot.decide(100.1)
+    assert (command.speed, command.turn) == pytest.approx((-0.2, 0.2))
+    assert pilot.navigator.observer.last[0] == pytest.approx((-0.2, 0.2))
+
+
+def test_depth_belongs_to_the_pose_at_its_own_time(monkeypatch) -> None:
+    """A network takes time, and the robot turns meanwhile."""
+    pilot, given = fed(), {}
+    monkeypatch.setattr(
+        pilot.navigator, "step", lambda *at, **more: given.update(more, odometry=at[2]) or (0, 0)
+    )
+    for step in range(20):
+        pilot.move((0.0, 0.0, 0.06 * step), "odom", 100.0 + 0.05 * step)
+    pilot.see(np.full((120, 160), 6.0), CAMERA, 100.66)
+    pilot.decide(101.0)
+    assert given["odometry"] == pytest.approx((0.0, 0.0, 1.14))
+    assert given["scanned_from"] == pytest.approx((0.0, 0.0, 0.78))
+
+
+def test_a_goal_is_lost_with_its_frame() -> None:
+    pilot = fed()
+    pilot.move((100.0, 100.0, 0.0), "map", 100.1)
+    assert stands(pilot, 100.1, "no goal")
+
+
 @pytest.mark.parametrize("name", ["camera_height", "max_speed", "stale"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_settings_out_of_range_end_in_one_line(name, value) -> None:

@@ -1,6 +1,7 @@
 """What the driving node decides, and when it stops the robot. Needs no ROS."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from eldenet.navigation.policy import Navigator
 
 GOAL_RADIUS = 0.5  # as in training [m]
+POSES = 1000  # that are kept: 0.5 s of a fast odometry, and more
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Pilot:
         self.max_speed, self.stale = max_speed, stale
         self.depth: np.ndarray | None = None
         self.intrinsics: np.ndarray | None = None
-        self.pose: tuple[float, float, float] | None = None
+        self.poses: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=POSES)  # with stamps
         self.frame: str | None = None
         self.goal: tuple[float, float] | None = None
         self.stamps = {"depth": math.nan, "odometry": math.nan}
@@ -59,8 +61,13 @@ class Pilot:
         self.stamps["depth"] = stamp
 
     def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
-        """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]."""
-        self.pose, self.frame = pose, frame
+        """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]. In a new frame the goal is lost."""
+        if self.frame != frame:
+            self.poses.clear()
+            self.goal = None  # it was a place in the other frame
+        if math.isfinite(stamp):
+            self.poses.append((stamp, pose))
+        self.frame = frame
         self.stamps["odometry"] = stamp
 
     def aim(self, x: float, y: float, frame: str) -> str:
@@ -84,8 +91,7 @@ class Pilot:
         command = self._decide(now)
         if not (math.isfinite(command.speed) and math.isfinite(command.turn)):
             command = Command(reason="the driver's command is not finite")
-        if not (command.speed or command.turn):
-            self.navigator.observer.last[:] = 0.0  # it stands, whatever was chosen last
+        self.navigator.observer.last[:] = command.speed, command.turn  # what it does, whatever was chosen
         return command
 
     def _decide(self, now: float) -> Command:
@@ -97,9 +103,9 @@ class Pilot:
                 return Command(reason=f"{name} is {late}: check its publisher, its rate, and both clocks")
         if self.intrinsics is None:
             return Command(reason="no camera_info of the depth yet")
-        if self.goal is None or self.pose is None or self.depth is None:
+        if self.goal is None or self.depth is None:
             return Command(reason="no goal")
-        x, y, yaw = self.pose
+        x, y, yaw = self.poses[-1][1]
         distance = math.dist((x, y), self.goal)
         if distance < GOAL_RADIUS:
             self.goal = None
@@ -110,11 +116,16 @@ class Pilot:
             speed, turn = self.navigator.step(
                 self.depth,
                 (distance, bearing),
-                self.pose,
+                (x, y, yaw),
                 intrinsics=self.intrinsics,
                 camera_height=self.camera_height,
+                scanned_from=self._pose_at(self.stamps["depth"]),
             )
         except ValueError as error:  # such as a camera that sees too little
             return Command(reason=str(error))
-        slower = min(1.0, self.max_speed / speed) if speed > 0 else 1.0
+        slower = min(1.0, self.max_speed / abs(speed)) if speed else 1.0
         return Command(slower * speed, slower * turn, self.navigator.stop_reason or "")
+
+    def _pose_at(self, stamp: float) -> tuple[float, float, float]:
+        """Return the pose whose stamp is nearest: the network takes time, and the robot drives meanwhile."""
+        return min(reversed(self.poses), key=lambda each: abs(each[0] - stamp))[1]

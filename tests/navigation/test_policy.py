@@ -1,0 +1,48 @@
+"""One step of the trained driver: in which frame and from where it remembers what it saw."""
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.policy import Navigator
+from eldenet.simulation.robot import ROBOT
+
+GOAL = (5.0, 0.2)
+
+
+def ranges_with_a_pillar(away: float) -> np.ndarray:
+    ranges = np.full(ROBOT.columns, ROBOT.far)
+    ranges[10:16] = away
+    return ranges
+
+
+def remembered(navigator: Navigator) -> np.ndarray:
+    """Distances of all remembered points within 3 m of where the robot was last (M,)."""
+    return np.sort(navigator.observer.memory.near(np.zeros((1, 3)))[3])
+
+
+@pytest.mark.parametrize("origin", [(4e3, -7e3), (691_000.0, 5_335_000.0), (1e6, 1e6)])
+def test_it_drives_alike_wherever_the_frame_has_its_origin(origin):
+    """Positions of a GPS receiver are millions of meters from the origin of their frame."""
+    near, far = Navigator.load(), Navigator.load()
+    for number in range(8):
+        pose = (0.1 * number, 0.02 * number, 0.05 * number)
+        moved = (pose[0] + origin[0], pose[1] + origin[1], pose[2])
+        ranges = ranges_with_a_pillar(2.0 - 0.1 * number)
+        assert near.step(ranges, GOAL, pose) == far.step(ranges, GOAL, moved)
+    assert len(remembered(near)) >= 6
+    assert remembered(far) == pytest.approx(remembered(near), abs=1e-3)
+    near.reset()
+    assert near.step(ranges_with_a_pillar(2.0), GOAL, (9.0, 9.0, 0.0)) is not None
+    assert len(remembered(near)) == 6  # of a frame that begins here
+
+
+def test_an_old_scan_is_remembered_from_where_it_was_taken():
+    """A robot that turns at 1.2 rad/s has turned by 0.36 rad when a depth map arrives after 0.3 s."""
+    late, there = Navigator.load(), Navigator.load()
+    for navigator in (late, there):
+        navigator.step(ranges_with_a_pillar(2.0), GOAL, (0.0, 0.0, 0.0))
+    late.step(ranges_with_a_pillar(2.0), GOAL, (0.0, 0.0, 0.36), scanned_from=(0.0, 0.0, 0.0))
+    assert remembered(late) == pytest.approx(remembered(there), abs=1e-5)
+    assert np.ptp(late.observer.memory.points(0), axis=0).max() < 1.0  # no second pillar beside the first
+    assert late.step(ranges_with_a_pillar(2.0), GOAL, (0, 0, 0), scanned_from=(np.nan, 0, 0)) == (0.0, 0.0)
+    assert late.stop_reason == "scanned_from not finite"
