@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root
+from eldenet.data.paths import csv_pairs, find_root, natural_order
 from eldenet.geometry import pinhole
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
@@ -23,9 +23,9 @@ images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CS
 class FolderDataset(FileDataset):
     """Pictures and depth maps matched by name, or paired by a CSV.
 
-    The split is by blocks of frames that follow each other in name order: neighboring frames of a recording
-    look nearly the same, so a frame-by-frame split would test on what was trained. Better still, name
-    validation frames of other places in ``val_names``.
+    The split is by blocks of frames that follow each other in the order of their names (2 before 10):
+    neighboring frames of a recording look nearly the same, so a frame-by-frame split would test on what was
+    trained. Better still, name validation frames of other places in ``val_names``.
 
     Args:
         root: the data set's folder.
@@ -85,7 +85,7 @@ class FolderDataset(FileDataset):
             pairs = _csv_frames(folder, csv, allow_outside)
         else:
             pairs = _folder_frames(folder, images, depths, strict=options.get("on_error") != "skip")
-        names = sorted(pairs)
+        every = names = sorted(pairs, key=natural_order)
         if split != "all" and val_names is not None:
             names = _named(names, val_names, wanted=split == "val")
         elif split != "all":
@@ -95,7 +95,7 @@ class FolderDataset(FileDataset):
         super().__init__(folder, names, [pairs[name] for name in names], **options)
         self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # the picture that sets the size
         if self.intrinsics is not None:  # the folder's first one: the same for all splits
-            self.calibrated = _first_size([folder / pairs[name][0] for name in sorted(pairs)])
+            self.calibrated = _first_size([folder / pairs[name][0] for name in every])
 
     def frame_settings(self) -> dict[str, object]:
         """Return encoding and camera."""
@@ -198,10 +198,11 @@ def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wante
     if isinstance(val_names, str | Path):
         text = read_text(Path(val_names), "val_names must be a list of names, or a text file")
         val_names = [line.strip() for line in text.splitlines() if line.strip()]
-    unknown = sorted(set(val_names) - set(names))
+    wanted_names = set(val_names)
+    unknown = sorted(wanted_names - set(names))
     if unknown:
         raise ValueError(
             f"{len(unknown)} of val_names are not in the data set: {', '.join(unknown[:10])}: give names "
             f"such as {names[0]!r}"
         )
-    return [name for name in names if (name in set(val_names)) == wanted]
+    return [name for name in names if (name in wanted_names) == wanted]

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,11 @@ VARIABLE = "ELDENET_DATA"
 def default_cache() -> Path:
     """Return ``$ELDENET_CACHE``, or ``~/.cache/eldenet``: where frames are cached and rendered."""
     return Path(os.environ.get("ELDENET_CACHE") or "~/.cache/eldenet").expanduser()
+
+
+def natural_order(name: str) -> tuple[list[str | int], str]:
+    """Return a key that sorts names as they were recorded: frame 2 before frame 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
 
 
 def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:

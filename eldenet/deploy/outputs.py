@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
+from eldenet.data.paths import natural_order
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.disk import disk_errors
@@ -305,7 +306,7 @@ def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[n
 
 
 def name_results(source: Path, output: Path) -> dict[Path, str]:
-    """Name the results of each picture, relative to the output folder; no two share a name.
+    """Name the results of each picture in the order of time; relative to the output, no two share a name.
 
     A name is the picture's path below ``source`` without its ending. Pictures that differ only in their
     ending keep it in the name (``a_jpg``, ``a_png``).
@@ -321,7 +322,7 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     own = output.resolve()
     paths = [
         path
-        for path in sorted(source.rglob("*"))
+        for path in sorted(source.rglob("*"), key=lambda path: natural_order(path.as_posix()))
         if path.suffix.lower() in IMAGE_ENDINGS
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(source).parts)

@@ -110,6 +110,21 @@ def test_missing_folder_says_what_is_expected(tmp_path: Path) -> None:
         FolderDataset(tmp_path, max_depth=10.0)
 
 
+def test_blocks_follow_each_other_in_time_where_numbers_have_no_leading_zeros(tmp_path: Path) -> None:
+    """As text, frame 10 comes before frame 2, and a block would have frames of the whole recording."""
+    for number in range(1, 121):
+        for folder, picture in (("images", RGB), ("depths", MILLIMETERS)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / folder / f"{number}.png"), picture)
+    numbers = {
+        split: sorted(int(name) for name in FolderDataset(tmp_path, split=split, gap=2, max_depth=10.0).names)
+        for split in ("train", "val")
+    }
+    assert len(numbers["val"]) == 12
+    assert numbers["val"] == list(range(numbers["val"][0], numbers["val"][0] + 12))
+    assert min(abs(one - other) for one in numbers["train"] for other in numbers["val"]) == 3
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_train_and_val_are_separate_blocks(tmp_path: Path, seed: int) -> None:
     tree(tmp_path, 50)
