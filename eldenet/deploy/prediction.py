@@ -251,8 +251,8 @@ def predict_pictures(
                 photo = read_image(path, upright=True)
             except (ValueError, OSError) as error:
                 if not setup.skip_unreadable and len(pictures) > 1:
-                    done = f"{results.images} of {len(pictures)} pictures are done"
-                    raise ValueError(f"{error} ({done}; on_error=skip skips such files)") from error
+                    count = f"{results.images} of {len(pictures)} pictures are done"
+                    raise ValueError(f"{error} ({count}; on_error=skip skips such files)") from error
                 if not setup.skip_unreadable:
                     raise
                 results.skipped.append(str(error))

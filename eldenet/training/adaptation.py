@@ -199,6 +199,8 @@ def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: Adaptation
         started = time.monotonic()
         images: Any = collate([frames[index] for index in range(batch)])["image"]
         twin(images.to(device)).mean().backward()
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
         took = (time.monotonic() - started) / batch
     draws = max(1, int(0.8 * seconds / (1.5 * took)))  # the loss, the optimizer and the scores take time
     if draws < len(frames):
