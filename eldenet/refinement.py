@@ -8,7 +8,7 @@ from eldenet.configurable import Configurable
 class JointBilateral(Configurable, nn.Module):
     """Joint bilateral filter of the depth, guided by the image (ELDE-Net section 3.4 and its ref. 65).
 
-    Moves depth edges towards the image's edges and smooths within surfaces. It has no parameters to learn.
+    Moves depth edges toward the image's edges and smooths within surfaces. It has no parameters to learn.
 
     Args:
         kernel_size: side of the window [px], odd.

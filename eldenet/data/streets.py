@@ -23,7 +23,7 @@ class Streets(RenderedScenes):
         workers: processes that render, see there.
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: KITTI's, 0.58.
-        detail: streets with pavements, trees, poles, signs, house fronts, clouds and shadows.
+        detail: streets with sidewalks, trees, poles, signs, house fronts, clouds and shadows.
         **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:

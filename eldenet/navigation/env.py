@@ -24,7 +24,7 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     is not in the text at hand.
 
     Args:
-        progress: towards the way-point [m].
+        progress: toward the way-point [m].
         events: :class:`~eldenet.navigation.episodes.Event` numbers.
     """
     out: np.ndarray = PROGRESS_REWARD * progress + STEP_REWARD

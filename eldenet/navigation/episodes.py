@@ -175,7 +175,7 @@ class Episodes:
         """Drive every robot (or those of ``slots``) for one control period.
 
         Returns:
-            Progress towards the way-point ``(N,)`` [m] and :class:`Event` ``(N,)``.
+            Progress toward the way-point ``(N,)`` [m] and :class:`Event` ``(N,)``.
 
         Raises:
             ValueError: a command is not finite; its robot does not move.
@@ -197,7 +197,7 @@ class Episodes:
         return speed * self.settings.robot_speed, turn * self.settings.robot_speed
 
     def _drive(self, slot: int) -> tuple[float, Event]:
-        """Drive one robot for one period; progress is towards the way-point at its start."""
+        """Drive one robot for one period; progress is toward the way-point at its start."""
         world = self._world(slot)
         goal = self.goal(slot)
         distance = before = math.dist(self.poses[slot, :2], goal)
@@ -217,7 +217,7 @@ class Episodes:
                 if self._waypoint[slot] + 1 == len(world.arena.waypoints):
                     event = Event.GOAL
                     break
-                self._waypoint[slot] += 1  # the period continues towards the next one
+                self._waypoint[slot] += 1  # the period continues toward the next one
         self.poses[slot] = world.pose
         self._localize(slot)
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.settings.time_limit - 1e-9:

@@ -117,8 +117,12 @@ class Observer:
         self.options = {
             "turn_rates": [float(rate) for rate in turn_rates],
             "turn_factors": [float(factor) for factor in turn_factors],
-            **{"speed": speed, "memory": memory, "bins": bins, "arcs": arcs},
-            **{"seen_through": seen_through, "walkers": walkers},
+            "speed": speed,
+            "memory": memory,
+            "bins": bins,
+            "arcs": arcs,
+            "seen_through": seen_through,
+            "walkers": walkers,
         }
         self.turn_rates = np.array(turn_rates, dtype=np.float64)
         self.turn_factors = np.array(turn_factors, dtype=np.float64)

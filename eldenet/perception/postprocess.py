@@ -1,14 +1,13 @@
 """An image into a network's input, and the network's boxes back into the image."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from eldenet.geometry import from_corner
 from eldenet.perception.iou import iou_2d
 
-Letterbox = Literal["topleft", "center", "stretch"]
 _PAD = 114  # gray, as in training
 
 
@@ -27,7 +26,10 @@ class Placement(NamedTuple):
 
 
 def fit_image(image: np.ndarray, size: tuple[int, int], letterbox: str) -> tuple[np.ndarray, Placement]:
-    """Resize an image into ``(height, width)`` [px]; return the input ``(H, W, 3)`` and the placement."""
+    """Resize an image into ``(height, width)`` [px]; return the input ``(H, W, 3)`` and the placement.
+
+    ``letterbox`` is "topleft" or "center" (aspect kept, padded), or "stretch".
+    """
     import cv2
 
     height, width = image.shape[:2]

@@ -30,9 +30,9 @@ class ClassPrior:
 
 _CAR = ClassPrior((3.90, 1.61, 1.52), (0.11, 0.07, 0.08), "vehicle")
 _VAN = ClassPrior((4.93, 1.86, 2.16), (0.12, 0.08, 0.14), "vehicle")
-_LORRY = ClassPrior((8.5, 2.5, 3.15), (0.3, 0.07, 0.1), "vehicle")
+_BOX_TRUCK = ClassPrior((8.5, 2.5, 3.15), (0.3, 0.07, 0.1), "vehicle")
 _PICK_UP = ClassPrior((5.2, 1.95, 1.9), (0.2, 0.1, 0.12), "vehicle")
-_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle", (_LORRY, _PICK_UP))  # COCO's are both
+_TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle", (_BOX_TRUCK, _PICK_UP))  # COCO's are both
 _PERSON = ClassPrior((0.67, 0.61, 1.71), (0.3, 0.25, 0.08), "upright")
 
 #: Means over KITTI's tracking labels (17,332 cars), under KITTI's and COCO's names; the last four are rough.

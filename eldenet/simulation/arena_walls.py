@@ -84,7 +84,7 @@ def _wall(across: float, along: tuple[float, float], upright: bool) -> Obstacle:
 
 
 def draw_trap(draw: Draw) -> Walls:
-    """Draw a U of three walls that opens towards the start and hides the goal behind its back."""
+    """Draw a U of three walls that opens toward the start and hides the goal behind its back."""
     width, depth = draw.uniform(*TRAP_WIDTHS), draw.uniform(*TRAP_DEPTHS)
     limit = SIDE / 2 - END_CLEARANCE
     while True:

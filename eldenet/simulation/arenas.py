@@ -86,7 +86,7 @@ def generate_arena(
         index: from 0.
         pedestrians: number of walking people.
         min_distance: from start to goal, as the crow flies [m]; in traps it is always 10 m or more.
-        kind: "open"; "rooms": nine rooms with doors 1.1 to 1.5 m wide; "traps": a U-shaped wall opens towards
+        kind: "open"; "rooms": nine rooms with doors 1.1 to 1.5 m wide; "traps": a U-shaped wall opens toward
             the start and hides the goal.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What stands along a street: pavements, trees, lamp posts, signs, hedges, fences, house fronts.
+"""What stands along a street: sidewalks, trees, lamp posts, signs, hedges, fences, house fronts.
 
 World coordinates as in :mod:`eldenet.simulation.streets`: x ahead, y to the left; a street's ``side`` is 1
 (left) or -1. Everything goes into one body, for it has no box of its own.
@@ -29,7 +29,7 @@ class StreetFurniture:
         plain, add = variants("plain")[0], materials.palette.add
         slab = jitter(d, (0.4, 0.39, 0.37), 0.06)
         self.slabs = add([slab, (0.3, 0.3, 0.29), (0.25, 0.25, 0.25)], d.pick(variants("tiles")), 1.5)
-        self.kerb = add([jitter(d, (0.5, 0.5, 0.48), 0.06)], variants("plaster")[0], 1.0)
+        self.curb = add([jitter(d, (0.5, 0.5, 0.48), 0.06)], variants("plaster")[0], 1.0)
         self.bark = add([(0.2, 0.15, 0.1), (0.12, 0.09, 0.06), (0.3, 0.25, 0.2)], variants("grain")[0], 0.5)
         green = jitter(d, (0.12, 0.22, 0.06), 0.05)
         light = (green[0] * 1.8, green[1] * 1.6, green[2] * 1.5)
@@ -44,13 +44,13 @@ class StreetFurniture:
             for front in (d.pick(variants("facade")),)
         ]
 
-    def side(self, side: int, half: float, pavement: float) -> None:
+    def side(self, side: int, half: float, sidewalk: float) -> None:
         """Add one side of a street whose road and parking lane end at ``half`` + 2.2 m."""
         d, near = self.d, half + 2.2
-        self.b.box((END / 2 - 5, side * (near + pavement / 2), 0), (END + 10, pavement, 0.12), self.slabs)
-        self.b.box((END / 2 - 5, side * (near - 0.07), 0), (END + 10, 0.15, 0.13), self.kerb)
-        if d.chance(0.4):  # a lawn behind the pavement
-            self.b.box((END / 2 - 5, side * (near + pavement + 2), 0), (END + 10, 4.0, 0.1), self.lawn)
+        self.b.box((END / 2 - 5, side * (near + sidewalk / 2), 0), (END + 10, sidewalk, 0.12), self.slabs)
+        self.b.box((END / 2 - 5, side * (near - 0.07), 0), (END + 10, 0.15, 0.13), self.curb)
+        if d.chance(0.4):  # a lawn behind the sidewalk
+            self.b.box((END / 2 - 5, side * (near + sidewalk + 2), 0), (END + 10, 4.0, 0.1), self.lawn)
         for gap, chance, add in (
             (d.uniform(7, 14), d.pick((0.0, 0.5, 0.9)), self._tree),
             (d.uniform(18, 30), 0.85, self._lamp_post),
@@ -64,7 +64,7 @@ class StreetFurniture:
                 x += gap * d.uniform(0.7, 1.3)
         x = d.uniform(0, 8)
         while x < END + 20:  # trees behind the houses and at the end of the street
-            crown, y = d.uniform(2.0, 4.5), side * (near + pavement + d.uniform(9, 16))
+            crown, y = d.uniform(2.0, 4.5), side * (near + sidewalk + d.uniform(9, 16))
             y = side * d.uniform(0, 8) if x > END else y
             self.b.ellipsoid((x, y, crown), (crown, crown, crown * d.uniform(0.9, 1.6)), self.leaves)
             x += d.uniform(3, 10) if x < END else 2.0
@@ -73,7 +73,7 @@ class StreetFurniture:
             long = d.uniform(3, 15)
             if d.chance(0.3):
                 tall, material = d.uniform(0.5, 1.9), d.pick((self.leaves, self.leaves, *self.m.woods))
-                self.b.box((x + long / 2, side * (near + pavement + 0.3), 0), (long, 0.4, tall), material)
+                self.b.box((x + long / 2, side * (near + sidewalk + 0.3), 0), (long, 0.4, tall), material)
             x += long
 
     def roof(self, x: float, y: float, wide: float, deep: float, tall: float) -> None:

@@ -116,7 +116,7 @@ def render_street(
         size: ``(height, width)`` of the frame [px].
         kind: "street", "hall" or "crossing": a street with more people, and with cyclists.
         focal: range of fx [widths], of which each scene draws its own; None: ``FOCAL`` of its kind.
-        detail: streets with pavements, trees, poles, signs, house fronts, clouds and shadows.
+        detail: streets with sidewalks, trees, poles, signs, house fronts, clouds and shadows.
     """
     scene = generate_scene(split, index, kind, detail)
     compiled = CompiledRoom(scene.room)

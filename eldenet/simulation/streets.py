@@ -53,7 +53,7 @@ class Scene(NamedTuple):
 def generate_scene(split: str, index: int, kind: str = "street", detail: bool = False) -> Scene:
     """Generate scene ``index`` of a split; the first bodies of the model are its objects.
 
-    With ``detail`` a street has pavements, trees, poles, signs and house fronts; a hall looks natural.
+    With ``detail`` a street has sidewalks, trees, poles, signs and house fronts; a hall looks natural.
 
     Raises:
         ValueError: unknown split or kind, or negative index.
@@ -117,8 +117,8 @@ class _Builder:
         for start in range(4, 80, 8):
             self.shell.box((start, -d.uniform(1.6, 1.8), 0), (3, 0.14, 0.004), mark)
         for side in (-1, 1):
-            pavement = d.uniform(2, 4)
-            edge = side * (half + 2.2 + pavement)
+            sidewalk = d.uniform(2, 4)
+            edge = side * (half + 2.2 + sidewalk)
             x = -5.0
             while x < 110.0:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
@@ -130,10 +130,10 @@ class _Builder:
                         self.furniture.roof(x + wide / 2, y, wide, deep, tall)
                 x += wide + d.uniform(0, 5)
             if self.furniture is not None:
-                self.furniture.side(side, half, pavement)
+                self.furniture.side(side, half, sidewalk)
             self._row(side, half, parked=True)
             for _ in range(d.integer(1, 4)):
-                x, y = d.uniform(5, 40), side * (half + d.uniform(1.3, 2.5 + pavement))
+                x, y = d.uniform(5, 40), side * (half + d.uniform(1.3, 2.5 + sidewalk))
                 self._put("person", x, y, d.uniform(0, 360))
             if d.chance(0.5):
                 self._put("pillar", d.uniform(6, 40), side * (half + d.uniform(1.3, 2.2)), 0.0)

@@ -139,7 +139,7 @@ def test_a_hidden_car_is_not_mistaken_for_the_one_in_front():
 
 
 @pytest.mark.parametrize("size", [(8.5, 2.5, 3.1), (5.2, 1.9, 1.9)])
-def test_a_truck_is_fitted_as_a_lorry_or_a_pick_up(size):
+def test_a_truck_is_fitted_as_a_box_truck_or_a_pick_up(size):
     depth, xyxy = block((-2.0, 1.6 - size[2] / 2, 18.0), size=size, yaw=1.3)
     boxes = BoxLifter(depth_sigma=0.02)(depth, detection(xyxy, "truck"), CAMERA)
     np.testing.assert_allclose(boxes.size[0], size, rtol=0.2)

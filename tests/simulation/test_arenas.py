@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from eldenet.navigation.planners.paths import inflated_cost, optimal_length, path_length, shortest_path
+from eldenet.navigation.planners.paths import inflated_cost, optimal_length, shortest_path
 from eldenet.simulation.arena_mjcf import arena_mjcf
 from eldenet.simulation.arena_world import ArenaWorld, arc
 from eldenet.simulation.arenas import (
@@ -91,6 +91,10 @@ def test_clearance_is_the_distance_to_the_shapes():
             assert clearance[row, column] == pytest.approx(expected, abs=0.01)
             compared += 1
     assert compared > 100
+
+
+def path_length(path: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def test_there_is_no_path_through_a_closed_fence():

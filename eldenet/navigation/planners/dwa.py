@@ -19,7 +19,7 @@ COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
 TURNING_GAP = 0.03  # between corners and points while turning on the spot [m]
 STOPPING_TIME = 0.6  # for which an arc must be free; longer at higher speeds [s]
-CLEARANCE = 0.8  # weight of the clearance, relative to progress towards the target [1/m]
+CLEARANCE = 0.8  # weight of the clearance, relative to progress toward the target [1/m]
 ROOM = 0.10  # least clearance of an arc [m]; the robot can then turn on the spot (its corners stick out)
 MARGIN = 0.05  # added to the footprint on all sides [m]
 ENOUGH = 0.30  # clearance above which more adds no score [m]
@@ -29,7 +29,7 @@ DWA_VERSION = 2
 
 
 class DynamicWindow:
-    """Chooses a command towards a target among obstacle points, for one robot."""
+    """Chooses a command toward a target among obstacle points, for one robot."""
 
     def __init__(self) -> None:
         self.table = arc_table(COMMANDS, HORIZON, MARGIN)
@@ -83,7 +83,7 @@ class DynamicWindow:
         return _within(0.0, last[0], ACCELERATION), _within(turn, last[1], TURN_ACCELERATION)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
-        """Without a safe arc: turn towards the target first, then keep turning the same way."""
+        """Without a safe arc: turn toward the target first, then keep turning the same way."""
         side = np.sign(last[1]) if last[0] == 0 and last[1] != 0 else (1.0 if y >= 0 else -1.0)
         for turn in (0.8 * side, -0.8 * side):
             command = int(np.flatnonzero((self.speed == 0) & (np.abs(self.turn - turn) < 1e-6))[0])

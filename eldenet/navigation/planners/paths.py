@@ -51,11 +51,6 @@ def shortest_path(
     return np.asarray(((cells + corner)[:, ::-1] + 0.5) * RESOLUTION - side / 2)
 
 
-def path_length(path: np.ndarray) -> float:
-    """Length of a path [m]."""
-    return float(np.hypot(*np.diff(path, axis=0).T).sum())
-
-
 def inflated_cost(clearance: np.ndarray) -> np.ndarray:
     """1 where the robot may be, infinite elsewhere."""
     return np.where(clearance >= INFLATION, 1.0, np.inf)

@@ -186,7 +186,7 @@ class PlanAndSteer:
         return 0.0, self._free_turn(bearing, last[1], walls)
 
     def _free_turn(self, bearing: float, last: float, walls: np.ndarray) -> float:
-        """Rate of a free turn on the spot, towards the target or as before [rad/s]; 0 if there is none."""
+        """Rate of a free turn on the spot, toward the target or as before [rad/s]; 0 if there is none."""
         rates = self.observer.turn_rates.tolist()  # those of speed 0 are the table's first commands
         for rate in sorted(rates, key=lambda rate: -rate * math.copysign(1.0, last or bearing)):
             if rate and _along(self._table, walls, rates.index(rate))[0] >= HORIZON:

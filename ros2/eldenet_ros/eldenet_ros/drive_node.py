@@ -75,7 +75,7 @@ class DriveNode(Node):
         self.pilot.move(read_pose(odometry), odometry.header.frame_id, seconds(odometry.header.stamp))
 
     def on_goal(self, goal: Any) -> None:
-        """Start towards a new goal; stop for one that is rejected."""
+        """Start toward a new goal; stop for one that is rejected."""
         place = goal.pose.position
         if wrong := self.pilot.aim(place.x, place.y, goal.header.frame_id):
             self.get_logger().error(wrong)

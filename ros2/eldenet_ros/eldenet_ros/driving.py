@@ -61,7 +61,7 @@ class Pilot:
         self.stamps["depth"] = stamp
 
     def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
-        """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]. In a new frame the goal is lost."""
+        """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]. A new frame ends the goal."""
         if self.frame != frame:
             self.poses.clear()
             self.goal = None  # it was a place in the other frame
