@@ -127,4 +127,6 @@ def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Sour
     build: Callable[..., DepthDataset] = given["data"]
     own = getattr(build, "keywords", {})  # the source's own settings come first
     frames = build(**{option: value for option, value in options.items() if own.get(option) is None})
+    if frames.on_error == "skip":
+        frames.leave_out_unreadable()
     return Source(frames, weight, bool(given.get("relative", False)))

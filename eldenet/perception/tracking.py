@@ -35,6 +35,7 @@ class Track:
         score: of the last detection.
         hits: frames in which it was detected.
         missed: frames since then.
+        unseen: seconds since then.
         quality: of the last detection.
         heading_known: its motion has shown where its front is.
         xyxy: ``(4,)`` its 2D box [px]; None: not known.
@@ -48,6 +49,7 @@ class Track:
     score: float
     hits: int = 1
     missed: int = 0
+    unseen: float = 0.0
     quality: dict[str, float] = field(default_factory=dict)
     heading_known: bool = False
     xyxy: np.ndarray | None = None
@@ -112,11 +114,11 @@ class BoxTracker:
         self._frames += 1
         for track in self.tracks:
             self._predict(track, seconds)
-            track.missed += 1
+            track.missed, track.unseen = track.missed + 1, track.unseen + seconds
         unassigned = set(range(len(boxes)))
         for row, column in self._assign(boxes, xyxy):
             if xyxy is not None:
-                _follow(self.tracks[row], xyxy[column], seconds)
+                _follow(self.tracks[row], xyxy[column])
             self._update(self.tracks[row], boxes, column)
             unassigned.remove(column)
         for column in sorted(unassigned):
@@ -188,7 +190,7 @@ class BoxTracker:
             track.mean[3] += np.pi * (along < 0)  # objects drive forward
             track.heading_known = True
         track.mean[3] = (track.mean[3] + np.pi) % (2 * np.pi) - np.pi
-        track.hits, track.missed = track.hits + 1, 0
+        track.hits, track.missed, track.unseen = track.hits + 1, 0, 0.0
         track.score, track.quality = boxes[index].score, boxes[index].quality
 
     def _begin(self, boxes: Boxes3D, index: int) -> Track:
@@ -228,7 +230,7 @@ class BoxTracker:
         )
 
 
-def _follow(track: Track, measured: np.ndarray, seconds: float) -> None:
+def _follow(track: Track, measured: np.ndarray) -> None:
     """Move a track's 2D box toward the ``measured (4,)`` one: an alpha-beta filter of its center."""
     if track.xyxy is None:
         track.xyxy = np.array(measured, np.float64)
@@ -237,4 +239,4 @@ def _follow(track: Track, measured: np.ndarray, seconds: float) -> None:
     share = 1.0 if track.hits == 1 else _SPEED_SMOOTHING  # the second detection shows the first speed
     track.xyxy = track.xyxy + _SMOOTHING * surprise
     shift = (surprise[:2] + surprise[2:]) / 2
-    track.xyxy_speed = track.xyxy_speed + share * shift / (seconds * track.missed)
+    track.xyxy_speed = track.xyxy_speed + share * shift / track.unseen

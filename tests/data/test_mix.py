@@ -3,12 +3,15 @@
 from collections import Counter
 from functools import partial
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from support.synthetic import SyntheticDepth
 from support.training import Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.folder import FolderDataset
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -69,6 +72,20 @@ def test_frames_are_found_by_their_place_in_names() -> None:
     ]
     assert frames.load_frame(4).name == "synthetic/4"
     assert frames.load_frame(5).name == "synthetic/0"
+
+
+def test_a_source_that_skips_leaves_out_what_cannot_be_read(tmp_path) -> None:
+    """Else the training would end at the first draw of such a frame."""
+    for folder, pixel in (("images", np.uint8(200)), ("depths", np.uint16(2000))):
+        (tmp_path / folder).mkdir()
+        for number in range(4):
+            cv2.imwrite(str(tmp_path / folder / f"{number}.png"), np.full((8, 10), pixel))
+    (tmp_path / "images/2.png").write_bytes(b"no picture")
+    source = partial(FolderDataset, tmp_path, max_depth=9.0, on_error="skip")
+    frames = Mix({"mine": {"data": source}}, 40)
+    assert frames.names == ["mine/0", "mine/1", "mine/3"]
+    assert list(frames.skipped) == ["mine/2"]
+    assert {name for name, _ in drawn(frames, 0)} == {"0", "1", "3"}
 
 
 def test_wrong_settings_are_named() -> None:
