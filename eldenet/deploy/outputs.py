@@ -148,6 +148,12 @@ class Results:
         intrinsics = self.intrinsics if camera is None else camera.intrinsics
         if intrinsics is not None:
             check_intrinsics(intrinsics, (height, width))
+        if self.viewer is not None:
+            seen_by = None if intrinsics is None else camera or PinholeCamera(intrinsics)
+            self.viewer.show(name, photo, estimate, time, seen_by)
+        if self.also is not None:
+            self.also(name, photo, depth, time, camera)
+        # last: a picture whose files are there is done, its boxes too
         file = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
         if "ply" in formats and intrinsics is not None:
             write_ply(file["ply"], back_project(estimate.depth, intrinsics), photo)
@@ -167,11 +173,6 @@ class Results:
         if estimate.sigma is not None:
             self.unsure += int(estimate.unsure.sum())
             self.pixels += estimate.depth.size
-        if self.viewer is not None:
-            seen_by = None if intrinsics is None else camera or PinholeCamera(intrinsics)
-            self.viewer.show(name, photo, estimate, time, seen_by)
-        if self.also is not None:
-            self.also(name, photo, depth, time, camera)
         self.images += 1
 
     def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:

@@ -279,6 +279,23 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
     assert listed(tmp_path / "out") == ["a_color.png", "a_depth.png"]
 
 
+def test_a_picture_that_was_stopped_before_its_boxes_is_not_done(tmp_path: Path) -> None:
+    source = save(tmp_path / "in/kitchen.png", photo())
+    results = outputs.Results(tmp_path / "out", ("depth",))
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    results.also = killed
+    with pytest.raises(KeyboardInterrupt):
+        results.write("kitchen", photo(), np.ones((48, 64), np.float32), ("depth",))
+    assert not results.has("kitchen", source)
+    results.also = lambda *_: None
+    results.write("kitchen", photo(), np.ones((48, 64), np.float32), ("depth",))
+    assert results.has("kitchen", source)
+
+
+
 def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
     model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
