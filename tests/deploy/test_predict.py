@@ -295,7 +295,6 @@ def test_a_picture_that_was_stopped_before_its_boxes_is_not_done(tmp_path: Path)
     assert results.has("kitchen", source)
 
 
-
 def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
     model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
