@@ -135,7 +135,7 @@ class DepthNet(Configurable, nn.Module):
 
         Raises:
             ValueError: an image of another shape, one that is not floating point or goes to 255 (the first
-                call looks), or ``with_spread`` of a network that knows no sigma.
+                call looks), or ``with_spread`` of a network that predicts no sigma.
         """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")

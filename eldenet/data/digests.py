@@ -56,8 +56,8 @@ def write_digests(path: Path, digests: dict[Path, str]) -> None:
             unfinished.write_text("".join(lines), encoding="utf-8")
     except OSError as error:
         raise OSError(
-            f"the list of digests {path} cannot be written ({error.strerror or error}): give a path for it "
-            "that can, fingerprint=/my/folder/list.sha256"
+            f"the list of digests {path} cannot be written ({error.strerror or error}): give a writable "
+            "path, fingerprint=/my/folder/list.sha256"
         ) from error
 
 

@@ -230,7 +230,7 @@ class KITTIFrames(FileDataset):
         if frames is not None and places and len(places) != frames:
             raise ValueError(
                 f"{len(places)} frames instead of {frames} ({len(without_depth)} without depth in the list): "
-                "check the list and that the data set is complete; for a list of your own, data.frames=null"
+                "check the list and that the data set is complete; for your own list, set data.frames=null"
             )
         self.places = list(places)
         self.intrinsics: dict[tuple[str, int], np.ndarray] = {}

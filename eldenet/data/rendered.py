@@ -74,7 +74,7 @@ class RenderedScenes(DepthDataset):
         if not 0 <= self.min_depth < self.max_depth <= self.generator.farthest:
             raise ValueError(
                 f"min_depth={self.min_depth}, max_depth={self.max_depth}: give 0 <= min_depth < max_depth <= "
-                f"{self.generator.farthest} [m], the farthest depth that a stored frame holds"
+                f"{self.generator.farthest} [m], the farthest depth that a stored frame can hold"
             )
         self.places = list(range(frames))  # where each frame is stored: a subset leaves gaps
         self.split, self.size = split, (int(size[0]), int(size[1]))

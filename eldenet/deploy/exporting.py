@@ -117,7 +117,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
-        raise ValueError(f"{output} exists already: give another output=, or overwrite=true")
+        raise ValueError(f"{output} already exists: give another output=, or overwrite=true")
     return Target(setup, name, size, output)
 
 

@@ -218,7 +218,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
 
 
 def knows_sigma(setup: PredictionSetup, network: "DepthNet | Runtime") -> bool:
-    """Return whether the network knows its sigma, which the pictures then show.
+    """Return whether the network predicts its sigma, which the pictures then show.
 
     Raises:
         ValueError: it knows none, and ``formats`` asks for it.

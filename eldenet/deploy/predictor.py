@@ -25,8 +25,8 @@ MAX_SIDE = 640
 GRID = 16  # sides of frames are multiples of this [px]
 DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
-    "this network knows no focal lengths: the camera is not used, and meters hold for the lens of its "
-    "training (canonical_focal in a training changes that)"
+    "this network ignores focal lengths: the camera is not used, and meters are right for the lens of its "
+    "training only (to change that, train with canonical_focal)"
 )
 
 
@@ -59,7 +59,7 @@ class DepthPredictor:
         uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
-        ValueError: ``uncertainty`` of a network that knows no sigma, a size is invalid or not the one that a
+        ValueError: ``uncertainty`` is asked of a network without sigma, a size is invalid or not the one that a
             file was exported for, or a runtime gets a device.
     """
 
@@ -75,8 +75,8 @@ class DepthPredictor:
     ) -> None:
         if isinstance(model, str | Path):
             raise ValueError(
-                f"model={str(model)!r} is a name: give eldenet.load(...) of a network, or "
-                "eldenet.runtimes.load(...) of an exported file; pictures go to the predictor itself"
+                f"model={str(model)!r} is a name, not a network: give eldenet.load(name), or "
+                "eldenet.runtimes.load(file) for an exported file; pass pictures to the predictor itself"
             )
         if uncertainty and model.distribution is None:
             raise ValueError(f"uncertainty=True: {NO_SIGMA}")
@@ -100,13 +100,13 @@ class DepthPredictor:
         if isinstance(model, Runtime):
             if device is not None:
                 raise ValueError(
-                    f"device={device} is for a model; this network runs under {model.runtime} on "
+                    f"device={device} is for models, but this network runs under {model.runtime} on "
                     f"{model.device}: give device to eldenet.runtimes.load"
                 )
             if model.fixed_size and self.input_size != model.fixed_size:
                 raise ValueError(
-                    f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
-                    "only: export a file for that size"
+                    f"input_size={list(self.input_size or ())}, but this file only takes "
+                    f"{list(model.fixed_size)}: export a file for that size"
                 )
             self.model: DepthNet | Runtime = model
         else:
@@ -225,7 +225,7 @@ def focal_length(
     """
     if fov is not None:
         if intrinsics is not None:
-            raise ValueError("both intrinsics and fov are given: give one of them")
+            raise ValueError("both intrinsics and fov are given: give only one of them")
         return focal_of_fov(fov, width)
     if intrinsics is None:
         return None

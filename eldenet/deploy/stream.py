@@ -83,7 +83,7 @@ class DepthStream:
         if queue_size < 1:
             raise ValueError(f"queue_size={queue_size}: give 1 or more")
         if timeout is not None and not 0 < timeout <= threading.TIMEOUT_MAX:
-            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait for ever")
+            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait forever")
         camera = {} if intrinsics is None else {"intrinsics": intrinsics}
         self.predictor, self.queue_size = functools.partial(predictor, **camera), queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0

@@ -187,7 +187,8 @@ def fit_errors(scans: Scans, edges: Sequence[float] = EDGES, **measured: Any) ->
     kept = inner & (np.abs(error) < MISSED)
     if kept.sum() < 500:
         raise ValueError(
-            f"only {int(kept.sum())} columns show an obstacle or wall, the fit needs 500: scan in more arenas"
+            f"only {int(kept.sum())} columns show an obstacle or wall, but the fit needs 500: scan in "
+            "more arenas"
         )
     bins = {number: error[kept & (where == number)] for number in range(count)}
     enough = min(50, max(len(values) for values in bins.values()))

@@ -31,7 +31,7 @@ class Observation(NamedTuple):
         image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
         depth: ``(H, W)`` [m], if there is a network.
         boxes: in the level camera frame, if there is a detector.
-        cautious: ``(columns,)`` [m] how near things may be, if the network knows its sigma.
+        cautious: ``(columns,)`` [m] how near things may be, if the network predicts its sigma.
     """
 
     ranges: np.ndarray

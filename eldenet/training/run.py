@@ -176,7 +176,7 @@ def refuse_untrained_sigma(model: "DepthNet", loss: "WeightedSum") -> None:
     raise ValueError(
         "model/head=uncertain learns its sigma from a likelihood: use loss=ssim_nll, or another head"
         if model.distribution is not None
-        else "this loss trains a sigma, and the head knows none: use model/head=uncertain, or another loss"
+        else "this loss trains a sigma, but the head predicts none: use model/head=uncertain, or another loss"
     )
 
 

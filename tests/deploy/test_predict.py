@@ -307,7 +307,7 @@ def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
             run(model_folder, source, out)
     assert listed(out) == ["a_color.png", "a_depth.png", "b_depth.png"]
     first = (out / "a_depth.png").stat().st_mtime_ns
-    with pytest.raises(ValueError, match="results exist already"):  # another command
+    with pytest.raises(ValueError, match="results already exist"):  # another command
         run(model_folder, source, out, "max_side=128")
     assert run(model_folder, source, out).images == 2
     assert "1 of 3 pictures were done before the command stopped" in capsys.readouterr().out

@@ -94,8 +94,9 @@ def load(
         )
     if size is None:
         raise ValueError(
-            f"{runtime} needs a size, and the model names none: give size=(height, width), on the command "
-            "line input_size=[height,width]"
+            f"{runtime} needs a size, but the model states none: give size=(height, width) or, on the "
+            "command "
+            "line, input_size=[height,width]"
         )
     if precision == "int8":
         raise ValueError("int8 needs calibration pictures: export a file (python -m eldenet.export)")

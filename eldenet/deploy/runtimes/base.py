@@ -18,7 +18,7 @@ class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
     Where it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
-    with fx in pixels of the image that the network sees. One with a ``distribution`` also knows its sigma,
+    with fx in pixels of the image that the network sees. One with a ``distribution`` also predicts its sigma,
     see :meth:`predict`.
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
@@ -68,7 +68,7 @@ class Runtime:
 
     @property
     def distribution(self) -> str | None:
-        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: it knows no sigma."""
+        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: it predicts no sigma."""
         found: str | None = metadata_value(self.metadata, "distribution")
         return found
 
@@ -153,4 +153,4 @@ def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) 
     if precision not in PRECISIONS:
         raise ValueError(f"precision={precision!r}: choose {', '.join(PRECISIONS)}")
     if precision not in allowed:
-        raise ValueError(f"{runtime} here has no {precision}, only {', '.join(allowed)}: {advice}")
+        raise ValueError(f"{runtime} does not support {precision} here, only {', '.join(allowed)}: {advice}")

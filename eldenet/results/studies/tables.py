@@ -95,7 +95,9 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
     for entry in entries:
         for name in PUBLISHED:
             if entry[name] and not _is_figure(name, entry[name]):
-                raise ValueError(f"{path}: {entry['row']}: {name}={entry[name]!r} is no value of this metric")
+                raise ValueError(
+                    f"{path}: {entry['row']}: {name}={entry[name]!r} is not a valid value of this metric"
+                )
         if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
             raise ValueError(f"{path}: {entry['row']} has a figure but no protocol or source: give both")
     return entries
