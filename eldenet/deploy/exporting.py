@@ -60,7 +60,7 @@ def export(setup: ExportSetup) -> Path:
     """Write the file, compare it with torch, and say what it holds.
 
     Raises:
-        ValueError: the file exists already, the pictures are missing, or an fp32 file differs from torch.
+        ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
     """
     from eldenet.deploy.files import describe, write_onnx, write_openvino
     from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
@@ -104,7 +104,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     """Name, size and output file of an export.
 
     Raises:
-        ValueError: the output exists already.
+        ValueError: the output already exists.
     """
     from eldenet.model import size_of_frames
 

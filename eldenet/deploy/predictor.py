@@ -59,7 +59,7 @@ class DepthPredictor:
         uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
-        ValueError: ``uncertainty`` is asked of a network without sigma, a size is invalid or not the one that a
+        ValueError: ``uncertainty`` of a network without sigma, a size is invalid or not the one that a
             file was exported for, or a runtime gets a device.
     """
 
