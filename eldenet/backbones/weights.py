@@ -67,17 +67,17 @@ def _read_weights(path: str | Path) -> Weights:
 
 
 def read_torch(path: Path) -> Any:
-    """Read what ``torch.save`` wrote, onto the CPU, without running code; check sums are checked first.
+    """Read what ``torch.save`` wrote, onto the CPU, without running code; checksums are checked first.
 
     Raises:
         ValueError: the file is damaged, or holds more than tensors and plain values.
     """
     with reading(path, "file of torch.save"):
-        if zipfile.is_zipfile(path):  # torch itself does not look at the check sums
+        if zipfile.is_zipfile(path):  # torch itself does not look at the checksums
             with zipfile.ZipFile(path) as archive:
                 damaged = archive.testzip()
             if damaged is not None:
-                raise ValueError(f"wrong check sum of {damaged}")
+                raise ValueError(f"wrong checksum of {damaged}")
         try:
             return torch.load(path, map_location="cpu", weights_only=True)
         except pickle.UnpicklingError as error:
