@@ -1,4 +1,4 @@
-"""A depth map that says how sure it is: depth, standard deviation and intervals, of arrays or tensors."""
+"""A depth map with its uncertainty: depth, standard deviation and intervals, as arrays or tensors."""
 
 import math
 from statistics import NormalDist
@@ -11,12 +11,12 @@ NO_SIGMA = "this network predicts no sigma: train one with model/head=uncertain 
 
 
 class DepthEstimate(NamedTuple):
-    """Depth and how far it may be off, as arrays or tensors of one shape.
+    """Depth and how far it may be off, as arrays or tensors of the same shape.
 
     Attributes:
         depth: [m].
-        sigma: standard deviation [m]; None: the network knows none.
-        distribution: of the error of ln depth, "laplace" or "gaussian".
+        sigma: standard deviation [m]; None: the network predicts none.
+        distribution: of the error in ln depth, "laplace" or "gaussian".
     """
 
     depth: Any
@@ -53,7 +53,7 @@ def as_estimate(depth: Any) -> DepthEstimate:
 
 
 def deviations(distribution: str, level: float) -> float:
-    """Return how many standard deviations around the center hold ``level`` of a distribution.
+    """Return how many standard deviations around the center contain ``level`` of a distribution.
 
     Raises:
         ValueError: not ``0 < level < 1``.

@@ -48,7 +48,7 @@ class ExportSetup:
 
 @dataclass(frozen=True)
 class Target:
-    """What is written: the settings, and what the model decides where they leave it open."""
+    """What to write: the settings, completed by the model where they leave something open."""
 
     setup: ExportSetup
     name: str
@@ -57,7 +57,7 @@ class Target:
 
 
 def export(setup: ExportSetup) -> Path:
-    """Write the file, compare it with torch, and say what it holds.
+    """Write the file, compare it with torch, and print what it contains.
 
     Raises:
         ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
@@ -135,7 +135,7 @@ def compare_with_torch(
     """Print the differences between torch and the file under each installed runtime.
 
     Raises:
-        ValueError: an fp32 file gives another depth than torch.
+        ValueError: the depth of an fp32 file differs from torch's.
     """
     from eldenet.deploy.files import differences
 

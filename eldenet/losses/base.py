@@ -173,7 +173,7 @@ class WeightedSum(nn.Module):
 
         ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
         ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
-        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it knows one.
+        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it predicts one.
 
         Raises:
             ValueError: the maps differ in shape, the mask is not bool, or a term needs a spread.

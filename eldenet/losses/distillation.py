@@ -84,8 +84,8 @@ class Teacher:
 class DistilledTerm(WeightedTerm):
     """``weight * loss`` between the student's and the teacher's depth of the same, augmented images.
 
-    A pixel counts where the teacher's depth is finite and above 0, whatever the ground truth knows. So
-    unlabeled images (a mask that is False everywhere) count in this term alone.
+    A pixel counts where the teacher's depth is finite and above 0, whether or not its ground truth is known.
+    So unlabeled images (a mask that is False everywhere) count in this term alone.
 
     Args:
         loss: compares the student's map with the teacher's.
