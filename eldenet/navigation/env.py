@@ -21,7 +21,7 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     """Reward for progress and the goal, minus a penalty for collisions and time.
 
     The terms are those of the paper's prose, but for time; the constants are ours, as Algorithm 1's listing
-    is not in the text at hand.
+    is missing from our copy of the text.
 
     Args:
         progress: toward the way-point [m].
