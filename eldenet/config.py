@@ -384,7 +384,7 @@ def build_split(
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
         input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
-        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
+        frames: for rendered scenes, the number of first frames of the split to use instead of its own choice.
     """
     from eldenet.data.base import Compose
     from eldenet.evaluation.protocol_frames import frame_geometry
@@ -417,7 +417,7 @@ def build_split(
         resize_depth=split == "train" and not score,
         seed=seed,
     )
-    if score or split != "train":  # the protocol alone says what is scored
+    if score or split != "train":  # only the protocol says what is scored
         protocol.check_ground_truth(dataset.ground_truth)
         dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
     if dataset.on_error == "skip":

@@ -1,4 +1,4 @@
-"""Heads turn a network's raw map into meters within a range of their own."""
+"""Heads turn a network's raw map into meters within their range."""
 
 import math
 from typing import Any, Self

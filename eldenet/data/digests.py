@@ -1,6 +1,6 @@
 """SHA-256 digests of a data set's files, in a list that ``sha256sum -c`` reads too.
 
-npy, HDF5, tar and JPEG files have no checksums of their own: a flipped bit gives other depth without a word.
+npy, HDF5, tar and JPEG files have no checksums of their own: a flipped bit changes depth unnoticed.
 """
 
 import hashlib

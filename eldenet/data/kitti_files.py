@@ -131,7 +131,7 @@ def scans(root: Path, cameras: Sequence[int]) -> dict[Place, Path]:
 
 
 def selected(folder: Path, word: str) -> dict[Place, Path]:
-    """Find the files of one kind in ``val_selection_cropped``; ``word`` stands in their names.
+    """Find the files of one kind in ``val_selection_cropped``; ``word`` is part of their names.
 
     Raises:
         ValueError: a file's name is not of the selection.
@@ -153,7 +153,7 @@ def frame_list(file: str | Path) -> dict[Place, bool]:
     """Read a list of frames in BTS's or monodepth2's format: place -> whether it has improved ground truth.
 
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
-    front. Its focal length is not used, as the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
+    front. Its focal length is not used: the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
     (or ``r``).
 
     Raises:

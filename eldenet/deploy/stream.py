@@ -171,7 +171,7 @@ class DepthStream:
                 self._changed.notify_all()
 
     def _put(self, number: int, frame: np.ndarray, taken: float) -> bool:
-        """Queue a frame; return False once nobody wants more."""
+        """Queue a frame; return False once no more frames are wanted."""
         with self._changed:
             if self.drop:
                 while len(self._waiting) >= self.queue_size:

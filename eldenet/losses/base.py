@@ -58,7 +58,7 @@ class WeightedTerm(nn.Module):
         weight: 0 or more.
         space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
             AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
-        applies_to: "metric" or "relative": the samples that count, by what is known of their depth.
+        applies_to: "metric" or "relative": which samples count, by what is known about their depth.
 
     Raises:
         ValueError: a weight below 0, an unknown space, or one that the loss does not support.

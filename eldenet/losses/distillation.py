@@ -73,7 +73,7 @@ class Teacher:
 
     @property
     def signature(self) -> dict[str, Any]:
-        """Facts that tell this teacher from another: a hash of its weights above all."""
+        """Facts that distinguish this teacher from others, above all a hash of its weights."""
         digest = hashlib.sha256()
         for name, value in sorted(self.network.state_dict().items()):
             digest.update(name.encode())

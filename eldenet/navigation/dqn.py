@@ -85,7 +85,7 @@ class DQNSettings:
 class DQN:
     """Trains a :class:`~eldenet.navigation.qnetwork.QNetwork` on a vector environment.
 
-    After each checkpoint all episodes start anew with random numbers of their own, so a resumed training is
+    After each checkpoint all episodes restart with their own random numbers, so a resumed training is
     bit for bit the same as an uninterrupted one.
 
     Args:

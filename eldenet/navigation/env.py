@@ -49,7 +49,7 @@ def check_arenas(arenas: object) -> None:
 
 
 class ArenaNavVectorEnv(VectorEnv):
-    """``num_envs`` robots, each in an arena of its own.
+    """``num_envs`` robots, each in its own arena.
 
     When an episode ends, the next one starts within the same step (``AutoresetMode.SAME_STEP``): the returned
     observation is the first of the new episode, and ``info["final_obs"]`` (with the mask

@@ -80,7 +80,7 @@ class RecordSetup(ModeSetup):
 
 @dataclass(frozen=True, kw_only=True)
 class ArenasSetup(ModeSetup):
-    """Random arenas, the same for everybody.
+    """Random arenas, the same for every driver.
 
     Attributes:
         densities: numbers of obstacles.

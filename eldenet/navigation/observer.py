@@ -57,7 +57,7 @@ class Senses(NamedTuple):
 
     @property
     def fault(self) -> str | None:
-        """Which of them are not finite, None if all are: nobody may steer by such senses."""
+        """Which of them are not finite, None if all are finite; do not steer by such senses."""
         known = {name: values for name, values in self._asdict().items() if values is not None}
         wrong = [name for name, values in known.items() if not np.isfinite(values).all()]
         return f"{' and '.join(wrong)} not finite" if wrong else None

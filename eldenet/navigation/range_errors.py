@@ -79,7 +79,7 @@ def scan_near(
 ) -> Scans:
     """Scan from random places near standing obstacles or walls, with any heading.
 
-    Drivers avoid such places, so episodes contain few of them. Each scan counts as an episode of its own.
+    Drivers avoid such places, so episodes contain few of them. Each scan counts as a separate episode.
 
     Raises:
         ValueError: less than one scan per arena.

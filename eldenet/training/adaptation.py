@@ -1,6 +1,6 @@
 """Weights for the user's own camera and place, tuned on depth frames of any sensor.
 
-The frames are cut into blocks of time. Some blocks are held out, and what is not better there is not kept.
+The frames are cut into blocks of time. Some are held out; a result is only kept if it is better on them.
 """
 
 import copy

@@ -25,7 +25,7 @@ def initial_model(setup: "TrainingSetup", log: "RunLog", **normalization: Any) -
 
     Args:
         setup: of the training.
-        log: hears what is taken over.
+        log: receives a message about everything that is taken over.
         normalization: ``mean`` and ``std`` of the network's images, where they are not its own.
 
     Raises:

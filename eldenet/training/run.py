@@ -256,7 +256,7 @@ def common_frames(train_set: "DepthDataset", scored: "DepthDataset") -> int:
 
 
 def model_info(setup: TrainingSetup, train_set: "DepthDataset") -> dict[str, Any]:
-    """Return what is stored beside the weights: their origin, and the sizes that they were trained at."""
+    """Return the facts stored with the weights: their origin, and the sizes that they were trained at."""
     return {
         "model_name": setup.name,
         "seed": setup.seed,

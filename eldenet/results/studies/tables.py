@@ -35,7 +35,7 @@ class Block:
         points: row, latency [ms] or GMACs, metric, for the plot.
         differences: to the reference row, by row.
         reference: that row; "" without one.
-        published: number of the first column of published figures, which are shown in a table of their own.
+        published: number of the first column of published figures, which are shown in a separate table.
         parts: numbers of the columns of metrics, of the difference and of the costs; each list starts with 0.
         core: numbers of the columns that come first where there is no room for all.
     """
