@@ -1,6 +1,6 @@
 """eldenet: light-weight monocular depth for robots and edge cameras.
 
-Public names load at their first use, which keeps ``import eldenet`` fast.
+Public names are loaded when they are first used, which keeps ``import eldenet`` fast.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -349,7 +349,7 @@ def check_source(source: str, setting: str = "source") -> None:
         near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
         raise ValueError(
             f"unknown model {source!r}: "
-            + (f"is {near[0]} meant? Else " if near else "")
+            + (f"did you mean {near[0]}? Otherwise " if near else "")
             + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
             f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
         )
@@ -384,7 +384,7 @@ def build_split(
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
         input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
-        frames: of rendered scenes, so many of the split's first frames instead of its own choice.
+        frames: for rendered scenes, the number of first frames of the split to use instead of its own choice.
     """
     from eldenet.data.base import Compose
     from eldenet.evaluation.protocol_frames import frame_geometry
@@ -404,7 +404,7 @@ def build_split(
         if protocol.changes_frames:
             # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
             logging.getLogger("eldenet").info(
-                "%s: resize_on_load and cache are off, as protocol %s resizes or crops the frames first",
+                "%s: resize_on_load and cache are off, because protocol %s resizes or crops the frames first",
                 split,
                 protocol.name,
             )
@@ -417,7 +417,7 @@ def build_split(
         resize_depth=split == "train" and not score,
         seed=seed,
     )
-    if score or split != "train":  # the protocol alone says what is scored
+    if score or split != "train":  # only the protocol says what is scored
         protocol.check_ground_truth(dataset.ground_truth)
         dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
     if dataset.on_error == "skip":
@@ -573,7 +573,7 @@ def canonical_camera(config: DictConfig) -> dict[str, Any]:
         return {}
     if config.data.input_size is None:
         raise ValueError(
-            "canonical_focal is in widths of the input, which data.input_size=null leaves open: give "
+            "canonical_focal is in widths of the input, but data.input_size=null leaves the width open: give "
             "data.input_size=[height,width], or canonical_focal=null"
         )
     return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
@@ -739,7 +739,7 @@ def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingS
         ValueError: the folder holds another run already, or libreyolo is missing.
     """
     if (folder / "train").exists() and not config.resume:
-        raise ValueError(f"output={folder} holds a training already: give another output, or resume=true")
+        raise ValueError(f"output={folder} already holds a training: give another output, or resume=true")
     from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.perception.libreyolo_detector import YoloTraining
     from eldenet.simulation.street_views import names_of
@@ -791,13 +791,13 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
     wait = config.camera_timeout
     if wait is not None and not (isinstance(wait, int | float) and 0 < wait <= threading.TIMEOUT_MAX):
-        raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait for ever")
+        raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")
     camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
     if camera and not (camera[0] > 0 and camera[1] > 0):
         raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
     given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
     if len(given) > 1:
-        raise ValueError(f"{' and '.join(given)} are given: give one of them")
+        raise ValueError(f"{' and '.join(given)} are given: give only one of them")
     if config.focal is not None and not (isinstance(config.focal, int | float) and config.focal > 0):
         raise ValueError(f"focal={config.focal}: give fx of the source's pictures in pixels, above 0")
     if config.fov is not None:
@@ -818,7 +818,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
             raise ValueError("formats: 'colour' is now called 'color'")
         one_of("formats", name, tuple(ENDING))
     if not formats:
-        raise ValueError(f"formats is empty: give some of {', '.join(ENDING)}")
+        raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")
     asked = (config.boxes or "ply" in formats) and not given and not source.is_video
     calibrated = bool(camera) or (asked and all(object_camera(Path(path)) for path in source.names))
     if "ply" in formats and not calibrated:
@@ -921,7 +921,7 @@ def build_demo(config: DictConfig) -> "DemoSetup":
     """
     check_sources(config, "checkpoint")
     if type(config.port) is not int or not 0 <= config.port <= 65535:
-        raise ValueError(f"port={config.port}: give a number from 0 (any free one) to 65535")
+        raise ValueError(f"port={config.port}: give a number from 0 (any free port) to 65535")
     from eldenet.data.paths import default_cache
     from eldenet.deploy.demo import DemoSetup
 
@@ -1023,7 +1023,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     }
     if config.mode == "record":
         if len(densities) != 1:
-            raise ValueError(f"density={densities}: mode=record records one arena, give one number")
+            raise ValueError(f"density={densities}: mode=record only records one arena: give one number")
         extra = {name: settings[name] for name in ("world", "course", "video")}
         extra["arena_file"] = settings["arena"]["file"]
         return modes.RecordSetup(**common, density=densities[0], **extra)
@@ -1039,7 +1039,7 @@ def _build_learner(config: DictConfig, sensor: Any) -> Any:
     settings = plain(config)
     if "policy" in settings and settings["policy"].get("path", "planner") is not None:
         raise ValueError(
-            "mode=train trains a new driver: give no checkpoint; policy may be paper_literal or paper_state"
+            "mode=train trains a new driver: remove checkpoint=; policy may be paper_literal or paper_state"
         )
 
     env = ArenaNavVectorEnv(

@@ -184,7 +184,7 @@ def refuse_foreign_code(settings: Any) -> None:
             if not _within(name, trusted_modules) and not (key == "_target_" and name in targets):
                 module = name.rpartition(".")[0] or name
                 raise ValueError(
-                    f"refused {key}={name}: a study's settings may name eldenet's own parts only. If you "
-                    f"have read that code and trust it: trusted_modules=[{module}]"
+                    f"refused {key}={name}: a study's settings may only name eldenet's own parts. If you "
+                    f"have read that code and trust it, give trusted_modules=[{module}]"
                 )
         refuse_foreign_code(value)

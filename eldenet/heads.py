@@ -1,4 +1,4 @@
-"""Heads turn a network's raw map into meters within a range of their own."""
+"""Heads turn a network's raw map into meters within their range."""
 
 import math
 from typing import Any, Self
@@ -18,7 +18,7 @@ class Head(Configurable, nn.Module):
 
     Attributes:
         channels: of the raw map.
-        distribution: of the error of ln depth, "laplace" or "gaussian"; None: the head knows none.
+        distribution: of the error in ln depth, "laplace" or "gaussian"; None: the head predicts no sigma.
 
     Args:
         min_depth: [m].
@@ -45,7 +45,7 @@ class Head(Configurable, nn.Module):
         """Standard deviation of ln depth ``(B, 1, H, W)``.
 
         Raises:
-            ValueError: the head knows none.
+            ValueError: the head predicts none.
         """
         raise ValueError(NO_SIGMA)
 

@@ -58,8 +58,8 @@ class DepthNet(Configurable, nn.Module):
     """A depth network: camera images in, meters out.
 
     With ``canonical_focal`` the network predicts depth as if a camera of that focal length had taken the
-    image (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal. So
-    its meters hold for any lens. Without, they hold for the training's lens alone.
+    image (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal.
+    Its meters are then right for any lens; without it, only for the lens of the training.
 
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size. Where the head
@@ -68,8 +68,8 @@ class DepthNet(Configurable, nn.Module):
         head: raw map -> meters (with ``canonical_focal``: canonical meters) within a range.
         refine: optional ``(depth, image) -> depth``, applied to the head's depth.
         canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
-            network knows no focal lengths.
-        canonical_width: width of the training's images [px]; goes with ``canonical_focal``.
+            network ignores focal lengths.
+        canonical_width: width of the training's images [px]; given together with ``canonical_focal``.
         mean: mean per channel of RGB in [0, 1], for the normalization.
         std: standard deviation per channel.
 
@@ -80,7 +80,7 @@ class DepthNet(Configurable, nn.Module):
         canonical_px: focal length of the canonical camera [px]; None without ``canonical_focal``.
 
     Raises:
-        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or one comes without the other.
+        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or only one of them is given.
     """
 
     mean: Tensor
@@ -121,7 +121,7 @@ class DepthNet(Configurable, nn.Module):
 
     @property
     def distribution(self) -> str | None:
-        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: no sigma is known."""
+        """Distribution of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma."""
         return self.head.distribution
 
     def forward(self, image: Tensor, focal: float | Tensor | None = None, with_spread: bool = False) -> Any:
@@ -134,8 +134,8 @@ class DepthNet(Configurable, nn.Module):
             with_spread: return depth and the standard deviation of ln depth ``(B, 1, H, W)``.
 
         Raises:
-            ValueError: an image of another shape, one that is not floating point or goes to 255 (the first
-                call looks), or ``with_spread`` of a network that knows no sigma.
+            ValueError: an image of another shape, one that is not floating point or reaches 255 (only the
+                first call checks), or ``with_spread`` for a network that predicts no sigma.
         """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")
@@ -154,9 +154,9 @@ class DepthNet(Configurable, nn.Module):
         return (depth, self.head.to_spread(raw)) if with_spread else depth
 
     def predict(self, image: Tensor, focal: float | Tensor | None = None) -> DepthEstimate:
-        """Depth as :meth:`forward` gives it, and its standard deviation [m]; None if the head knows none.
+        """Depth as from :meth:`forward`, and its standard deviation [m]; None if the head predicts none.
 
-        ``estimate.interval(0.9)`` is where the true depth lies in nine pixels of ten.
+        ``estimate.interval(0.9)`` contains the true depth for nine in ten pixels.
         """
         if self.distribution is None:
             return DepthEstimate(self(image, focal))
@@ -164,7 +164,7 @@ class DepthNet(Configurable, nn.Module):
         return DepthEstimate(depth, depth * spread, self.distribution)
 
     def rescale(self, factor: float) -> None:
-        """Make all depth ``factor`` times as large, from now on: the head's range moves along.
+        """Make all depth ``factor`` times as large from now on; the head's range changes with it.
 
         Raises:
             ValueError: ``factor`` is not above 0.
@@ -178,7 +178,7 @@ class DepthNet(Configurable, nn.Module):
         """Write ``config.json``, ``model.safetensors`` and a card, ``README.md``, into ``folder``.
 
         The config has digests of itself and of the weights. The card has the Hub's metadata and the metrics
-        that ``info`` states (``info["test"]``, with their protocol); your own ``README.md`` stays.
+        that ``info`` states (``info["test"]``, with their protocol); your own ``README.md`` is kept.
 
         Args:
             folder: created if it does not exist.
@@ -226,9 +226,9 @@ class DepthNet(Configurable, nn.Module):
     ) -> Self:
         """Read a model from a folder written by :meth:`save_pretrained`, a run folder, or a Hub id.
 
-        From a run folder it reads the best epoch, which a training saves in ``model/``.
+        From a run folder it reads the best epoch, which training saves in ``model/``.
 
-        No code in the folder runs: the config may only name our own model parts and classes in
+        No code in the folder is executed: the config may only name our own model parts and classes in
         ``trusted_modules``, and the weights are safetensors.
 
         Raises:
@@ -271,7 +271,7 @@ class DepthNet(Configurable, nn.Module):
 
 
 def _check_range(image: Tensor) -> None:
-    """Raise ``ValueError`` if an image's values are those of bytes."""
+    """Raise ``ValueError`` if an image's values look like bytes."""
     if image.numel() and image.device.type != "meta" and (largest := float(image.max())) > LARGEST_VALUE:
         raise ValueError(
             f"image has values up to {largest:.0f}: give floats in [0, 1] (bytes divided by 255)"
@@ -306,7 +306,7 @@ def merge_info(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _runs_in(folder: Path) -> list[Path]:
-    """Return the finished runs that lie in a folder, such as that of a sweep."""
+    """Return the finished runs in a folder, such as that of a sweep."""
     return sorted(path.parent.parent for path in folder.glob(f"*/model/{CONFIG_NAME}"))
 
 

@@ -26,7 +26,7 @@ def main(config: "DictConfig", folder: Path) -> float:
             status: str | int | None = 130  # as shells count it
         except SystemExit as end:  # of a signal
             status = end.code
-    print(f"stopped; to go on: {resume_command(folder)}", file=sys.stderr)  # noqa: T201
+    print(f"stopped; to continue: {resume_command(folder)}", file=sys.stderr)  # noqa: T201
     raise SystemExit(status)
 
 

@@ -1,4 +1,4 @@
-"""A depth map that says how sure it is: depth, standard deviation and intervals, of arrays or tensors."""
+"""A depth map with its uncertainty: depth, standard deviation and intervals, as arrays or tensors."""
 
 import math
 from statistics import NormalDist
@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 DISTRIBUTIONS = ("laplace", "gaussian")
 UNSURE = 0.3  # sigma / depth beyond which pictures show no depth
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # of the intervals whose coverage is measured
-NO_SIGMA = "this network knows no sigma: train one with model/head=uncertain loss=ssim_nll"
+NO_SIGMA = "this network predicts no sigma: train one with model/head=uncertain loss=ssim_nll"
 
 
 class DepthEstimate(NamedTuple):
-    """Depth and how far it may be off, as arrays or tensors of one shape.
+    """Depth and how far it may be off, as arrays or tensors of the same shape.
 
     Attributes:
         depth: [m].
-        sigma: standard deviation [m]; None: the network knows none.
-        distribution: of the error of ln depth, "laplace" or "gaussian".
+        sigma: standard deviation [m]; None: the network predicts none.
+        distribution: of the error in ln depth, "laplace" or "gaussian".
     """
 
     depth: Any
@@ -29,7 +29,7 @@ class DepthEstimate(NamedTuple):
         The interval is symmetric in ln depth: ``depth / f`` to ``depth * f``.
 
         Raises:
-            ValueError: the network knows no sigma, or not ``0 < level < 1``.
+            ValueError: the network predicts no sigma, or not ``0 < level < 1``.
         """
         if self.sigma is None or self.distribution is None:
             raise ValueError(NO_SIGMA)
@@ -38,12 +38,12 @@ class DepthEstimate(NamedTuple):
 
     @property
     def spread(self) -> Any:
-        """Standard deviation of ln depth, which is sigma / depth; None: the network knows no sigma."""
+        """Standard deviation of ln depth, which is sigma / depth; None: the network predicts no sigma."""
         return None if self.sigma is None else self.sigma / self.depth
 
     @property
     def unsure(self) -> Any:
-        """Bool, where sigma is more than ``UNSURE`` of the depth; None: the network knows no sigma."""
+        """Bool, where sigma is more than ``UNSURE`` of the depth; None: the network predicts no sigma."""
         return None if self.sigma is None else self.sigma > UNSURE * self.depth
 
 
@@ -53,7 +53,7 @@ def as_estimate(depth: Any) -> DepthEstimate:
 
 
 def deviations(distribution: str, level: float) -> float:
-    """Return how many standard deviations around the center hold ``level`` of a distribution.
+    """Return how many standard deviations around the center contain ``level`` of a distribution.
 
     Raises:
         ValueError: not ``0 < level < 1``.

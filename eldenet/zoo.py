@@ -28,7 +28,7 @@ def load(
             Hub id ``owner/name``.
         weights: for a name of :func:`list_models`: the data that the package's weights were trained on
             (``load("eldenet", weights="rooms")`` is ``load("eldenet_rooms")``).
-        overrides: for a name of :func:`list_models`: changes as on the command line, such as
+        overrides: for a name of :func:`list_models`: changes, written as on the command line, such as
             ``["model/backbone=pplcnet_x0_75"]`` or ``["model.head.max_depth=80"]``.
         trusted_modules: for a folder or Hub id: other packages whose classes its config may name.
         revision: for a Hub id: branch, tag or commit.
@@ -85,7 +85,7 @@ def build_teacher(
         trusted_modules: as in :func:`load`.
 
     Raises:
-        ValueError: no teacher is named, or one without trained weights.
+        ValueError: no teacher is named, or it has no trained weights.
     """
     from eldenet.losses.distillation import Teacher
 

@@ -86,7 +86,7 @@ def efficiency() -> tuple[Ours, list[str]]:
         columns.append((f"eldenet, {runtime}", cells))
     notes = [
         "224 x 224, fp32, one thread of a CPU and one image at a time; throughput beside ResNet18 + UpConv: "
-        "batches of 8 on two threads. No Jetson was at hand: its lines have the CPU's ratios",
+        "batches of 8 on two threads. We had no Jetson: its lines have the CPU's ratios",
         "all rivals have the UpConv decoder in its fast form, which the paper's may not",
         "`eldenet` was measured before its encoder had shortcuts (3 %)",
         f"`eldenet_paper` has {paper_share():.3f} of ResNet18 + UpConv's parameters; its latency is not "
@@ -147,7 +147,7 @@ def crossings(name: str, column: str, form: str) -> Callable[[], tuple[Ours, lis
                 if cells:
                     columns.append((method, cells))
         notes = [
-            "the paper's table is not in the text at hand, which has its set-up only",
+            "the paper's table is missing from our copy of the text, which only has its setup",
             "500 test arenas, true ranges, wheels in MuJoCo; the mean over the trainings of a method",
             "from results-500.csv",
         ]
@@ -169,7 +169,7 @@ def page(folder: str) -> str:
     columns, notes = TABLES[folder]()
     titles = ["claim", "unit", "the paper", "in its words", *(title for title, _ in columns)]
     rows = [
-        [line["claim"], line["unit"], line["paper"] or "not in the text at hand", line["quote"]]
+        [line["claim"], line["unit"], line["paper"] or "missing from our copy of the text", line["quote"]]
         + [cells.get(line["claim"], "-") for _, cells in columns]
         for line in read_table(HERE / folder / "expected.csv", HEADER)
     ]

@@ -18,7 +18,7 @@ class Backbone(Configurable, nn.Module):
         feature_info: channels and stride of each feature map, finest first; strides are distinct.
     """
 
-    transient_arguments = ("pretrained",)  # a saved model has weights of its own and downloads none
+    transient_arguments = ("pretrained",)  # a saved model has its own weights and downloads none
 
     feature_info: tuple[FeatureInfo, ...]
 

@@ -49,8 +49,8 @@ class TimmBackbone(Backbone):
             )
         except OSError as error:
             raise RuntimeError(
-                f"could not download timm's weights of {name} ({error}). Download them where there is a "
-                "network and give the file: pretrained: /path/to/file"
+                f"could not download timm's weights of {name} ({error}). Download them on a machine "
+                "with internet access and give the file: pretrained: /path/to/file"
             ) from error
         except RuntimeError as error:  # shapes that differ
             raise ValueError(f"{name} cannot load the weights {pretrained!r}: {error}") from error
@@ -83,6 +83,6 @@ class TimmBackbone(Backbone):
         ]
         if missing:
             raise ValueError(
-                f"loading {what} left {len(missing)} parameters untouched, the first of them {missing[0]}: "
+                f"loading {what} left {len(missing)} parameters untouched, the first is {missing[0]}: "
                 "give a file with timm's names for this network"
             )

@@ -67,17 +67,17 @@ def _read_weights(path: str | Path) -> Weights:
 
 
 def read_torch(path: Path) -> Any:
-    """Read what ``torch.save`` wrote, onto the CPU, without running code; check sums are checked first.
+    """Read what ``torch.save`` wrote, onto the CPU, without running code; checksums are checked first.
 
     Raises:
         ValueError: the file is damaged, or holds more than tensors and plain values.
     """
     with reading(path, "file of torch.save"):
-        if zipfile.is_zipfile(path):  # torch itself does not look at the check sums
+        if zipfile.is_zipfile(path):  # torch itself does not look at the checksums
             with zipfile.ZipFile(path) as archive:
                 damaged = archive.testzip()
             if damaged is not None:
-                raise ValueError(f"wrong check sum of {damaged}")
+                raise ValueError(f"wrong checksum of {damaged}")
         try:
             return torch.load(path, map_location="cpu", weights_only=True)
         except pickle.UnpicklingError as error:
@@ -134,7 +134,7 @@ def download_from_hub(repository: str, filename: str = "model.safetensors") -> P
     except Exception as error:  # which ones depends on the versions of the Hub client and its HTTP library
         raise RuntimeError(
             f"could not download {filename} from https://huggingface.co/{repository} ({error}). Download it "
-            "where there is a network and give its path: pretrained: /path/to/file"
+            "on a machine with internet access and give its path: pretrained: /path/to/file"
         ) from error
 
 
@@ -167,7 +167,8 @@ def load_torchvision_weights(
             weights = dict(published[choice].get_state_dict(progress=False, check_hash=True))
         except OSError as error:
             raise RuntimeError(
-                f"could not download {source} ({error}). Download it where there is a network and give its "
+                f"could not download {source} ({error}). Download it on a machine with internet access "
+                "and give its "
                 f"path (pretrained: /path/to/{Path(source).name}), or put it into "
                 f"{torch.hub.get_dir()}/checkpoints"
             ) from error
@@ -187,14 +188,15 @@ def load_torchvision_weights(
 def _rename_by_order(weights: Weights, expected: Weights, source: str) -> Weights:
     if len(weights) != len(expected):
         raise ValueError(
-            f"{source} has other names than this network, and {len(weights)} tensors instead of "
+            f"the names in {source} differ from this network's, and it has {len(weights)} tensors instead of "
             f"{len(expected)}"
         )
     pairs = zip(weights.items(), expected.items(), strict=True)
     for (name, tensor), (expected_name, expected_tensor) in pairs:
         if tensor.shape != expected_tensor.shape:
             raise ValueError(
-                f"{source} has other names than this network, and its tensors do not fit by order: {name} "
+                f"the names in {source} differ from this network's, and its tensors do not fit in order: "
+                f"{name} "
                 f"{tuple(tensor.shape)} would become {expected_name} {tuple(expected_tensor.shape)}"
             )
     return dict(zip(expected, weights.values(), strict=True))

@@ -153,7 +153,7 @@ class METER(Configurable, nn.Module):
         ValueError: an unknown size, or weights that do not exist or do not fit.
     """
 
-    transient_arguments = ("weights",)  # a saved model has weights of its own
+    transient_arguments = ("weights",)  # a saved model has its own weights
 
     def __init__(self, size: str = "xxs", *, weights: str | None = None) -> None:
         super().__init__()

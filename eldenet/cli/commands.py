@@ -96,7 +96,7 @@ def unknown(word: str) -> str:
     """Return the line for a command that does not exist."""
     nearest = difflib.get_close_matches(word.replace("_", "-"), COMMANDS, 1)
     return f"there is no command {word}: " + (
-        f"is {nearest[0]} meant?" if nearest else f"choose one of {', '.join(COMMANDS)}"
+        f"did you mean {nearest[0]}?" if nearest else f"choose one of {', '.join(COMMANDS)}"
     )
 
 

@@ -92,7 +92,7 @@ def _renamed(config_name: str, words: Sequence[str]) -> str:
         target = known.get(".".join([*new_parents, "_target_"]))
         new = ".".join([*new_parents, (KEYS | OPTIONS.get(str(target), {})).get(last, last)])
         if new != override.key_or_group:
-            return f"{override.key_or_group} is called {new} now"
+            return f"{override.key_or_group} is now called {new}"
     return ""
 
 
@@ -101,12 +101,13 @@ def _choice(group: str, name: str, options: Sequence[str]) -> str:
     name = name.removeprefix(f"{group}/")
     near = difflib.get_close_matches(name, options, 1)
     return (
-        f"{group}={name}: " + (f"is {near[0]} meant? " if near else "") + f"choose from {', '.join(options)}"
+        f"{group}={name}: " + (f"did you mean {near[0]}? " if near else "") + f"choose from "
+        f"{', '.join(options)}"
     )
 
 
 def _nearest(key: str, known: dict[str, Any]) -> str:
-    """Return a line that asks whether the settings with the same last name, or a similar one, are meant."""
+    """Return a line that asks whether the settings with the same last name, or a similar one, were meant."""
     if key == "experiment":  # a group that no default names
         return "experiment=... needs a plus: write +experiment=..."
     last = key.rpartition(".")[2]
@@ -115,7 +116,7 @@ def _nearest(key: str, known: dict[str, Any]) -> str:
     alike = alike or difflib.get_close_matches(key, others, 1)
     if "/" in key:  # a group of choices
         alike = [name.replace(".", "/") for name in alike]
-    found = f"is {' or '.join(alike[:3])} meant?" if alike else "--help lists those that there are"
+    found = f"did you mean {' or '.join(alike[:3])}?" if alike else "--help lists all settings"
     return f"there is no setting {key}: {found}"
 
 

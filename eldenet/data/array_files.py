@@ -32,7 +32,7 @@ def check_pixels(shape: Sequence[int], source: object) -> None:
     if pixels > int(given) or math.prod(sides) > 16 * int(given):
         size = " x ".join(map(str, sides))
         raise ValueError(
-            f"{source} has {size} values, more than {int(given):,} pixels: if that is right, set the "
+            f"{source} has {size} values, more than {int(given):,} pixels: if this is intended, set the "
             f"environment variable {PIXEL_VARIABLE} to a larger number"
         )
 
@@ -138,5 +138,5 @@ def read_exr(path: Path) -> np.ndarray:
         raise ValueError(f"{path} has no channels: store depth as one channel")
     first, *others = channels.values()
     if not all(np.array_equal(first, other) for other in others):
-        raise ValueError(f"{path} has the channels {', '.join(channels)}: store depth alone, as one channel")
+        raise ValueError(f"{path} has the channels {', '.join(channels)}: store only depth, as one channel")
     return first

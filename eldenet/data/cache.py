@@ -40,7 +40,8 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
         free = available_memory() // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
         if size > free:
             raise ValueError(
-                f"cache=ram needs {_gigabytes(size)} for {len(dataset)} frames, {_gigabytes(free)} are free: "
+                f"cache=ram needs {_gigabytes(size)} for {len(dataset)} frames, but only "
+                f"{_gigabytes(free)} are free: "
                 "set cache=disk, cache=none, or a smaller resize_on_load"
             )
         _LOG.info("frame cache in memory: up to %s for %d frames", _gigabytes(size), len(dataset))
@@ -64,7 +65,7 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
     )
     if size - held > free:
         _LOG.warning(
-            "frame cache: %s are needed, %s are free: frames that do not fit are read from their files",
+            "frame cache: it needs %s, but %s are free: frames that do not fit are read from their files",
             _gigabytes(size - held),
             _gigabytes(free),
         )

@@ -1,6 +1,6 @@
 """SHA-256 digests of a data set's files, in a list that ``sha256sum -c`` reads too.
 
-npy, HDF5, tar and JPEG files have no check sums of their own: a flipped bit gives other depth without a word.
+npy, HDF5, tar and JPEG files have no checksums of their own: a flipped bit changes depth unnoticed.
 """
 
 import hashlib
@@ -56,8 +56,8 @@ def write_digests(path: Path, digests: dict[Path, str]) -> None:
             unfinished.write_text("".join(lines), encoding="utf-8")
     except OSError as error:
         raise OSError(
-            f"the list of digests {path} cannot be written ({error.strerror or error}): give a path for it "
-            "that can, fingerprint=/my/folder/list.sha256"
+            f"the list of digests {path} cannot be written ({error.strerror or error}): give a writable "
+            "path, fingerprint=/my/folder/list.sha256"
         ) from error
 
 

@@ -111,8 +111,9 @@ class FolderDataset(FileDataset):
         if self.calibrated is not None and image.shape[:2] != self.calibrated[1]:
             first, size = self.calibrated
             raise ValueError(
-                f"{image_file} is {image.shape[:2]}, {first} is {size} (height, width), but intrinsics are "
-                "of one camera: resize the pictures to one size, put each size in a folder of its own, or "
+                f"{image_file} is {image.shape[:2]}, {first} is {size} (height, width), but intrinsics "
+                "describe "
+                "one camera: resize the pictures to one size, put each size into its own folder, or "
                 "leave intrinsics out (null)"
             )
         return Frame(image, depth, self.intrinsics, self.names[index])

@@ -143,7 +143,7 @@ class DataCheck:
 
 
 def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
-    """Read every split and note what is wrong; no fault stops it.
+    """Read every split and note what is wrong, without stopping at a fault.
 
     Args:
         setup: the splits, and how much of them to read.
@@ -190,7 +190,7 @@ def _fingerprint(found: DataCheck, path: Path, splits: Sequence[DepthDataset], b
             else "equal"
         )
     elif found.faults:
-        found.fingerprint = f"{path} was not written: first mend what is wrong above"
+        found.fingerprint = f"{path} was not written: first fix what is wrong above"
     else:
         with bar("computing digests", len(files)) as progress:
             write_digests(path, file_digests(files, progress.advance))

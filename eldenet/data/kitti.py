@@ -210,7 +210,7 @@ class KITTISelection(KITTIFrames):
         super().__init__(folder, pictures, maps, places, cameras=cameras, frames=frames, **options)
 
     def camera_of(self, index: int) -> np.ndarray | None:
-        """Return the intrinsics of the cropped picture, from a file of its own."""
+        """Return the intrinsics of the cropped picture, from a separate file."""
         if len(self.files[index]) < 3:
             return None
         file = self.root / self.files[index][2]

@@ -49,7 +49,8 @@ def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
     numbers = entries[key]
     if numbers.size != np.prod(shape) or not np.isfinite(numbers).all():
         raise ValueError(
-            f"{path}: {key} has {numbers.size} numbers, wanted {np.prod(shape)} finite ones: fetch it again"
+            f"{path}: {key} has {numbers.size} numbers, but {np.prod(shape)} finite ones are needed: "
+            "fetch it again"
         )
     return numbers.reshape(shape)
 

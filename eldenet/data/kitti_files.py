@@ -131,7 +131,7 @@ def scans(root: Path, cameras: Sequence[int]) -> dict[Place, Path]:
 
 
 def selected(folder: Path, word: str) -> dict[Place, Path]:
-    """Find the files of one kind in ``val_selection_cropped``; ``word`` stands in their names.
+    """Find the files of one kind in ``val_selection_cropped``; ``word`` is part of their names.
 
     Raises:
         ValueError: a file's name is not of the selection.
@@ -153,7 +153,7 @@ def frame_list(file: str | Path) -> dict[Place, bool]:
     """Read a list of frames in BTS's or monodepth2's format: place -> whether it has improved ground truth.
 
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
-    front. Its focal length is not used, as the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
+    front. Its focal length is not used: the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
     (or ``r``).
 
     Raises:
@@ -230,7 +230,7 @@ class KITTIFrames(FileDataset):
         if frames is not None and places and len(places) != frames:
             raise ValueError(
                 f"{len(places)} frames instead of {frames} ({len(without_depth)} without depth in the list): "
-                "check the list and that the data set is complete; for a list of your own, data.frames=null"
+                "check the list and that the data set is complete; for your own list, set data.frames=null"
             )
         self.places = list(places)
         self.intrinsics: dict[tuple[str, int], np.ndarray] = {}

@@ -50,11 +50,11 @@ class Mix(DepthDataset):
         self, sources: Mapping[str, Mapping[str, Any]], frames: int, **options: Unpack[SampleOptions]
     ) -> None:
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
-            raise ValueError(f"frames={frames!r}: give the draws of an epoch, 1 or more")
+            raise ValueError(f"frames={frames!r}: give the number of draws per epoch, 1 or more")
         built = {name: _source(name, given, options) for name, given in sources.items()}
         self.sources = {name: source for name, source in built.items() if source is not None}
         if not self.sources:
-            raise ValueError("sources: none has a weight above 0")
+            raise ValueError("no source has a weight above 0: give one to at least one of them")
         parts = [source.frames for source in self.sources.values()]
         super().__init__(
             [f"{name}/{frame}" for name, source in self.sources.items() for frame in source.frames.names],

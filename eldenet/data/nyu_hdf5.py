@@ -185,7 +185,8 @@ def _take(file: Any, key: str, source: object) -> Any:
             local = local and not (getattr(found, "external", None) or getattr(found, "is_virtual", False))
     if not local:
         raise ValueError(
-            f"{source}: {key!r} is a link or lies in another file, which is not followed: store the array in "
+            f"{source}: {key!r} is a link or lies in another file, which eldenet does not follow: store "
+            "the array in "
             "the file itself"
         )
     if found is None:

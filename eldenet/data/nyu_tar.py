@@ -87,7 +87,7 @@ class NYUTar(DepthDataset):
             members += found
         by_name = {_frame_name(part, member.name): member for member in members}
         if len(by_name) < len(members):
-            raise ValueError(f"{self.root / 'data'} has frames twice: remove the repeated shards")
+            raise ValueError(f"{self.root / 'data'} contains some frames twice: remove the repeated shards")
         names = sorted(by_name)
         names = [names[i] for i in hold_out(names, split)]
         super().__init__(names, **options)

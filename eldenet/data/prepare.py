@@ -96,7 +96,7 @@ def main(words: Sequence[str]) -> None:
     settings = dict(word.partition("=")[::2] for word in rest)
     if name not in PREPARED or not {"source"} <= set(settings) <= {"source", "output"}:
         raise SystemExit(
-            f"{' '.join(words)}: give one of {', '.join(PREPARED)}, source=<file> and, if you like, "
+            f"{' '.join(words)}: give one of {', '.join(PREPARED)}, source=<file> and, optionally, "
             "output=<folder>"
         )
     try:

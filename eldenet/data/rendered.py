@@ -29,7 +29,7 @@ class RenderedScenes(DepthDataset):
         frames: how many frames of the split to use.
         size: ``(height, width)`` of the rendered frames [px].
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
-        workers: processes that render what is missing; None for two (one on a single core), 0 renders in this
+        workers: processes that render missing frames; None for two (one on a single core), 0 renders in this
             process.
         detail: frames of ``detailed``: closer to real pictures.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
@@ -37,7 +37,7 @@ class RenderedScenes(DepthDataset):
 
     Attributes:
         generator: what renders the frames; a subclass names it.
-        detailed: what renders them with ``detail``; it has versions of its own.
+        detailed: what renders them with ``detail``; it has its own versions.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -74,7 +74,7 @@ class RenderedScenes(DepthDataset):
         if not 0 <= self.min_depth < self.max_depth <= self.generator.farthest:
             raise ValueError(
                 f"min_depth={self.min_depth}, max_depth={self.max_depth}: give 0 <= min_depth < max_depth <= "
-                f"{self.generator.farthest} [m], the farthest depth that a stored frame holds"
+                f"{self.generator.farthest} [m], the farthest depth that a stored frame can hold"
             )
         self.places = list(range(frames))  # where each frame is stored: a subset leaves gaps
         self.split, self.size = split, (int(size[0]), int(size[1]))

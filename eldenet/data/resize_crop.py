@@ -24,7 +24,7 @@ class ResizeCrop:
         anchor: of the crop: "center", or "bottom" for the lowest rows, centered horizontally.
         size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
         sparse: depth consists of single points: a resize keeps each one, the nearest if several meet.
-        keep_depth: leave depth whole, as the prediction will be pasted back into the frame; for a crop alone.
+        keep_depth: leave depth whole, because the prediction will be pasted into the frame; only for a crop.
     """
 
     def __init__(

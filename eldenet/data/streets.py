@@ -12,7 +12,7 @@ from eldenet.data.rendering import Generator
 class Streets(RenderedScenes):
     """Streets with vehicles, people and houses, from the height of a car's roof; the sky has no depth.
 
-    Every frame is a street of its own: frame ``i`` is street ``i`` of
+    Every frame is a different street: frame ``i`` is street ``i`` of
     :func:`~eldenet.simulation.street_views.render_street`. Depth range 1 to 80 m unless given.
 
     Args:

@@ -35,7 +35,7 @@ class Labeler(Protocol):
 
     @property
     def signature(self) -> dict[str, Any]:
-        """Facts that tell this network from another."""
+        """Facts that distinguish this network from others."""
 
 
 class TeacherLabels(FileDataset):

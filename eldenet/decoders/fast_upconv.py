@@ -65,8 +65,8 @@ class FastUpConvDecoder(Decoder):
         if kernels is not None:
             if lateral_strides is not None or fusion == "none":
                 raise ValueError(
-                    f"kernels={kernels}: they choose the features that take part; give neither "
-                    "lateral_strides nor fusion=none with them"
+                    f"kernels={kernels} already choose which features are used: remove "
+                    "lateral_strides and fusion=none"
                 )
             if not 1 < len(kernels) <= len(reached) + 1:
                 raise ValueError(f"kernels={kernels}: give 2 to {len(reached) + 1}, the last for the deepest")

@@ -173,7 +173,9 @@ def open_server(folder: Path, port: int) -> ThreadingHTTPServer:
     try:
         return ThreadingHTTPServer((ADDRESS, port), partial(PageHandler, directory=str(folder)))
     except OSError as error:
-        raise ValueError(f"port={port}: {error.strerror}; give another, or 0 for any") from error
+        raise ValueError(
+            f"port={port}: {error.strerror}; give another port, or 0 for any free one"
+        ) from error
 
 
 def serve(server: ThreadingHTTPServer, log: "RunLog", *, browser: bool) -> None:

@@ -48,7 +48,7 @@ class ExportSetup:
 
 @dataclass(frozen=True)
 class Target:
-    """What is written: the settings, and what the model decides where they leave it open."""
+    """What to write: the settings, completed by the model where they leave something open."""
 
     setup: ExportSetup
     name: str
@@ -57,10 +57,10 @@ class Target:
 
 
 def export(setup: ExportSetup) -> Path:
-    """Write the file, compare it with torch, and say what it holds.
+    """Write the file, compare it with torch, and print what it contains.
 
     Raises:
-        ValueError: the file exists already, the pictures are missing, or an fp32 file differs from torch.
+        ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
     """
     from eldenet.deploy.files import describe, write_onnx, write_openvino
     from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
@@ -104,7 +104,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     """Name, size and output file of an export.
 
     Raises:
-        ValueError: the output exists already.
+        ValueError: the output already exists.
     """
     from eldenet.model import size_of_frames
 
@@ -117,7 +117,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
-        raise ValueError(f"{output} exists already: give another output=, or overwrite=true")
+        raise ValueError(f"{output} already exists: give another output=, or overwrite=true")
     return Target(setup, name, size, output)
 
 
@@ -135,7 +135,7 @@ def compare_with_torch(
     """Print the differences between torch and the file under each installed runtime.
 
     Raises:
-        ValueError: an fp32 file gives another depth than torch.
+        ValueError: the depth of an fp32 file differs from torch's.
     """
     from eldenet.deploy.files import differences
 

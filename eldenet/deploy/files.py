@@ -1,4 +1,4 @@
-"""Networks as files for other runtimes: ONNX and OpenVINO IR, with metadata inside."""
+"""Networks as files for other runtimes: ONNX and OpenVINO IR, with metadata."""
 
 import json
 import logging
@@ -50,7 +50,7 @@ def describe(
         name: of the model.
         size: ``(height, width)`` that the network sees [px].
         camera_size: ``(height, width)`` of the frames that the file takes [px]; None: it takes images.
-        license: of the weights; None: as the model's ``info`` states.
+        license: of the weights; None: the one in the model's ``info``.
     """
     from eldenet.evaluation.cost import count_macs, count_params
 
@@ -105,7 +105,7 @@ def write_onnx(
     """Write an ONNX file of fp32 weights; the network is folded first (:func:`eldenet.deploy.fold.fold`).
 
     Args:
-        model: stays unchanged.
+        model: is not changed.
         path: of the file, ``.onnx``.
         size: ``(height, width)`` that the network sees [px]; fixed.
         batch: fixed number of images; None: any number.
@@ -188,7 +188,7 @@ def _torch_to_onnx(
 def quiet() -> Iterator[None]:
     """Keep the log lines, warnings and prints of exporters and quantizers off the terminal.
 
-    Other threads wait: those that left in another order than they entered would leave the terminal silent.
+    Other threads wait: if they left in a different order than they entered, the terminal would stay silent.
     """
     with _ONE_AT_A_TIME:
         disabled = logging.root.manager.disable
@@ -273,10 +273,10 @@ def read_metadata(path: str | Path) -> dict[str, str]:
 
 
 def checked(path: str | Path, metadata: dict[str, str]) -> dict[str, str]:
-    """Return the metadata of a file once its sizes are known to be sizes, and its figures numbers.
+    """Return the metadata of a file after checking that its sizes are sizes and its figures are numbers.
 
     Raises:
-        ValueError: they are something else; the message names the file.
+        ValueError: they are not; the message names the file.
     """
     with reading(path, "exported network", EXPORT_AGAIN):
         for name in ("input_size", "whole_frame_size", "camera_size"):
@@ -292,13 +292,13 @@ def metadata_value(metadata: Mapping[str, str], name: str) -> Any:
     """Return the value of an entry that :func:`describe` wrote as JSON; None: there is no such entry.
 
     Raises:
-        ValueError: it is no JSON.
+        ValueError: it is not JSON.
     """
     return parse_json(metadata.get(name, "null"), name)
 
 
 def without_prefix(properties: Mapping[str, str]) -> dict[str, str]:
-    """Those of an ONNX file's properties that are ours, without their prefix."""
+    """Our own properties of an ONNX file, without their prefix."""
     ours = {key: value for key, value in properties.items() if key.startswith(METADATA_PREFIX)}
     return {key.removeprefix(METADATA_PREFIX): value for key, value in ours.items()}
 

@@ -22,7 +22,7 @@ def fold(model: DepthNet) -> DepthNet:
     """Return a copy of ``model`` for inference, in eval mode; its depth differs by rounding only.
 
     - Batch normalizations are folded into the convolution before them, in an ``nn.Sequential`` and in
-      torchvision's ResNet blocks. Subclasses are left alone, as they may do more.
+      torchvision's ResNet blocks. Subclasses are left alone, because they may do more.
     - Every up-convolution becomes one 3x3 convolution and its activation on the small map, and a pixel
       shuffle (:func:`merge_upconv`).
 

@@ -1,6 +1,6 @@
 """Which lens ``eldenet.predict`` assumes.
 
-The given one, else the one of KITTI's calibration or in the EXIF, else the canonical.
+The one given; otherwise that of KITTI's calibration or of the EXIF; otherwise the canonical one.
 """
 
 from collections import Counter
@@ -15,16 +15,16 @@ EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
 
 
 class Lens:
-    """The focal length of every picture, and where it is known from.
+    """The focal length of every picture, and where it comes from.
 
     Args:
-        canonical_px: of the network; None: it knows no focal lengths, so none is used.
+        canonical_px: of the network; None: it ignores focal lengths, so none is used.
         intrinsics: ``(fx, fy, cx, cy)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
 
     Attributes:
-        origins: number of pictures by where their focal length is known from.
+        origins: number of pictures by where their focal length comes from.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Lens:
 def exif_focal(path: Path, size: tuple[int, int]) -> float | None:
     """Return fx [px] of a photo of ``(height, width)`` from its EXIF's focal length in 35 mm; None without.
 
-    A photo turned upright has the same diagonal and square pixels, so the turn changes nothing.
+    Turning a photo upright does not change the result: it has the same diagonal and square pixels.
     """
     from PIL import Image, UnidentifiedImageError
 

@@ -1,4 +1,4 @@
-"""Somebody else's depth network as an ONNX file, as a teacher of pictures without depth."""
+"""A third-party depth network in an ONNX file, used as a teacher for pictures without depth."""
 
 import hashlib
 from collections.abc import Sequence

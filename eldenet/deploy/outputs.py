@@ -113,7 +113,7 @@ class Results:
             raise ValueError(f"{lost[0]} is a source and would be overwritten: give another output=")
         if existing and not self.overwrite and not self.goes_on:
             raise ValueError(
-                f"{len(existing)} results exist already, such as {existing[0]}: give another output=, or "
+                f"{len(existing)} results already exist, such as {existing[0]}: give another output=, or "
                 "overwrite=true"
             )
 
@@ -142,7 +142,8 @@ class Results:
         self.size = self.size or (height, width)
         if self.intrinsics is not None and self.size != (height, width):
             raise ValueError(
-                f"{name} is {height} x {width}, the pictures before it {self.size[0]} x {self.size[1]}: "
+                f"{name} is {height} x {width}, but the previous pictures are {self.size[0]} x "
+                f"{self.size[1]}: "
                 "one set of intrinsics fits one size, so predict them in separate folders"
             )
         intrinsics = self.intrinsics if camera is None else camera.intrinsics

@@ -129,7 +129,7 @@ def predict(setup: PredictionSetup) -> Results:
 
 
 class Timed:
-    """A depth predictor that knows each picture's lens and notes how long each picture took.
+    """A depth predictor that finds each picture's lens and records how long each picture took.
 
     Attributes:
         seconds: of each of the last pictures.
@@ -142,7 +142,7 @@ class Timed:
         self.seconds: deque[float] = deque(maxlen=REMEMBERED)
 
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:
-        """Depth ``(H, W)`` [m] of a frame, with its sigma if the network knows one.
+        """Depth ``(H, W)`` [m] of a frame, with its sigma if the network predicts it.
 
         ``path`` is of the photo, whose EXIF may know the lens.
         """
@@ -218,10 +218,10 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
 
 
 def knows_sigma(setup: PredictionSetup, network: "DepthNet | Runtime") -> bool:
-    """Return whether the network knows its sigma, which the pictures then show.
+    """Return whether the network predicts its sigma, which the pictures then show.
 
     Raises:
-        ValueError: it knows none, and ``formats`` asks for it.
+        ValueError: it predicts none, but ``formats`` asks for it.
     """
     if "sigma" in setup.results.formats and network.distribution is None:
         raise ValueError(f"formats has sigma: {NO_SIGMA}")

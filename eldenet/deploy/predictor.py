@@ -1,4 +1,4 @@
-"""A trained network behind one call: camera frame in, meters out. An exported file needs no torch."""
+"""A trained network in one call: camera frame in, meters out. An exported file needs no torch."""
 
 import functools
 import logging
@@ -25,8 +25,8 @@ MAX_SIDE = 640
 GRID = 16  # sides of frames are multiples of this [px]
 DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
-    "this network knows no focal lengths: the camera is not used, and meters hold for the lens of its "
-    "training (canonical_focal in a training changes that)"
+    "this network ignores focal lengths: the camera is not used, and meters are right for the lens of its "
+    "training only (to change that, train with canonical_focal)"
 )
 
 
@@ -35,31 +35,31 @@ class DepthPredictor:
 
     ``predictor = DepthPredictor(eldenet.load("runs/my-run")); depth = predictor(frame)``
 
-    Frames are resized to the scale of the training with their aspect kept, and depth is resized back to the
-    frame's own size (bilinear), so the frame's own intrinsics hold for it. A frame of another aspect than the
-    training's gets as many pixels in its own aspect; a file of one size gets it with a border. A network that
-    was trained on crops sees whole frames at the scale of those crops.
+    Frames are resized to the scale of the training, keeping their aspect ratio, and depth is resized back to
+    the frame's own size (bilinear), so the frame's intrinsics apply to it. A frame whose aspect differs from
+    the training's gets as many pixels in its own aspect; for a file of fixed size it gets a border. A network
+    that was trained on crops sees whole frames at the scale of those crops.
 
-    Depth is metric for the camera given with each frame. Without one, the network's canonical camera is
-    assumed. A network without ``canonical_px`` knows no focal lengths: its meters hold for about the field of
-    view of its training camera. Several threads may call one predictor.
+    Depth is in meters for the camera given with each frame. Without one, the network's canonical camera is
+    assumed. A network without ``canonical_px`` ignores focal lengths: its meters are right for about the
+    field of view of its training camera. Several threads may call one predictor.
 
-    In a loop over a video, depth is steady: each frame is mixed with the frames before it, see
-    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted alone.
-    Each thread has a video of its own. ``steady=False`` predicts every frame alone.
+    In a loop over a video, depth does not flicker: each frame is mixed with the frames before it, see
+    :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted on its
+    own. Each thread has its own video. ``steady=False`` predicts every frame on its own.
 
     Args:
-        model: put into eval mode and moved to ``device``; or a network under another runtime
+        model: a network, put into eval mode and moved to ``device``; or one under another runtime
             (:func:`eldenet.deploy.runtimes.load`).
         input_size: ``(height, width)`` that the network sees [px]; None: the model's size for whole frames
             (:func:`eldenet.model.size_of_frames`), else the frame's own, limited by ``max_side``.
         max_side: longest side of frames without ``input_size`` [px].
-        device: of a model; None: the CPU. A runtime has its own.
-        steady: whether the frames are those of a video, whose depth must not flicker.
+        device: for a model; None: the CPU. A runtime has its own device.
+        steady: whether the frames come from a video, whose depth must not flicker.
         uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
-        ValueError: ``uncertainty`` of a network that knows no sigma, a size is invalid or not the one that a
+        ValueError: ``uncertainty`` of a network without sigma, a size is invalid or not the one that a
             file was exported for, or a runtime gets a device.
     """
 
@@ -75,8 +75,8 @@ class DepthPredictor:
     ) -> None:
         if isinstance(model, str | Path):
             raise ValueError(
-                f"model={str(model)!r} is a name: give eldenet.load(...) of a network, or "
-                "eldenet.runtimes.load(...) of an exported file; pictures go to the predictor itself"
+                f"model={str(model)!r} is a name, not a network: give eldenet.load(name), or "
+                "eldenet.runtimes.load(file) for an exported file; pass pictures to the predictor itself"
             )
         if uncertainty and model.distribution is None:
             raise ValueError(f"uncertainty=True: {NO_SIGMA}")
@@ -100,13 +100,13 @@ class DepthPredictor:
         if isinstance(model, Runtime):
             if device is not None:
                 raise ValueError(
-                    f"device={device} is for a model; this network runs under {model.runtime} on "
+                    f"device={device} is for models, but this network runs under {model.runtime} on "
                     f"{model.device}: give device to eldenet.runtimes.load"
                 )
             if model.fixed_size and self.input_size != model.fixed_size:
                 raise ValueError(
-                    f"input_size={list(self.input_size or ())}, but this file sees {list(model.fixed_size)} "
-                    "only: export a file for that size"
+                    f"input_size={list(self.input_size or ())}, but this file only takes "
+                    f"{list(model.fixed_size)}: export a file for that size"
                 )
             self.model: DepthNet | Runtime = model
         else:
@@ -119,12 +119,12 @@ class DepthPredictor:
 
     @property
     def canonical_px(self) -> float | None:
-        """Focal length of the network's canonical camera [px]; None: it knows no focal lengths."""
+        """Focal length of the network's canonical camera [px]; None: it ignores focal lengths."""
         return getattr(self.model, "canonical_px", None)
 
     @property
     def max_depth(self) -> float | None:
-        """Largest depth that the network can answer [m], of its canonical camera if it has one; None: any."""
+        """Largest depth that it can predict [m], for its canonical camera if it has one; None: any."""
         if isinstance(self.model, Runtime):
             return self.model.max_depth
         return getattr(getattr(self.model, "head", None), "max_depth", None)
@@ -145,10 +145,10 @@ class DepthPredictor:
         intrinsics: "Sequence[float] | np.ndarray | None" = None,
         fov: float | None = None,
     ) -> Any:
-        """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m]; with ``uncertainty``, and its sigma.
+        """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m], and sigma if ``uncertainty``.
 
         Args:
-            frame: of the camera.
+            frame: the camera's picture.
             intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frame [px]; only fx is used.
             fov: horizontal field of view instead [degrees]. Without either: the canonical camera.
 
@@ -208,7 +208,7 @@ class DepthPredictor:
         return picture, [each[top:bottom, left:right] for each in maps], seen
 
     def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
-        """The filter of this thread's video; another camera (frame size and fx) begins another video."""
+        """The filter of this thread's video; another camera (frame size and fx) starts a new video."""
         if getattr(self._filters, "camera", None) != camera:
             self._filters.camera, self._filters.steady = camera, SteadyFilter()
         steady: SteadyFilter = self._filters.steady
@@ -225,7 +225,7 @@ def focal_length(
     """
     if fov is not None:
         if intrinsics is not None:
-            raise ValueError("both intrinsics and fov are given: give one of them")
+            raise ValueError("both intrinsics and fov are given: give only one of them")
         return focal_of_fov(fov, width)
     if intrinsics is None:
         return None
@@ -240,7 +240,7 @@ def focal_length(
 def for_camera(
     predictor: Callable[[np.ndarray], np.ndarray], intrinsics: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return ``predictor`` for frames of one camera, if it is one that knows focal lengths; else itself."""
+    """Return ``predictor`` for frames of one camera if it uses focal lengths; otherwise unchanged."""
     if isinstance(predictor, DepthPredictor) and predictor.canonical_px is not None:
         return functools.partial(predictor, intrinsics=intrinsics)
     return predictor
@@ -254,7 +254,7 @@ def as_image(frame: np.ndarray) -> np.ndarray:
 def padded(image: np.ndarray) -> np.ndarray:
     """Repeat the last row and column of ``(H, W, 3)`` until both sides are multiples of ``GRID``.
 
-    Networks round odd sizes up, and their depth of the last rows is then wrong.
+    Networks round odd sizes up, which makes the depth of the last rows wrong.
     """
     import cv2
 

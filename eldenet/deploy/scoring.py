@@ -76,7 +76,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
 
     if (setup.folder / "checkpoints").is_dir():
         raise ValueError(
-            f"output={setup.folder} holds a training, whose run.json this would replace: give another"
+            f"output={setup.folder} holds a training, whose run.json this would replace: give another folder"
         )
     resources = choose_resources(**setup.resources)
     model = open_checkpoint(setup, resources)
@@ -129,14 +129,14 @@ def calibrate(folder: Path, scoring: "ScoreSetup", model: "DepthNet | RuntimeNet
     """Fit the temperature of the network's sigma on the frames to score; save the network into ``folder``.
 
     Raises:
-        ValueError: the network is an exported file, or knows no sigma.
+        ValueError: the network is an exported file, or predicts no sigma.
     """
     from eldenet.evaluation.calibration import fit_temperature
     from eldenet.model import DepthNet
 
     if not isinstance(model, DepthNet):
         raise ValueError(
-            "calibrated=: a temperature is stored in a model; give its folder, then export it again"
+            "calibrated= stores a temperature in a model: give the model's folder, then export it again"
         )
     frames = scoring.make_split(scoring.split, scoring.protocol, score=True)
     model.to(scoring.resources.device)
@@ -181,8 +181,9 @@ def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -
     seen = model.info.get("input_size")
     if isinstance(model, RuntimeNetwork) and seen is not None and model.network.whole_frame_size == seen:
         raise ValueError(
-            f"this file sees the camera's whole frames, {seen[0]} x {seen[1]} pixels, and protocol "
-            f"{protocol.name} shows a part of them: to score the network, export it with size= of that part "
+            f"this file takes the camera's whole frames, {seen[0]} x {seen[1]} pixels, but protocol "
+            f"{protocol.name} only shows a part of them: to score the network, export it with size= of "
+            "that part "
             "(the training's data.input_size)"
         )
     return seen

@@ -36,9 +36,7 @@ def check_seal(path: Path) -> bool:
     content = path.read_bytes()
     is_onnx, beside = path.suffix == ".onnx", path.with_suffix(".bin")
     if not is_onnx and not beside.is_file():
-        raise ValueError(
-            f"{path} has no {beside.name} beside it, which holds its weights: keep both together"
-        )
+        raise ValueError(f"{path} needs {beside.name}, which holds its weights: keep both in the same folder")
     end = (_ONNX_END if is_onnx else _XML_END).search(content, max(0, len(content) - 128))
     if end is None and not (is_onnx and _KEY in content[:_HEAD]):
         return False

@@ -9,7 +9,7 @@ class SigmaNet(nn.Module):
     """Depth and standard deviation as two outputs, for exported files.
 
     Args:
-        model: with a head that knows its sigma.
+        model: with a head that predicts its sigma.
     """
 
     def __init__(self, model: DepthNet) -> None:

@@ -1,4 +1,4 @@
-"""Depth of a camera or a video while it runs: a bounded queue between reader and network."""
+"""Depth from a running camera or a video: a bounded queue between reader and network."""
 
 import functools
 import re
@@ -55,16 +55,16 @@ class DepthStream:
         drop: whether to drop frames that wait too long; None: only those of cameras and addresses.
         timeout: time without a new frame after which a camera or an address counts as lost [s]; None: never.
             Files, and iterables whose frames are not dropped, may take any time.
-        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frames [px], which the predictor then gets with
-            each one: so its meters hold for this camera.
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frames [px], which are passed to the predictor
+            with each frame, so that its meters are right for this camera.
 
     Attributes:
         dropped: number of frames that were not predicted.
-        frames_per_second: as the source states it, 30 where it does not.
-        announced: frames that the source announces; 0 where it has no end or does not say. Many formats
-            estimate the number from the length, so there may be fewer.
+        frames_per_second: as stated by the source; 30 if it states none.
+        announced: number of frames that the source announces; 0 if it has no end or does not say. Many
+            formats estimate the number from the length, so there may be fewer.
         ended_too_soon: why the source ended early ("stopped after 90 frames: ..."); empty while it runs,
-            and where it is complete.
+            and if it is complete.
 
     Raises:
         ValueError: the source cannot be opened, ``queue_size`` is below 1, or ``timeout`` is not above 0.
@@ -83,7 +83,7 @@ class DepthStream:
         if queue_size < 1:
             raise ValueError(f"queue_size={queue_size}: give 1 or more")
         if timeout is not None and not 0 < timeout <= threading.TIMEOUT_MAX:
-            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait for ever")
+            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait forever")
         camera = {} if intrinsics is None else {"intrinsics": intrinsics}
         self.predictor, self.queue_size = functools.partial(predictor, **camera), queue_size
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
@@ -171,7 +171,7 @@ class DepthStream:
                 self._changed.notify_all()
 
     def _put(self, number: int, frame: np.ndarray, taken: float) -> bool:
-        """Queue a frame; return False once nobody wants more."""
+        """Queue a frame; return False once no more frames are wanted."""
         with self._changed:
             if self.drop:
                 while len(self._waiting) >= self.queue_size:

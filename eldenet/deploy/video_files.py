@@ -130,7 +130,7 @@ class VideoFile:
                 self._broken += 1
 
     def fault(self, frames: int) -> str:
-        """Return what is wrong with a file that gave ``frames`` frames; empty where it is whole.
+        """Return what is wrong with a file that yielded ``frames`` frames; empty if it is complete.
 
         Fewer frames than announced are no fault by themselves: the index may count frames that were trimmed,
         and many formats state a length alone.

@@ -33,7 +33,7 @@ def fit_temperature(
         batch_size: images at a time.
 
     Raises:
-        ValueError: the network knows no sigma.
+        ValueError: the network predicts no sigma.
     """
     head = model.head
     if not isinstance(head, UncertainHead):

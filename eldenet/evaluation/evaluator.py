@@ -31,7 +31,8 @@ class Evaluation:
         metrics: by name, with ``images`` and ``pixels``.
         rows: ``(name, *metrics)`` per image, in the data set's order.
         classes: errors by semantic class, see :meth:`~.metrics.DepthMetrics.by_class`; empty without labels.
-        uncertainty: measures of the network's sigma, whose means are in ``metrics`` too; None: it knows none.
+        uncertainty: measures of the network's sigma, whose means are in ``metrics`` too; None: it predicts
+            none.
     """
 
     metrics: dict[str, float]

@@ -4,7 +4,7 @@ METRICS = ("mse", "rmse", "mae", "abs_rel", "delta1", "delta2", "delta3", "log10
 LOWER_IS_BETTER = frozenset(
     ("mse", "rmse", "mae", "abs_rel", "log10", "silog", "ause_abs_rel", "ause_rmse", "abs_rel_sure80", "nll")
 )
-# of a network that knows its sigma, see evaluation/uncertainty_metrics.py
+# of a network that predicts its sigma, see evaluation/uncertainty_metrics.py
 UNCERTAINTY_METRICS = (
     *("ause_abs_rel", "ause_rmse", "abs_rel_sure80"),
     *("coverage50", "coverage80", "coverage90", "coverage95", "nll"),

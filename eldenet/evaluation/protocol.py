@@ -225,8 +225,8 @@ class EvalProtocol:
             prediction = 1 / disparity.clamp(min=1 / self.max_depth)
         if not prediction[valid].isfinite().all():  # before the clamp, which would hide infinity
             raise ValueError(
-                "the prediction is not finite: NaN or infinity where depth is known, as too large weights "
-                "give it: train again with a lower optimizer.lr or trainer.max_grad_norm=1"
+                "the prediction is not finite: it is NaN or infinite where depth is known, probably because "
+                "the weights grew too large: train again with a lower optimizer.lr or trainer.max_grad_norm=1"
             )
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 

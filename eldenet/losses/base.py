@@ -58,7 +58,7 @@ class WeightedTerm(nn.Module):
         weight: 0 or more.
         space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
             AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
-        applies_to: "metric" or "relative": the samples that count, by what is known of their depth.
+        applies_to: "metric" or "relative": which samples count, by what is known about their depth.
 
     Raises:
         ValueError: a weight below 0, an unknown space, or one that the loss does not support.
@@ -173,7 +173,7 @@ class WeightedSum(nn.Module):
 
         ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
         ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
-        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it knows one.
+        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it predicts one.
 
         Raises:
             ValueError: the maps differ in shape, the mask is not bool, or a term needs a spread.

@@ -73,7 +73,7 @@ class Teacher:
 
     @property
     def signature(self) -> dict[str, Any]:
-        """Facts that tell this teacher from another: a hash of its weights above all."""
+        """Facts that distinguish this teacher from others, above all a hash of its weights."""
         digest = hashlib.sha256()
         for name, value in sorted(self.network.state_dict().items()):
             digest.update(name.encode())
@@ -84,8 +84,8 @@ class Teacher:
 class DistilledTerm(WeightedTerm):
     """``weight * loss`` between the student's and the teacher's depth of the same, augmented images.
 
-    A pixel counts where the teacher's depth is finite and above 0, whatever the ground truth knows. So
-    unlabeled images (a mask that is False everywhere) count in this term alone.
+    A pixel counts where the teacher's depth is finite and above 0, whether or not its ground truth is known.
+    So unlabeled images (a mask that is False everywhere) count in this term alone.
 
     Args:
         loss: compares the student's map with the teacher's.

@@ -68,7 +68,7 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
 class SSIMLoss(Loss):
     """``(1 - SSIM) / 2``, averaged where the whole window is known.
 
-    This is the usual form of the paper's SSIM term; its own formula is not in the text at hand.
+    This is the usual form of the paper's SSIM term; its own formula is missing from our copy of the text.
 
     A pixel counts only if its window holds no unknown pixel: the mask is eroded by the window's radius.
     The image border does not erode it, so a full mask stays full.

@@ -48,7 +48,7 @@ class Camera:
     Each column's range is the nearest one in the depth map. With a lifter, the near face of the box around a
     detected object replaces it, unless the depth map shows something well in front of the face.
 
-    A network that knows its sigma also says how near things may be: the low end of each pixel's interval of
+    A network that predicts sigma also says how near things may be: the low end of each pixel's interval of
     ``CAUTION``. The robot drives as slowly as that asks for, and forgets remembered obstacles only up to
     there.
 
@@ -170,7 +170,7 @@ def footprints(boxes: Boxes3D) -> np.ndarray:
 def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
     """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None.
 
-    One that knows its sigma gives it too.
+    One that predicts its sigma gives it too.
     """
     if source is None:
         return None

@@ -85,7 +85,7 @@ class DQNSettings:
 class DQN:
     """Trains a :class:`~eldenet.navigation.qnetwork.QNetwork` on a vector environment.
 
-    After each checkpoint all episodes start anew with random numbers of their own, so a resumed training is
+    After each checkpoint all episodes restart with their own random numbers, so a resumed training is
     bit for bit the same as an uninterrupted one.
 
     Args:
@@ -235,7 +235,7 @@ class DQN:
             most = self.settings.total_timesteps + self.env.num_envs
             for name, count in (("num_timesteps", steps), ("updates", state["updates"])):
                 if type(count) is not int or not 0 <= count <= most:
-                    raise ValueError(f"{name} is {count!r}, this training has {most}")
+                    raise ValueError(f"{name} is {count!r}, but this training has {most}")
             self.policy_dqn.load_state_dict(state["policy_dqn"])
             self.target_dqn.load_state_dict(state["target_dqn"])
             self.optimizer.load_state_dict(state["optimizer"])
@@ -285,7 +285,7 @@ class ReplayBuffer:
         self.added = state.pop("added")
         for name, rows in state.items():
             if len(rows) != len(self):
-                raise ValueError(f"{name} has {len(rows)} transitions of {len(self)}")
+                raise ValueError(f"{name} has {len(rows)} transitions instead of {len(self)}")
             getattr(self, name)[: len(rows)] = rows
 
 

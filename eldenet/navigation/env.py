@@ -21,7 +21,7 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     """Reward for progress and the goal, minus a penalty for collisions and time.
 
     The terms are those of the paper's prose, but for time; the constants are ours, as Algorithm 1's listing
-    is not in the text at hand.
+    is missing from our copy of the text.
 
     Args:
         progress: toward the way-point [m].
@@ -49,7 +49,7 @@ def check_arenas(arenas: object) -> None:
 
 
 class ArenaNavVectorEnv(VectorEnv):
-    """``num_envs`` robots, each in an arena of its own.
+    """``num_envs`` robots, each in its own arena.
 
     When an episode ends, the next one starts within the same step (``AutoresetMode.SAME_STEP``): the returned
     observation is the first of the new episode, and ``info["final_obs"]`` (with the mask

@@ -88,7 +88,8 @@ def trace(
         failure, event = _repeat(arena, make_policy(1), episodes)
         if OUTCOMES[event] != row.outcome:
             raise ValueError(
-                f"{arena.name} ended in {row.outcome} first and in {OUTCOMES[event]} now: give the policy, "
+                f"{arena.name} ended in {row.outcome} at first, but in {OUTCOMES[event]} now: give the "
+                "policy, "
                 "sensor and settings of the first run"
             )
         failures.append(failure)

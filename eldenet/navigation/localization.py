@@ -95,4 +95,4 @@ class Localizer:
 
 def _refuse_not_finite(name: str, values: tuple[float, ...]) -> None:
     if not all(map(math.isfinite, values)):
-        raise ValueError(f"{name} {values} is not finite, and would never leave the estimate: skip it")
+        raise ValueError(f"{name} {values} is not finite and would spoil the estimate for good: skip it")

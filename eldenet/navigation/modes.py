@@ -80,7 +80,7 @@ class RecordSetup(ModeSetup):
 
 @dataclass(frozen=True, kw_only=True)
 class ArenasSetup(ModeSetup):
-    """Random arenas, the same for everybody.
+    """Random arenas, the same for every driver.
 
     Attributes:
         densities: numbers of obstacles.
@@ -193,7 +193,9 @@ def record(setup: RecordSetup, log: RunLog) -> None:
     one_of("video", setup.video, VIDEO_FORMATS)
     if setup.arena_file is not None:
         if setup.course is not None:
-            raise ValueError(f"course={setup.course} and arena.file={setup.arena_file}: give one of them")
+            raise ValueError(
+                f"course={setup.course} and arena.file={setup.arena_file}: give only one of them"
+            )
         arena = read_arena(setup.arena_file)
     elif setup.course is None:
         arena = generate_arena(

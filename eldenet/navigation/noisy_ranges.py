@@ -80,7 +80,7 @@ class NoisyRanges:
         self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
-        """Return an instance with an error process of its own, or one without errors."""
+        """Return an instance with its own error process, or one without errors."""
         if self.share < 1 and rng.random() >= self.share:
             return Ranges().begin(world, rng)
         return _NoisyRanges(self, world, rng)
@@ -117,7 +117,7 @@ class _NoisyRanges:
 def without_missed(ranges: np.ndarray, errors: RangeErrors, rng: np.random.Generator) -> np.ndarray:
     """True ranges ``(columns,)`` [m] with each missed segment replaced by the farther of its neighbors.
 
-    Misses are drawn anew in every scan. A segment that fills the view is never missed, as it has no neighbor.
+    Misses are redrawn in every scan. A segment that fills the view is never missed: it has no neighbor.
     """
     segment = segments(ranges)
     chance = rng.random(int(segment[-1]) + 1)

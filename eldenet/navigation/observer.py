@@ -39,7 +39,7 @@ class Senses(NamedTuple):
         ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
         odometry: ``(N, 3)`` x, y [m], heading [rad] of the wheels, which drift.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
-        cautious: ``(N, columns)`` [m] how near things may be, where a camera's network knows its sigma;
+        cautious: ``(N, columns)`` [m] how near things may be, where a camera's network predicts its sigma;
             None: as ``ranges`` says.
         scanned_from: ``(N, 3)`` pose of the wheels at the scan, where ``odometry`` is that of a later time;
             None: the same.
@@ -57,7 +57,7 @@ class Senses(NamedTuple):
 
     @property
     def fault(self) -> str | None:
-        """Which of them are not finite, None if all are: nobody may steer by such senses."""
+        """Which of them are not finite, None if all are finite; do not steer by such senses."""
         known = {name: values for name, values in self._asdict().items() if values is not None}
         wrong = [name for name, values in known.items() if not np.isfinite(values).all()]
         return f"{' and '.join(wrong)} not finite" if wrong else None

@@ -281,7 +281,7 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
         )
         sides = {side for tensor in weights.values() for side in tensor.shape}
         if not (set(shape) <= sides and 1 <= members <= len(weights)):
-            raise ValueError(f"{members} networks of shape {shape} are not what it holds")
+            raise ValueError(f"it does not hold {members} networks of shape {shape}")
         networks = [QNetwork(shape[0], shape[1], shape[2:]) for _ in range(members)]
         (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
         Driver(**content["observer"])

@@ -79,7 +79,7 @@ def scan_near(
 ) -> Scans:
     """Scan from random places near standing obstacles or walls, with any heading.
 
-    Drivers avoid such places, so episodes contain few of them. Each scan counts as an episode of its own.
+    Drivers avoid such places, so episodes contain few of them. Each scan counts as a separate episode.
 
     Raises:
         ValueError: less than one scan per arena.
@@ -187,7 +187,8 @@ def fit_errors(scans: Scans, edges: Sequence[float] = EDGES, **measured: Any) ->
     kept = inner & (np.abs(error) < MISSED)
     if kept.sum() < 500:
         raise ValueError(
-            f"only {int(kept.sum())} columns show an obstacle or wall, the fit needs 500: scan in more arenas"
+            f"only {int(kept.sum())} columns show an obstacle or wall, but the fit needs 500: scan in "
+            "more arenas"
         )
     bins = {number: error[kept & (where == number)] for number in range(count)}
     enough = min(50, max(len(values) for values in bins.values()))

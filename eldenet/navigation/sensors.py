@@ -31,7 +31,7 @@ class Observation(NamedTuple):
         image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
         depth: ``(H, W)`` [m], if there is a network.
         boxes: in the level camera frame, if there is a detector.
-        cautious: ``(columns,)`` [m] how near things may be, if the network knows its sigma.
+        cautious: ``(columns,)`` [m] how near things may be, if the network predicts its sigma.
     """
 
     ranges: np.ndarray
@@ -129,8 +129,8 @@ class Ranges:
     """The simulator's own ranges and exact odometry; on request with wrong readings, drift and latency.
 
     Args:
-        false_near: share of the columns, drawn anew in each scan, that read as nearest.
-        false_far: share of the columns, drawn anew in each scan, that read as if nothing were there.
+        false_near: share of the columns, redrawn in each scan, that read as nearest.
+        false_far: share of the columns, redrawn in each scan, that read as if nothing were there.
         stuck: columns, drawn once per episode, that always read as nearest.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].

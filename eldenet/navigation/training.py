@@ -1,4 +1,4 @@
-"""Train a driver: checkpoints, validation on arenas of their own, TensorBoard, the policy file."""
+"""Train a driver: checkpoints, validation on separate arenas, TensorBoard, the policy file."""
 
 import json
 import time

@@ -54,7 +54,7 @@ def box_results(
         check_sizes: whether the boxes come from the depth, which must then fit the sizes.
 
     Raises:
-        ValueError: a result exists already.
+        ValueError: a result already exists.
     """
     endings = ("_boxes.mp4", "") if is_video else ("_boxes.png", "_boxes.txt")  # "": the folder of its frames
     results.refuse_to_overwrite([], [results.folder / f"{name}{end}" for name in names for end in endings])

@@ -52,7 +52,7 @@ def write_dataset(
     stored = folder / SETTINGS
     if stored.is_file() and read_json(stored) != settings:
         raise ValueError(
-            f"{folder} holds images of other settings ({stored.read_text()}): give another folder"
+            f"{folder} holds images made with other settings ({stored.read_text()}): give another folder"
         )
     folder.mkdir(parents=True, exist_ok=True)
     write_text(stored, json.dumps(settings))

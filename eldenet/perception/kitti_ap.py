@@ -77,7 +77,7 @@ def average_precision(
     one_of("metric", metric, METRICS)
     if len(truths) != len(detections):
         raise ValueError(
-            f"{len(truths)} frames of labels, but {len(detections)} of detections: give the same"
+            f"{len(truths)} frames of labels, but {len(detections)} of detections: give equally many"
         )
     if min_overlap is None and kind not in STRICT:
         raise ValueError(f"kind={kind!r} has no official overlap: give min_overlap")

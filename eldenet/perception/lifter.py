@@ -58,7 +58,7 @@ class BoxLifter:
             ``SENSOR_SIGMA``, for it is a LiDAR's, else ``NETWORK_SIGMA``.
         small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
             Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
-            all. Both are for depth without sigma: where the network knows its sigma, that of an object is the
+            all. Both are for depth without sigma: where the network predicts sigma, that of an object is the
             median of its pixels.
         occlusion_mask: leave out pixels in nearer boxes.
 
@@ -127,11 +127,12 @@ class BoxLifter:
         if reach[0] > width + 4 or reach[1] > height + 4:
             raise ValueError(
                 f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, depth is {height} x {width}: "
-                "give both of one image"
+                "give both for the same image"
             )
         if detections.mask is not None and detections.mask.shape[1:] != depth.shape:
             raise ValueError(
-                f"masks of {detections.mask.shape[1:]}, but depth of {depth.shape}: give both of one image"
+                f"masks of {detections.mask.shape[1:]}, but depth of {depth.shape}: give both for the "
+                "same image"
             )
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]

@@ -155,7 +155,8 @@ class Perception:
         estimate = as_estimate(depth)
         if estimate.depth.shape != image.shape[:2]:
             raise ValueError(
-                f"depth of {estimate.depth.shape}, but an image of {image.shape[:2]}: give both in one size"
+                f"depth of {estimate.depth.shape}, but an image of {image.shape[:2]}: give both in the "
+                "same size"
             )
         detections = self.detector(image)
         clock.append(time.perf_counter())

@@ -26,7 +26,7 @@ _MISPLACED = 0.25  # of the distance: points may be this far from where the obje
 
 @dataclass(frozen=True)
 class ObjectEvidence(ArrayRows):
-    """What an image shows of N objects, and what is known of them beforehand.
+    """What an image shows of N objects, and what is known about them beforehand.
 
     Attributes:
         foreground: the pixels of each object.
@@ -56,7 +56,7 @@ class ObjectEvidence(ArrayRows):
         return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
 
     def with_priors(self, rows: np.ndarray, priors: Sequence[ClassPrior | None]) -> "ObjectEvidence":
-        """The objects with the indices ``rows``, each with a prior of its own."""
+        """The objects with the indices ``rows``, each with its own prior."""
         foreground, detections = self.foreground.select(rows), self.detections.select(rows)
         return replace(self.select(rows), foreground=foreground, detections=detections, priors=priors)
 

@@ -173,7 +173,7 @@ def with_every_rule(run: Mapping[str, Any], file: Path) -> dict[str, Any]:
     try:
         EvalProtocol(**{name: rules[name] for name in EvalProtocol("").as_dict()})
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{file}: its protocol cannot be ({error}): {ADVICE}") from error
+        raise ValueError(f"{file}: its protocol is invalid ({error}): {ADVICE}") from error
     return {**run, "protocol": rules}
 
 

@@ -59,7 +59,7 @@ def _show(log: RunLog, setup: CheckDataSetup, found: DataCheck) -> None:
     elif any(implausible for *_, implausible in guesses):
         verdict = "no file is wrong, but the depth is implausible: check data.encoding"
     elif guesses:
-        verdict = "no file is wrong; whether data.encoding is right, you can tell from the depth above"
+        verdict = "no file is wrong; check with the depth above whether data.encoding is right"
     else:
         verdict = "all is well"
     log.say(f"{verdict}; written to {log.folder}: {CHECK_FILE}" + (f", {SHEET}" if found.panels else ""))

@@ -65,7 +65,7 @@ def score_and_record(
 ) -> dict[str, Any]:
     """Evaluate, measure the cost; write ``run.json``, ``per_image.csv`` and ``predictions.png``.
 
-    Of a network that knows its sigma also ``uncertainty.csv``, ``sparsification.png`` and
+    Of a network that predicts its sigma also ``uncertainty.csv``, ``sparsification.png`` and
     ``reliability.png``.
 
     Args:

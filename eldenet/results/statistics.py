@@ -79,8 +79,8 @@ def per_image(files: Sequence[Path], metric: str) -> Scores:
                 value = math.inf
             if row["name"] in found[-1] or not (math.isnan(value) or in_range(metric, value)):
                 raise ValueError(
-                    f"{file}, line {number}: {row['name']!r} with {metric}={row[metric]!r} cannot be, or "
-                    "stands there twice: restore the file, or train or evaluate again"
+                    f"{file}, line {number}: {row['name']!r} with {metric}={row[metric]!r} is invalid or "
+                    "repeated: restore the file, or train or evaluate again"
                 )
             found[-1][row["name"]] = value
         if found[-1].keys() != found[0].keys():

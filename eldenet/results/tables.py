@@ -218,7 +218,7 @@ def to_latex(
 
 
 def to_csv(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """Titles and cells of one figure each: mean, std and ends of intervals have columns of their own."""
+    """Titles and cells of one figure each: mean, std and ends of intervals have separate columns."""
     columns: list[list[str]] = []
     for title, *cells in zip(titles, *rows, strict=True):
         if any(" ± " in cell for cell in cells):

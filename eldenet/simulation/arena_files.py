@@ -118,13 +118,13 @@ def _check_way(points: Sequence[Point], obstacles: Sequence[Obstacle], side: flo
 def _entries(name: str, content: Any, known: Mapping[str, Any]) -> dict[str, Any]:
     """Entries with their defaults, once none is unknown and none is missing."""
     if not isinstance(content, Mapping):
-        raise ValueError(f"{name} holds no table: give {', '.join(known)}")
+        raise ValueError(f"{name} is not a mapping: give {', '.join(known)}")
     for key in content:
         one_of(f"{name}: key", str(key), tuple(known))
     entries = {**known, **content}
     for key, value in entries.items():
         if value is None:
-            raise ValueError(f"{name} has no {key}: give it")
+            raise ValueError(f"{name} has no {key}: add it")
     return entries
 
 
@@ -155,7 +155,7 @@ def _number(name: str, value: Any, limits: tuple[float, float]) -> float:
 def _inside(name: str, point: Point, side: float) -> Point:
     if max(map(abs, point)) > side / 2:
         raise ValueError(
-            f"{name}=[{point[0]:g}, {point[1]:g}] lies outside of the arena: give x and y from {-side / 2:g} "
+            f"{name}=[{point[0]:g}, {point[1]:g}] lies outside the arena: give x and y from {-side / 2:g} "
             f"to {side / 2:g} m"
         )
     return point

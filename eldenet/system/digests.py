@@ -43,7 +43,7 @@ def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
     """
     stored = config.get(KEY, {})
     if not isinstance(stored, Mapping):
-        raise ValueError(f"{path} is damaged (its entry {KEY!r} is no mapping): fetch or save it again")
+        raise ValueError(f"{path} is damaged (its entry {KEY!r} is not a mapping): fetch or save it again")
     if stored.get("weights", None) not in (None, file_digest(weights)):
         raise ValueError(
             f"{weights} does not match its digest in {path.name}: it is damaged, fetch or save the model "

@@ -44,7 +44,7 @@ def markdown(text: str) -> str:
 
 
 def markdown_note(text: str) -> str:
-    """Return a text as Markdown shows it in an item of a list; what stands in backticks is shown as code."""
+    """Return a text as Markdown shows it in a list item; text in backticks is shown as code."""
     parts = _CODE.split(one_line(text).strip())
     shown = "".join(
         part if is_code else _MARKUP.sub(r"\\\g<0>", part)

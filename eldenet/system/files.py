@@ -220,7 +220,7 @@ def _whole_number(digits: str) -> int:
 def _check_digits(digits: str) -> None:
     """Refuse numbers that no float holds: they raise OverflowError wherever they are used."""
     if len(digits) > 300:
-        raise ValueError(f"it has a number of {len(digits)} digits")
+        raise ValueError(f"it contains a number with {len(digits)} digits")
 
 
 def _parts_of_node(node: Any) -> Iterable[Any]:

@@ -45,7 +45,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 def _locked(path: Path, folder: Path) -> Any:
-    """Open ``path`` with its lock; one that its holder removed in between is opened anew."""
+    """Open ``path`` with its lock; if its holder removed it in between, it is opened again."""
     while True:
         file = path.open("a+")
         try:

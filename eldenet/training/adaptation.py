@@ -1,6 +1,6 @@
 """Weights for the user's own camera and place, tuned on depth frames of any sensor.
 
-The frames are cut into blocks of time. Some blocks are held out, and what is not better there is not kept.
+The frames are cut into blocks of time. Some are held out; a result is only kept if it is better on them.
 """
 
 import copy
@@ -165,10 +165,11 @@ def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
     known = [int(i) for i in chosen if int((frames.load_frame(int(i)).depth > 0).sum()) >= LEAST_PIXELS]
     if len(known) + len(held_out) < LEAST_FRAMES or len(held_out) < LEAST_HELD_OUT:
         raise ValueError(
-            f"{len(known)} training frames know the depth of {LEAST_PIXELS} pixels or more, {len(held_out)} "
+            f"{len(known)} training frames have a known depth at {LEAST_PIXELS} pixels or more, "
+            f"{len(held_out)} "
             f"frames are held out; {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. A few "
             "known distances do not calibrate a camera, because the error of the depth differs from image to "
-            "image. Record some hundred frames, or give camera_height= with source="
+            "image. Record a few hundred frames, or give camera_height= with source="
         )
     return known
 

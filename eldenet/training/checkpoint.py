@@ -155,7 +155,7 @@ def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> d
     limits = {"epoch": epochs, "batch": batches, "step": epochs * batches, "best_epoch": epochs}
     for name, most in limits.items():
         if not -1 <= found.get(name, 0) <= most:
-            raise ValueError(f"progress.{name} is {found[name]}, this training has {most}")
+            raise ValueError(f"progress.{name} is {found[name]}, but this training has {most}")
     return found
 
 

@@ -25,7 +25,7 @@ def initial_model(setup: "TrainingSetup", log: "RunLog", **normalization: Any) -
 
     Args:
         setup: of the training.
-        log: hears what is taken over.
+        log: receives a message about everything that is taken over.
         normalization: ``mean`` and ``std`` of the network's images, where they are not its own.
 
     Raises:
@@ -46,7 +46,8 @@ def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chos
     if weights in eldenet.list_models():
         raise ValueError(
             f"weights={weights} names a network without trained weights: give a run of it, a saved model, "
-            f"a Hub id, or packaged weights ({', '.join(eldenet.list_weights())}); a folder of that name is "
+            f"a Hub id, or packaged weights ({', '.join(eldenet.list_weights())}); for a folder of that "
+            "name, give "
             f"./{weights}"
         )
     start = eldenet.load(weights, trusted_modules=setup.trusted_modules)

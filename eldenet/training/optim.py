@@ -1,4 +1,4 @@
-"""Optimizers with a learning rate of their own for the backbone, and learning rate schedules."""
+"""Optimizers with a separate learning rate for the backbone, and learning rate schedules."""
 
 import math
 from collections.abc import Callable

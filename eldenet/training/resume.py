@@ -58,7 +58,7 @@ def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
         held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (setup.folder / file).exists()]
         if held:
             raise ValueError(
-                f"output={setup.folder} holds another run already ({held[0]}): resume it (ckpt_path=auto), "
+                f"output={setup.folder} already holds another run ({held[0]}): resume it (ckpt_path=auto), "
                 "give another output, or remove that folder"
             )
         return checkpoint

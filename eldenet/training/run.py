@@ -176,7 +176,7 @@ def refuse_untrained_sigma(model: "DepthNet", loss: "WeightedSum") -> None:
     raise ValueError(
         "model/head=uncertain learns its sigma from a likelihood: use loss=ssim_nll, or another head"
         if model.distribution is not None
-        else "this loss trains a sigma, and the head knows none: use model/head=uncertain, or another loss"
+        else "this loss trains a sigma, but the head predicts none: use model/head=uncertain, or another loss"
     )
 
 
@@ -256,7 +256,7 @@ def common_frames(train_set: "DepthDataset", scored: "DepthDataset") -> int:
 
 
 def model_info(setup: TrainingSetup, train_set: "DepthDataset") -> dict[str, Any]:
-    """Return what is stored beside the weights: their origin, and the sizes that they were trained at."""
+    """Return the facts stored with the weights: their origin, and the sizes that they were trained at."""
     return {
         "model_name": setup.name,
         "seed": setup.seed,

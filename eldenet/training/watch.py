@@ -75,8 +75,9 @@ class _Watch(threading.Thread):
                 self.ends.wait(PERIOD)
         except RuntimeError:
             print(  # noqa: T201
-                f"error: another of the {self.processes} processes has ended, or has not answered for "
-                f"process_timeout={self.seconds:g} s. The last checkpoint is whole: start the same command "
+                f"error: another of the {self.processes} processes has ended, or has not responded for "
+                f"process_timeout={self.seconds:g} s. The last checkpoint is complete: run the same "
+                "command again "
                 "with ckpt_path=auto",
                 file=sys.stderr,
                 flush=True,

@@ -41,7 +41,7 @@ def located(source: str | Path) -> Path:
         return here
     if any((here / name).is_file() for name in WEIGHT_FILES) and here.resolve() != own:
         warnings.warn(
-            f"{source} is taken from the package, not from the folder of that name here: to use the folder, "
+            f"{source} is taken from the package, not from the local folder of that name: to use the folder, "
             f"give ./{source}",
             stacklevel=2,
         )

@@ -159,7 +159,7 @@ def test_mobilenet_v2_reads_files_with_other_names_by_order(tmp_path: Path) -> N
     assert_same_tensors(MobileNetV2(pretrained=str(path)), source)
 
     torch.save(renamed | {"layer0": torch.zeros(32, 3, 5, 5)}, path)
-    with pytest.raises(ValueError, match="do not fit by order"):
+    with pytest.raises(ValueError, match="do not fit in order"):
         MobileNetV2(pretrained=str(path))
     del renamed["layer0"]
     torch.save(renamed, path)
@@ -253,7 +253,7 @@ def test_timm_files_that_fill_only_a_part_are_refused(tmp_path: Path) -> None:
     weights = timm.create_model("lcnet_050").state_dict()
     with pytest.raises(ValueError, match="size mismatch"):
         load(timm.create_model("lcnet_075").state_dict())
-    with pytest.raises(ValueError, match=r"untouched, the first of them conv_stem\.weight"):
+    with pytest.raises(ValueError, match=r"untouched, the first is conv_stem\.weight"):
         load({f"backbone.{key}": value for key, value in weights.items()})
     del weights["blocks.5.1.conv_pw.weight"]
     with pytest.raises(ValueError, match="left 1 parameters untouched"):

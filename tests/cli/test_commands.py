@@ -64,12 +64,12 @@ def test_a_command_starts_by_its_name_and_finds_code_that_lies_here(tmp_path):
 
 
 def test_a_mistyped_command_gets_the_nearest_one(tmp_path):
-    assert unknown("trian") == "there is no command trian: is train meant?"
+    assert unknown("trian") == "there is no command trian: did you mean train?"
     assert unknown("xyz").endswith(f"choose one of {', '.join(COMMANDS)}")
     done = eldenet("chek-data", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (
         1,
-        "error: there is no command chek-data: is check-data meant?\n",
+        "error: there is no command chek-data: did you mean check-data?\n",
     )
 
 

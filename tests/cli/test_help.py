@@ -39,33 +39,41 @@ def test_the_reader_of_help_may_leave_before_its_end():
 @pytest.mark.parametrize(
     ("command", "words", "line"),
     [
-        ("train", ["epochs=5"], "there is no setting epochs: is trainer.epochs meant?"),
-        ("train", ["seed=1", "optimiser.lr=1"], "there is no setting optimiser.lr: is optimizer.lr meant?"),
-        ("train", ["-m", "data=kitti", "data.rot=/x"], "there is no setting data.rot: is data.root meant?"),
-        ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: is source meant?"),
+        ("train", ["epochs=5"], "there is no setting epochs: did you mean trainer.epochs?"),
+        (
+            "train",
+            ["seed=1", "optimiser.lr=1"],
+            "there is no setting optimiser.lr: did you mean optimizer.lr?",
+        ),
+        (
+            "train",
+            ["-m", "data=kitti", "data.rot=/x"],
+            "there is no setting data.rot: did you mean data.root?",
+        ),
+        ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: did you mean source?"),
         ("predict", ["source=my photo (1).jpg"], f"source=my photo (1).jpg cannot be read: {QUOTES}"),
-        ("predict", ["qqqqqqqq=1"], "there is no setting qqqqqqqq: --help lists those that there are"),
+        ("predict", ["qqqqqqqq=1"], "there is no setting qqqqqqqq: --help lists all settings"),
         (
             "train",
             ["loss=l1", "augmentation=ful"],
-            "augmentation=ful: is full meant? choose from flip, full, none",
+            "augmentation=ful: did you mean full? choose from flip, full, none",
         ),
         ("train", ["data.input_size=[1,2"], f"data.input_size=[1,2 cannot be read: {QUOTES}"),
         ("train", ["quick"], "quick cannot be read: write setting=value"),
-        ("train", ["model/backbne=x"], "there is no setting model/backbne: is model/backbone meant?"),
-        ("train", ["data.subst=5"], "there is no setting data.subst: is data.subset meant?"),
+        ("train", ["model/backbne=x"], "there is no setting model/backbne: did you mean model/backbone?"),
+        ("train", ["data.subst=5"], "there is no setting data.subst: did you mean data.subset?"),
         (  # it exists, but not with data=mix
             "train",
             ["data=mix", "data.subset.train=5"],
-            "there is no setting data.subset.train: is data.train meant?",
+            "there is no setting data.subset.train: did you mean data.train?",
         ),
         (
             "navigate",
             ["mode=evaluate", "world=3"],
-            "there is no setting world: --help lists those that there are",
+            "there is no setting world: --help lists all settings",
         ),
         ("train", ["seed=1"], ""),  # it failed for another reason
-        ("train", ["normalisation=dataset"], "normalisation is called normalization now"),
+        ("train", ["normalisation=dataset"], "normalisation is now called normalization"),
     ],
 )
 def test_a_mistyped_setting_gets_the_nearest_one(command, words, line):
@@ -76,17 +84,17 @@ def test_a_mistyped_setting_gets_the_nearest_one(command, words, line):
 def test_a_renamed_setting_gets_its_new_name(monkeypatch, plus):
     monkeypatch.setitem(renames.OPTIONS, "eldenet.training.trainer.Trainer", {"backbone_rate": "ema"})
     monkeypatch.setitem(renames.KEYS, "teaching", "trainer")
-    line = "trainer.backbone_rate is called trainer.ema now"
+    line = "trainer.backbone_rate is now called trainer.ema"
     assert advice("train", [f"{plus}trainer.backbone_rate=0.1"]) == line
     assert (
-        advice("train", ["data=kitti", "teaching.epochs=3"]) == "teaching.epochs is called trainer.epochs now"
+        advice("train", ["data=kitti", "teaching.epochs=3"]) == "teaching.epochs is now called trainer.epochs"
     )
 
 
 def test_commands_print_the_advice_as_their_last_line(run_command):
     finished = run_command("predict", "sorce=photo.jpg")
     assert finished.returncode == 1
-    assert finished.stderr.endswith("error: there is no setting sorce: is source meant?\n")
+    assert finished.stderr.endswith("error: there is no setting sorce: did you mean source?\n")
 
 
 @pytest.mark.parametrize(
@@ -101,8 +109,8 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("train", ["trainer.epochs=five"], "epochs=five: give a whole number"),
         ("train", ["data.input_size=[-1,5]"], "input_size=[-1, 5]: give whole numbers of 1 or more"),
         ("train", ["data.subset=5"], "data.subset=5: give it per split, data.subset.train=5"),
-        ("train", ["model=eldnet"], "model=eldnet: is eldenet meant? choose from eldenet,"),
-        ("train", ["-m", "model=eldnet,eldenet"], "model=eldnet: is eldenet meant?"),
+        ("train", ["model=eldnet"], "model=eldnet: did you mean eldenet? choose from eldenet,"),
+        ("train", ["-m", "model=eldnet,eldenet"], "model=eldnet: did you mean eldenet?"),
         ("train", ["+experiment=nope"], "experiment=nope: choose from"),
         ("train", ["trainer.epochs"], "trainer.epochs cannot be read: write setting=value"),
         ("train", ["~foo"], "Could not delete from config. 'foo' does not exist."),

@@ -44,7 +44,7 @@ def test_a_complete_data_set_has_no_faults(tmp_path: Path, capsys: pytest.Captur
     shown = capsys.readouterr().out
     assert "all is well" not in shown  # the encoding is a guess
     assert "m as kitti" in shown
-    assert "no file is wrong; whether data.encoding is right" in shown
+    assert "no file is wrong; check with the depth above whether data.encoding is right" in shown
     assert train["split_hash"] in shown
 
 

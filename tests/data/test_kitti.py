@@ -218,7 +218,7 @@ def test_partial_calibration_and_missing_keys(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="has no 'P_rect_01'"):
         rectified_intrinsics(folder, 1)
     (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 721 0 609\n")
-    with pytest.raises(ValueError, match="P_rect_02 has 3 numbers, wanted 12"):
+    with pytest.raises(ValueError, match="P_rect_02 has 3 numbers, but 12"):
         rectified_intrinsics(folder, 2)
     (folder / "calib_cam_to_cam.txt").write_text("P_rect_02: 0 0 0 0 0 0 0 0 0 0 0 0\n")
     with pytest.raises(ValueError, match="no focal length"):

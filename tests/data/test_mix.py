@@ -91,7 +91,7 @@ def test_a_source_that_skips_leaves_out_what_cannot_be_read(tmp_path) -> None:
 def test_wrong_settings_are_named() -> None:
     with pytest.raises(ValueError, match=r"sources\.near\.weight=-1"):
         mix(near=-1)
-    with pytest.raises(ValueError, match="none has a weight above 0"):
+    with pytest.raises(ValueError, match="no source has a weight above 0"):
         mix(near=0, far=0)
     with pytest.raises(ValueError, match="frames=0"):
         mix(0)

@@ -60,6 +60,6 @@ def test_few_scenes_leave_no_side_empty() -> None:
     assert hold_out(["office_0002/1", "bedroom_0003/1"], "val") == [1]
     assert hold_out(["office_0002/1", "bedroom_0003/1"], "train") == [0]
     assert len(hold_out([f"{scene}/1" for scene in FROZEN[:2]], "train")) == 1
-    with pytest.raises(ValueError, match="all 2 frames are of the scene 'office_0002'"):
+    with pytest.raises(ValueError, match="all 2 frames come from the scene 'office_0002'"):
         hold_out(["office_0002a/1", "office_0002b/1"], "val")
     assert hold_out([], "val") == []

@@ -84,7 +84,7 @@ def test_the_command_exports_from_another_folder(
     assert differences(depth, reference)["max_relative"] < 1e-5
     again = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}")
     assert again.returncode == 1
-    assert "exists already: give another output=, or overwrite=true" in again.stderr
+    assert "already exists: give another output=, or overwrite=true" in again.stderr
     assert "Traceback" not in again.stderr
 
 

@@ -71,7 +71,7 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
     wide = predictor(frame, fov=90)
     np.testing.assert_array_equal(wide, predictor(frame, intrinsics=np.diag([focal, focal, 1.0])))
     np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
-    with pytest.raises(ValueError, match="give one of them"):
+    with pytest.raises(ValueError, match="give only one of them"):
         predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
     with pytest.raises(ValueError, match="fx above 0"):
         predictor(frame, intrinsics=(0, 32, 31.5, 23.5))
@@ -84,7 +84,7 @@ def test_a_network_without_focal_lengths_says_so_once(caplog: pytest.LogCaptureF
     with caplog.at_level(logging.WARNING, "eldenet"):
         np.testing.assert_array_equal(predictor(frame, fov=60), predictor(frame, fov=90))
     assert [record.getMessage()[:38] for record in caplog.records] == [
-        "this network knows no focal lengths: t"
+        "this network ignores focal lengths: th"
     ]
 
 

@@ -109,7 +109,7 @@ def test_results_are_replaced_only_with_overwrite_and_only_by_name(
     for name in ("a.png", "b.png"):
         save(source / name, photo())
     run(model_folder, source, out)
-    with pytest.raises(ValueError, match=r"4 results exist already, such as .*a_depth.*overwrite=true"):
+    with pytest.raises(ValueError, match=r"4 results already exist, such as .*a_depth.*overwrite=true"):
         run(model_folder, source, out)
     run(model_folder, source, out, "formats=[ply]", "intrinsics=[50,50,31,23]")  # other names
     before = {path.name: path.read_bytes() for path in out.iterdir()}
@@ -207,7 +207,7 @@ def test_intrinsics_fit_pictures_of_one_size(model_folder: Path, tmp_path: Path)
     save(tmp_path / "in/a.png", photo())
     save(tmp_path / "in/b.png", photo(40, 30))
     assert run(model_folder, tmp_path / "in", tmp_path / "other").images == 2
-    with pytest.raises(ValueError, match=r"b is 40 x 30, the pictures before it 48 x 64"):
+    with pytest.raises(ValueError, match=r"b is 40 x 30, but the previous pictures are 48 x 64"):
         run(model_folder, tmp_path / "in", tmp_path / "out", "intrinsics=[50,50,32,24]")
     with pytest.raises(ValueError, match=r"\(640, 360\) lies outside the picture, which is 64 x 48"):
         run(model_folder, tmp_path / "in/a.png", tmp_path / "none", "intrinsics=[900,900,640,360]")
@@ -307,7 +307,7 @@ def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
             run(model_folder, source, out)
     assert listed(out) == ["a_color.png", "a_depth.png", "b_depth.png"]
     first = (out / "a_depth.png").stat().st_mtime_ns
-    with pytest.raises(ValueError, match="results exist already"):  # another command
+    with pytest.raises(ValueError, match="results already exist"):  # another command
         run(model_folder, source, out, "max_side=128")
     assert run(model_folder, source, out).images == 2
     assert "1 of 3 pictures were done before the command stopped" in capsys.readouterr().out
@@ -315,7 +315,7 @@ def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
     assert sorted(path.name for path in out.iterdir()) == [
         f"{name}_{kind}.png" for name in "abc" for kind in ("color", "depth")
     ]
-    with pytest.raises(ValueError, match="6 results exist already"):  # it is complete now
+    with pytest.raises(ValueError, match="6 results already exist"):  # it is complete now
         run(model_folder, source, out)
 
 

@@ -55,7 +55,7 @@ def test_predictor_refuses_other_shapes_and_types(model: DepthNet, frame: np.nda
 
 
 def test_names_in_place_of_networks_and_pictures_are_refused(model: DepthNet) -> None:
-    with pytest.raises(ValueError, match=r"model='a.jpg' is a name: give eldenet.load"):
+    with pytest.raises(ValueError, match=r"model='a.jpg' is a name, not a network: give eldenet.load"):
         DepthPredictor("a.jpg")
     with pytest.raises(ValueError, match=r"frame is a str: give the picture, \(H, W, 3\) uint8 RGB"):
         DepthPredictor(model)("a.jpg")

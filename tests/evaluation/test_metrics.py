@@ -168,7 +168,7 @@ def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) 
     metrics.update(prediction, depth, mask)  # nothing is known there
     before = metrics.pooled.clone()
     prediction[1, 0, 4, 5] = value
-    with pytest.raises(ValueError, match="not finite: NaN or infinity"):
+    with pytest.raises(ValueError, match="not finite: it is NaN or infinite"):
         metrics.update(prediction, depth, mask)
     assert torch.equal(metrics.pooled, before)
 

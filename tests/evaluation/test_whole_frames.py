@@ -141,5 +141,5 @@ def test_a_protocol_decides_which_size_is_scored() -> None:
 
     assert trained_size(file(WHOLE), whole) == tuple(WHOLE)
     assert trained_size(file(PART), crops) == tuple(PART)
-    with pytest.raises(ValueError, match=r"whole frames, 60 x 76 pixels, and protocol kitti_eigen_garg_impr"):
+    with pytest.raises(ValueError, match=r"whole frames, 60 x 76 pixels, but protocol kitti_eigen_garg_impr"):
         trained_size(file(WHOLE), crops)

@@ -43,7 +43,7 @@ class FileKind:
         file: that is damaged, relative to the folder.
         write: writes whole files into a folder.
         read: reads them as a user's command does; returns what it made of them.
-        digest: whether the file carries or has beside it a check sum over all that is read.
+        digest: whether the file carries or has beside it a checksum over all that is read.
         named: words of which a clear message contains one; the file's own name is always one.
     """
 

@@ -11,7 +11,7 @@ RESULTS = Path(__file__).with_name("results.json")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 START, END = "<!-- table of python -m tests.faults -->", "<!-- end of the table -->"
 TITLES = {
-    "seen": "damaged files with a check sum",
+    "seen": "damaged files with a checksum",
     "unseen": "damaged files without one",
     "hostile": "hostile files",
     "full disk": "full disk, by what is written",
@@ -30,7 +30,7 @@ class Row(NamedTuple):
 
 
 def counted(part: str, name: str, outcomes: Sequence[Outcome], digest: bool) -> Row:
-    """A row: ``digest`` says whether a check sum could show the damage."""
+    """A row: ``digest`` says whether a checksum could show the damage."""
     counts = Counter(outcome.what for outcome in outcomes)
     broken = (RAW, HANG, SILENT) if digest else (RAW, HANG)
     wrong = [f"{one.what}: {one.said[:300]}" for one in outcomes if one.what in broken]

@@ -1,4 +1,4 @@
-"""No damaged or hostile file ends in a traceback, a crash or a hang; none under a check sum passes unseen."""
+"""No damaged or hostile file ends in a traceback, a crash or a hang; none under a checksum passes unseen."""
 
 import json
 from pathlib import Path

@@ -49,7 +49,7 @@ def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
     assert read_labels(tmp_path / "out/photo_boxes.txt").types == ("dog", "cow")
     said = capsys.readouterr().out
     assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
-    with pytest.raises(ValueError, match="exist already"):
+    with pytest.raises(ValueError, match="already exist"):
         run(source, "formats=[color]")
 
 
@@ -92,7 +92,7 @@ def test_predict_follows_boxes_through_a_video(run, tmp_path):
     assert len(list((tmp_path / "out/walk").glob("*_boxes.txt"))) == 4
     for name in ("walk_boxes.mp4", "walk_depth.mp4"):
         (tmp_path / "out" / name).rename(tmp_path / name)
-    with pytest.raises(ValueError, match=r"exist already.*out/walk\b"):  # the text files
+    with pytest.raises(ValueError, match=r"already exist.*out/walk\b"):  # the text files
         run(source)
 
 

@@ -64,7 +64,7 @@ def zeros(path: Path, generator: np.random.Generator) -> None:
 
 
 def flipped_bit(path: Path, generator: np.random.Generator) -> None:
-    """Of a file under a check sum (PNG)."""
+    """Of a file under a checksum (PNG)."""
     content = bytearray(path.read_bytes())
     content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
     path.write_bytes(content)

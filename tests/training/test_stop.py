@@ -87,5 +87,5 @@ def test_an_interrupted_command_ends_with_the_command_that_goes_on(tmp_path, com
     done = command_server.run(str(tmp_path / "interrupted.py"), [], tmp_path)
     assert done.returncode == 130
     (line,) = done.stderr.splitlines()
-    assert line.startswith("stopped; to go on: eldenet train loss=l1 'data.root='")
+    assert line.startswith("stopped; to continue: eldenet train loss=l1 'data.root='")
     assert line.endswith("/run ckpt_path=auto")

@@ -86,7 +86,7 @@ def measure_group(
         reference: model whose fp32 row has ``ratio_latency`` 1.
         rounds: turns of each case.
         seconds: of each turn.
-        memory: measure each case's memory, in a process of its own.
+        memory: measure each case's memory, in a separate process.
         trusted_modules: packages whose classes a model folder's config may name.
 
     Returns:
@@ -152,7 +152,7 @@ def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[
 
 
 def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequence[str] = ()) -> Any:
-    """The call to time, after a first run that shows that it works and compiles what is compiled."""
+    """The call to time, after a first run that shows that it works and triggers compilation."""
     network = _load(case, source, trusted_modules)
     images = network.prepared(_images(case))
     row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"

@@ -70,7 +70,7 @@ def read_rows(
 
 
 def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Append rows to the file; a line that a kill cut short stays a line of its own."""
+    """Append rows to the file; a line that was cut short by a kill remains a separate line."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / ROWS_FILE
     cut_short = path.is_file() and not path.read_text().endswith("\n")

@@ -208,7 +208,8 @@ def load_models(setup: BenchmarkSetup) -> Networks:
         name = str(model.info.get("model_name", Path(source).name))
         if name in models:
             raise ValueError(
-                f"two models are called {name!r}, but rows need distinct names: give one another model_name="
+                f"two models are called {name!r}, but rows need distinct names: give one of them another "
+                "model_name="
             )
         models[name] = model
     if not models:

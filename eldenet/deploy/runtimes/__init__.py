@@ -1,4 +1,4 @@
-"""A network under every runtime that a user would deploy, behind one call.
+"""One call to run a network under any of the runtimes used for deployment.
 
 ``depth = eldenet.runtimes.load("eldenet.onnx", "openvino", "bf16", threads=2)(images)``
 """
@@ -55,7 +55,7 @@ def load(
         trusted_modules: packages whose classes a folder's config may name.
 
     Raises:
-        ValueError: the runtime, precision or device is not available; the message lists those that are.
+        ValueError: the runtime, precision or device is not available; the message lists the available ones.
         FileNotFoundError: no such file or folder.
         ImportError: the runtime is not installed.
     """
@@ -94,8 +94,9 @@ def load(
         )
     if size is None:
         raise ValueError(
-            f"{runtime} needs a size, and the model names none: give size=(height, width), on the command "
-            "line input_size=[height,width]"
+            f"{runtime} needs a size, but the model states none: give size=(height, width) or, on the "
+            "command "
+            "line, input_size=[height,width]"
         )
     if precision == "int8":
         raise ValueError("int8 needs calibration pictures: export a file (python -m eldenet.export)")
@@ -105,17 +106,17 @@ def load(
 
 
 def is_exported(source: object) -> bool:
-    """Return whether a source is an exported file, by its ending."""
+    """Return whether a source is an exported file, judged by its extension."""
     return isinstance(source, str | Path) and Path(source).suffix in READS
 
 
 def fastest(
     path: str | Path, precision: str | None = None, *, threads: int | None = None, device: str = "cpu"
 ) -> Runtime:
-    """Run a file under each installed runtime for a moment and return the fastest.
+    """Run a file briefly under each installed runtime and return the fastest one.
 
     Raises:
-        ValueError: no runtime can run it; the message gives each one's reason.
+        ValueError: no runtime can run it; the message gives the reason for each.
     """
     threads = available_cores() if threads is None else threads
     able, reasons = {}, {}

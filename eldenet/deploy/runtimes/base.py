@@ -17,8 +17,8 @@ PRECISIONS = ("fp32", "bf16", "fp16", "int8")
 class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
-    Where it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
-    with fx in pixels of the image that the network sees. One with a ``distribution`` also knows its sigma,
+    If it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
+    with fx in pixels of the image that the network sees. One with a ``distribution`` also predicts its sigma,
     see :meth:`predict`.
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
@@ -62,13 +62,13 @@ class Runtime:
 
     @property
     def max_depth(self) -> float | None:
-        """Largest depth that the network can answer [m]; None: not stated."""
+        """Largest depth that the network can predict [m]; None: not stated."""
         found = metadata_value(self.metadata, "max_depth")
         return None if found is None else float(found)
 
     @property
     def distribution(self) -> str | None:
-        """Distribution of the error of ln depth, "laplace" or "gaussian"; None: it knows no sigma."""
+        """Distribution of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma."""
         found: str | None = metadata_value(self.metadata, "distribution")
         return found
 
@@ -79,7 +79,7 @@ class Runtime:
 
     @property
     def whole_frame_size(self) -> tuple[int, int] | None:
-        """``(height, width)`` [px] of a whole frame at the scale of a training that cropped, else None."""
+        """``(height, width)`` [px] of a whole frame at the training's scale; None: it did not crop."""
         return self._sizes("whole_frame_size")
 
     @property
@@ -97,7 +97,7 @@ class Runtime:
         return self.run_maps(images)[0]
 
     def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
-        """Depth of checked arrays, and sigma if the network knows one."""
+        """Depth of checked arrays, and sigma if the network predicts it."""
         raise NotImplementedError
 
     def prepared(self, images: np.ndarray) -> Any:
@@ -129,7 +129,7 @@ class Runtime:
         return torch.from_numpy(depth).to(images.device)
 
     def predict(self, images: np.ndarray) -> DepthEstimate:
-        """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network knows none.
+        """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network predicts none.
 
         Raises:
             ValueError: this network takes images of another shape or type.
@@ -149,8 +149,8 @@ class Runtime:
 
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
-    """Raise ValueError if a runtime does not offer a precision."""
+    """Raise ValueError if a runtime does not support a precision."""
     if precision not in PRECISIONS:
         raise ValueError(f"precision={precision!r}: choose {', '.join(PRECISIONS)}")
     if precision not in allowed:
-        raise ValueError(f"{runtime} here has no {precision}, only {', '.join(allowed)}: {advice}")
+        raise ValueError(f"{runtime} does not support {precision} here, only {', '.join(allowed)}: {advice}")

@@ -31,7 +31,7 @@ class RuntimeNetwork(nn.Module):
         """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth."""
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
-                f"this file sees {self.network.fixed_size} pixels (height, width), the images have "
+                f"this file takes {self.network.fixed_size} pixels (height, width), but the images have "
                 f"{tuple(image.shape[-2:])}: leave input_size=model, or export it at their size"
             )
         batch = self.network.fixed_batch

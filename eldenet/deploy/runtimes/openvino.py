@@ -15,7 +15,7 @@ class OpenvinoRuntime(Runtime):
     """An ``.xml`` or ``.onnx`` file under OpenVINO (on CPUs: oneDNN, once called MKL-DNN).
 
     Callers in several threads wait for each other: a request per thread would need more memory and be no
-    faster, as one image takes all the threads of the runtime.
+    faster, because one image takes all the threads of the runtime.
 
     Args:
         path: of the file.

@@ -88,7 +88,7 @@ class AStarDWA(_PathFollower):
 class AStarOnlineDWA(_PathFollower):
     """A* on a map built from the robot's own ranges and odometry, then the dynamic window.
 
-    The path is searched anew every second; see :class:`~eldenet.navigation.planners.online_map.OnlineMap`.
+    The path is searched again every second; see :class:`~eldenet.navigation.planners.online_map.OnlineMap`.
     """
 
     name = "astar_online_dwa"

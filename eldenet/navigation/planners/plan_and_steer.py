@@ -132,7 +132,7 @@ class PlanAndSteer:
         return {int(robot): points[row == number] for number, robot in enumerate(who)}
 
     def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
-        """Search the path anew every second, and at once when the robot goes round in a circle."""
+        """Search the path again every second, and immediately when the robot goes round in a circle."""
         trail = self._trails[robot]
         way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
         trail.append((float(pose[0]), float(pose[1]), way))

@@ -54,8 +54,8 @@ def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
     missing = [path for path in needed if not (path / RUN_FILE).is_file()]
     if missing:
         raise FileNotFoundError(
-            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first; if its "
-            "results are stored already, with rerun=true"
+            f"{row.name} needs the weights of {', '.join(map(str, missing))}: run that row first, "
+            "with rerun=true if its results are already stored"
         )
 
 
@@ -183,12 +183,12 @@ def last_metrics(run: Mapping[str, Any]) -> dict[str, Any]:
     kept, last = history[run["training"]["best_epoch"]], history[max(history)]
     who = f"{run['model']}, seed {run['seed']}"
     if "val_delta1" not in last:
-        raise ValueError(f"{who} was not validated after its last epoch, as 'epoch: last' needs")
+        raise ValueError(f"{who} was not validated after its last epoch, which 'epoch: last' requires")
     known = {name for name in run["metrics"] if f"val_{name}" in last}  # not: images, pixels
     other = [name for name in sorted(known) if not _close(kept.get(f"val_{name}"), run["metrics"][name])]
     if other:
         raise ValueError(
-            f"{who} was validated on other frames than those of its table ({', '.join(other)} of the kept "
+            f"{who} was validated on frames other than those of its table ({', '.join(other)} of the kept "
             "epoch differ), so 'epoch: last' has no metrics for the table"
         )
     return {**run["metrics"], **{name: last[f"val_{name}"] for name in known}}

@@ -200,7 +200,7 @@ def _taken_row(
     _checked(path, f"row {name}, taken from another study: ", entry, {"from", "block"})
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
-        raise ValueError(f"{path}: row {name} is taken from itself: {' -> '.join((*readers, entry['from']))}")
+        raise ValueError(f"{path}: row {name} refers to itself: {' -> '.join((*readers, entry['from']))}")
     owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), composition, readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))

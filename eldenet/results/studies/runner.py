@@ -30,8 +30,8 @@ class StudySetup:
         rows: names of the rows to run; None: all.
         job: the one row of a sweep's job; None: all of ``rows``.
         seeds: those of each row's seeds to run; None: all.
-        rerun: train also what is stored but not below ``runs``: for its weights, which are not stored, or
-            because other settings or weights made it; what is stored is replaced.
+        rerun: also train rows that are stored but not below ``runs``: for their weights, which are not
+            stored, or because other settings or weights made them; their stored results are replaced.
         given: name -> value of what rows ask for.
     """
 

@@ -35,7 +35,7 @@ class Block:
         points: row, latency [ms] or GMACs, metric, for the plot.
         differences: to the reference row, by row.
         reference: that row; "" without one.
-        published: number of the first column of published figures, which are shown in a table of their own.
+        published: number of the first column of published figures, which are shown in a separate table.
         parts: numbers of the columns of metrics, of the difference and of the costs; each list starts with 0.
         core: numbers of the columns that come first where there is no room for all.
     """
@@ -95,7 +95,9 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
     for entry in entries:
         for name in PUBLISHED:
             if entry[name] and not _is_figure(name, entry[name]):
-                raise ValueError(f"{path}: {entry['row']}: {name}={entry[name]!r} is no value of this metric")
+                raise ValueError(
+                    f"{path}: {entry['row']}: {name}={entry[name]!r} is not a valid value of this metric"
+                )
         if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
             raise ValueError(f"{path}: {entry['row']} has a figure but no protocol or source: give both")
     return entries

@@ -42,7 +42,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
         (
             "eldenet: {overrides: [model=eldenet], learning_rate: 1.0e-3}",
             "eldenet: {from: tiny}",
-            "taken from itself: tiny -> tiny",
+            "refers to itself: tiny -> tiny",
         ),
         ("reference: [eldenet_s]", "reference:", "a list of rows"),
         ("seeds: [0, 1]}", "seeds: }", "different seeds"),
@@ -62,7 +62,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
             read_study(other, training_composition())
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
     (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
-    with pytest.raises(ValueError, match="taken from itself: tiny -> other -> tiny"):
+    with pytest.raises(ValueError, match="refers to itself: tiny -> other -> tiny"):
         read_study(tiny, training_composition())
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
     with pytest.raises(ValueError, match="no protocol or source"):
