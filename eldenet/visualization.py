@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 UNKNOWN = (0, 0, 0)
-UNSURE_COLOR = (128, 128, 128)
+PALE = 150  # of 255: what is added to a third of a color where the network is unsure
 LARGEST_SIGMA = 50.0  # [% of the depth] of the colors of sigma
 PANEL_WIDTH = 256  # [px], about
 WIDEST_PANEL = 480  # [px]; wider maps shrink, so that a row of four fits a screen
@@ -169,7 +169,7 @@ def photo_beside_depth(
         depth: ``(H, W)`` [m]; unknown (0 or not finite) is black.
         near: depth of the warm end [m].
         far: depth of the cool end [m].
-        unsure: ``(H, W)`` bool, where the picture is gray.
+        unsure: ``(H, W)`` bool, where the colors are pale.
 
     Small photos are enlarged by a whole factor to ``SMALLEST_HEIGHT`` or more. Height and width are even, as
     video codecs need.
@@ -177,7 +177,8 @@ def photo_beside_depth(
     known = np.isfinite(depth) & (depth > 0)
     colors = color_depth(depth, near, far, known)
     if unsure is not None:
-        colors[unsure & known] = UNSURE_COLOR
+        at = unsure & known
+        colors[at] = colors[at] // 3 + PALE  # toward white, so that the depth can still be read
     return _beside(photo, [colors], lambda height: depth_scale(near, far, height))
 
 

@@ -32,8 +32,8 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
     for name in ("eldenet/py.typed", "eldenet/configs/train.yaml", "eldenet/configs/model/eldenet.yaml"):
         assert name in names
     assert "eldenet/weights/arena_dqn.safetensors" in names
-    for name in ("eldenet_rooms", "eldenet_fast_rooms", "eldenet_arenas", "eldenet_indoor"):
-        assert f"eldenet/weights/{name}/config.json" in names
+    for name in ("rooms", "fast_rooms", "arenas", "indoor", "l_indoor"):
+        assert f"eldenet/weights/eldenet_{name}/config.json" in names
     yamls = {str(path.relative_to(REPOSITORY)) for path in (REPOSITORY / "configs").rglob("*.yaml")}
     assert {f"eldenet/{name}" for name in yamls} <= set(names)
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldenet"}

@@ -46,7 +46,7 @@ class Results:
         images: pictures or frames written so far.
         skipped: reasons why pictures could not be read.
         too_far: pixels beyond 65.535 m, which the depth files cannot hold.
-        unsure: pixels that a picture shows in gray, and ``pixels`` all of them.
+        unsure: pixels that a picture shows in pale colors, and ``pixels`` all of them.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
@@ -129,7 +129,7 @@ class Results:
     ) -> None:
         """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
-        Of an estimate with sigma, the picture in color is gray where it is unsure.
+        Of an estimate with sigma, the colors are pale where it is unsure.
         ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is the picture's own.
 
         Raises:
@@ -188,7 +188,7 @@ class Results:
         )
         if self.pixels:
             share = 100 * self.unsure / self.pixels
-            log.say(f"sigma is above {100 * UNSURE:.0f} % of the depth in {share:.1f} % of the pixels: gray")
+            log.say(f"sigma is above {100 * UNSURE:.0f} % of the depth in {share:.1f} % of the pixels: pale")
         if self.skipped:
             log.say(f"skipped {len(self.skipped)}:")
             for line in self.skipped:

@@ -5,7 +5,7 @@ import warnings
 from pathlib import Path
 
 PACKAGED = Path(__file__).resolve().parent
-BEST = "eldenet_indoor"  # for pictures of real rooms: what predict takes unless it is given others
+BEST = "eldenet_l_indoor"  # for pictures of real rooms: what predict takes unless it is given others
 #: Where weights lie in the folder of a saved model and of a run.
 WEIGHT_FILES = ("model.safetensors", "model/model.safetensors")
 

@@ -78,7 +78,7 @@ def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> No
 
 
 def test_predictor_refuses_a_device_for_a_runtime() -> None:
-    with pytest.raises(ValueError, match=r"device=cuda is for a model.*eldenet\.runtimes\.load"):
+    with pytest.raises(ValueError, match=r"device=cuda is for models.*eldenet\.runtimes\.load"):
         DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
 
 
