@@ -142,7 +142,7 @@ def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
 
 def test_a_run_folder_holds_one_run(trained, run_command):
     for command, message in (
-        (("train", *TINY), "holds another run already (run.json)"),
+        (("train", *TINY), "already holds another run (run.json)"),
         (("evaluate", f"checkpoint={trained}", *TINY[:4]), "holds a training"),
     ):
         before = (trained / "run.json").read_bytes()

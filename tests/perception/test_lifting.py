@@ -280,7 +280,7 @@ def test_depth_boxes_and_masks_of_different_images_are_refused():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     masked = replace(detection(xyxy), mask=np.ones((1, 120, 320), bool))
     for wrong, found, message in (
-        (np.ones((60, 160)), detection(xyxy), "boxes reach .* of one image"),
+        (np.ones((60, 160)), detection(xyxy), "boxes reach .* for the same image"),
         (np.ones((1, 60, 160)), detection(xyxy), "shape"),
         (depth, masked, "masks"),
     ):

@@ -49,7 +49,7 @@ def test_the_depth_model_is_told_the_camera(view):
 
 
 def test_depth_image_and_camera_must_fit_together(view):
-    with pytest.raises(ValueError, match="one size"):
+    with pytest.raises(ValueError, match="same size"):
         perceive(view, view.detections, depth=view.depth[:50])
     camera = PinholeCamera(pinhole(100.0, 100.0, view.image.shape[1] + 5.0, 20.0))
     with pytest.raises(ValueError, match="lies outside the picture"):

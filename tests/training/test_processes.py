@@ -139,7 +139,7 @@ def test_a_process_ends_where_another_one_is_gone_or_hangs(
         return
     assert ranks[1 - hit].process.exitcode == 1
     assert len(lines) == 1, errors
-    assert "another of the 2 processes has ended, or has not answered for process_timeout=2 s" in lines[0]
+    assert "another of the 2 processes has ended, or has not responded for process_timeout=2 s" in lines[0]
     assert "ckpt_path=auto" in lines[0]
 
 
