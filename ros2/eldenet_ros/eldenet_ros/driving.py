@@ -103,7 +103,7 @@ class Pilot:
                 return Command(reason=f"{name} is {late}: check its publisher, its rate, and both clocks")
         if self.intrinsics is None:
             return Command(reason="no camera_info of the depth yet")
-        if self.goal is None or self.depth is None:
+        if self.goal is None or not self.poses or self.depth is None:
             return Command(reason="no goal")
         x, y, yaw = self.poses[-1][1]
         distance = math.dist((x, y), self.goal)
