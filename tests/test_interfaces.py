@@ -16,16 +16,18 @@ MOST_ARGUMENTS = 8
 WATCHED = """
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 command, *sys.argv[1:] = sys.argv[1:]
 found, calls = set(), []
+PACKAGE = str(Path(find_spec("eldenet").origin).parent)  # not "/eldenet/", where an environment may lie too
 TOP = ("config.py", "entry_point.py", "help.py", "navigate.py")  # the last: the mode is checked before main
 
 
 def watch(frame, event, argument):
     code = frame.f_code
-    if event != "call" or "/eldenet/" not in code.co_filename:
+    if event != "call" or not code.co_filename.startswith(PACKAGE):
         return
     if Path(code.co_filename).name in TOP or code.co_name == "main":
         return
