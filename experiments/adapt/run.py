@@ -1,12 +1,13 @@
 """Measure what ``python -m eldenet.adapt`` gives for real and rendered cameras.
 
-python experiments/adapt/run.py
+python experiments/adapt/run.py eldenet_indoor
 
-Trials that are written already are not run again, so an interrupted run goes on.
+Tables, page and plot go to the folder of the weights. Trials that are written already are not run again,
+so an interrupted run goes on.
 """
 
+import argparse
 import csv
-import sys
 import tempfile
 from pathlib import Path
 
@@ -32,12 +33,11 @@ from eldenet.training.adaptation import adapt  # noqa: E402
 
 HERE = Path(__file__).parent
 WORK = Path(tempfile.gettempdir()) / "eldenet-adapt"  # frames and run folders
-WEIGHTS = "eldenet_rooms"
 FRAMES = 125  # of a trial, of which adapt holds out a quarter
 EPOCHS = dict.fromkeys((*CAMERAS, *REAL), 6) | {"tum_fr3_cabinet": 12}  # it has few frames
 TIMES = 10  # as much training is what a trial is compared with
 LONG = ("hololens_office", "robot_wide", "hand_wide")  # places with ten times the training
-DEPTH, HEIGHT = HERE / "depth_frames.csv", HERE / "camera_height.csv"
+DEPTH, HEIGHT = "depth_frames.csv", "camera_height.csv"
 DEPTH_HEADER = ["place", "block", "seed", "epochs", "frames", "kept", "report_frames", "abs_rel_before"]
 DEPTH_HEADER += ["abs_rel_after", "delta1_before", "delta1_after"]
 HEIGHT_HEADER = [
@@ -85,21 +85,21 @@ def score(weights: str | Path, place: Path, names: list[str], camera: tuple[floa
     return np.array(rows)
 
 
-def adapted(place: str, block: int, seed: int, epochs: int) -> list[object]:
+def adapted(weights: str, place: str, block: int, seed: int, epochs: int) -> list[object]:
     """Adapt on depth frames; return a row of ``depth_frames.csv``."""
     source = WORK / "places" / place
     camera = write_place(place, source)
     names = sorted(path.stem for path in (source / "images").iterdir())
     mine, report = split(names, block)
-    run = WORK / f"{place}-{block}-{seed}-{epochs}"
+    run = WORK / weights / f"{place}-{block}-{seed}-{epochs}"
     link(mine, source, run / "frames")
-    settings = [f"data.root={run / 'frames'}", f"intrinsics={list(camera)}", f"weights={WEIGHTS}"]
+    settings = [f"data.root={run / 'frames'}", f"intrinsics={list(camera)}", f"weights={weights}"]
     settings += [f"trainer.epochs={epochs}", "minutes=120", f"seed={seed}", f"data.split_seed={seed}"]
     settings += ["data.gap=0"] if place in REAL else []  # their frames are far apart already
     settings += ["runtime.threads=1", "runtime.workers=0", "runtime.precision=fp32", "runtime.device=cpu"]
     better = adapt(build_adaptation(compose("adapt", settings), run))
     kept = read_record(run / RUN_FILE)["tuned"] if better else "no"
-    before, after = (score(w, source, report, camera).mean(axis=0) for w in (WEIGHTS, run))
+    before, after = (score(w, source, report, camera).mean(axis=0) for w in (weights, run))
     figures = [f"{value:.4f}" for value in (before[0], after[0], before[1], after[1])]
     return [place, block, seed, epochs, len(mine), kept, len(report), *figures]
 
@@ -114,16 +114,16 @@ def measured_height(place: Path, names: list[str], camera: tuple[float, ...]) ->
     return float(np.median([plane.offset for plane in planes if plane is not None]))
 
 
-def calibrated(place: str, block: int, *, pitch: bool) -> list[object]:
+def calibrated(weights: str, place: str, block: int, *, pitch: bool) -> list[object]:
     """Adapt with the camera's height alone; return a row of ``camera_height.csv``."""
     source = WORK / "places" / place
     camera = write_place(place, source)
     names = sorted(path.stem for path in (source / "images").iterdir())
     mine, report = split(names, block)
-    run = WORK / f"{place}-{block}-height-{pitch}"
+    run = WORK / weights / f"{place}-{block}-height-{pitch}"
     link(mine, source, run / "frames")
     height = CAMERAS[place].height if place in CAMERAS else measured_height(source, mine, camera)
-    settings = [f"source={run / 'frames' / 'images'}", f"intrinsics={list(camera)}", f"weights={WEIGHTS}"]
+    settings = [f"source={run / 'frames' / 'images'}", f"intrinsics={list(camera)}", f"weights={weights}"]
     settings += [
         f"camera_height={height}",
         "frames=60",
@@ -133,7 +133,7 @@ def calibrated(place: str, block: int, *, pitch: bool) -> list[object]:
     ]
     if pitch:
         settings.append(f"camera_pitch={-np.degrees(CAMERAS[place].pitch)}")
-    before = np.median(score(WEIGHTS, source, report, camera)[:, 2])
+    before = np.median(score(weights, source, report, camera)[:, 2])
     scale = ""
     try:
         kept = calibrate(build_calibration(compose("adapt", settings), run))
@@ -143,7 +143,7 @@ def calibrated(place: str, block: int, *, pitch: bool) -> list[object]:
         print(error)
         outcome, after = "refused", before
     if outcome == "kept":
-        new, old = eldenet.load(run).head.max_depth, eldenet.load(WEIGHTS).head.max_depth
+        new, old = eldenet.load(run).head.max_depth, eldenet.load(weights).head.max_depth
         scale = f"{new / old:.4f}"
     return [
         place,
@@ -172,47 +172,50 @@ def append(path: Path, header: list[str], row: list[object]) -> None:
 
 
 def main() -> None:
+    """Run the trials of the weights that the command names, then write their page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("weights", nargs="?", default="eldenet_indoor", help="packaged weights to start from")
+    weights = parser.parse_args().weights
+    (HERE / weights).mkdir(exist_ok=True)
     torch.set_num_threads(1)
-    if sys.argv[1:] not in (["trials"], ["long"]):
-        all_heights()
-    if sys.argv[1:] != ["heights"]:
-        all_depths()
-    write_page()
+    all_heights(weights)
+    all_depths(weights)
+    write_page(weights)
 
 
-def all_heights() -> None:
+def all_heights(weights: str) -> None:
     """Run what ``camera_height.csv`` lacks."""
-    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(HEIGHT, HEIGHT_HEADER)}
+    table = HERE / weights / HEIGHT
+    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(table, HEIGHT_HEADER)}
     for pitch, places in ((True, CAMERAS), (False, {**CAMERAS, **REAL})):
         for block in (0, 2):
             for place in places:
                 if (place, str(block), "given" if pitch else "fitted") not in done:
-                    append(HEIGHT, HEIGHT_HEADER, calibrated(place, block, pitch=pitch))
+                    append(table, HEIGHT_HEADER, calibrated(weights, place, block, pitch=pitch))
 
 
-def all_depths() -> None:
+def all_depths(weights: str) -> None:
     """Run what ``depth_frames.csv`` lacks."""
-    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(DEPTH, DEPTH_HEADER)}
+    table = HERE / weights / DEPTH
+    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(table, DEPTH_HEADER)}
     trials = [(place, 3, 0, EPOCHS[place]) for place in CAMERAS]
     for seed in range(2):
         trials += [(place, block, seed, EPOCHS[place]) for place in REAL for block in range(4)]
-    if sys.argv[1:] != ["trials"]:
-        trials += [(place, 3, 0, EPOCHS[place] * TIMES) for place in LONG]
-    if sys.argv[1:] == ["long"]:
-        trials = trials[-len(LONG) :]
+    trials += [(place, 3, 0, EPOCHS[place] * TIMES) for place in LONG]
     for place, block, seed, epochs in trials:
         if (place, str(block), str(seed), str(epochs)) not in done:
-            append(DEPTH, DEPTH_HEADER, adapted(place, block, seed, epochs))
+            append(table, DEPTH_HEADER, adapted(weights, place, block, seed, epochs))
 
 
-def write_page() -> None:
+def write_page(weights: str) -> None:
     """Write ``results.md`` and ``plot.png`` from the two tables."""
-    depth, height = rows_of(DEPTH, DEPTH_HEADER), rows_of(HEIGHT, HEIGHT_HEADER)
+    folder = HERE / weights
+    depth, height = rows_of(folder / DEPTH, DEPTH_HEADER), rows_of(folder / HEIGHT, HEIGHT_HEADER)
     trials = [row for row in depth if row["epochs"] == str(EPOCHS[row["place"]])]
     longer = {row["place"]: row for row in depth if row not in trials}
     where = environment()
     lines = [
-        f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}; {WEIGHTS}, "
+        f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}; {weights}, "
         "6 epochs (tum_fr3_cabinet: 12). Each figure is of frames that adapt never saw.",
         "",
         "## Depth frames",
@@ -273,9 +276,9 @@ def write_page() -> None:
             lines[-1] += f"{int((new > old).sum())} worse."
         if kept.any():
             lines[-1] += f" Of those kept: {np.median(old[kept]):.3f} to {np.median(new[kept]):.3f}."
-    lines += ["", "Made by `python experiments/adapt/run.py`."]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
-    plot(trials, height)
+    lines += ["", f"Made by `python experiments/adapt/run.py {weights}`."]
+    (folder / "results.md").write_text("\n".join(lines) + "\n")
+    plot(trials, height, folder / "plot.png")
 
 
 def worse(row: dict[str, str]) -> bool:
@@ -283,7 +286,7 @@ def worse(row: dict[str, str]) -> bool:
     return float(row["abs_rel_after"]) > float(row["abs_rel_before"])
 
 
-def plot(trials: list[dict[str, str]], height: list[dict[str, str]]) -> None:
+def plot(trials: list[dict[str, str]], height: list[dict[str, str]], path: Path) -> None:
     """Draw before against after: one point per trial, better below the line."""
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
@@ -301,11 +304,8 @@ def plot(trials: list[dict[str, str]], height: list[dict[str, str]]) -> None:
         ax.plot([0, top], [0, top], color="0.6", lw=1)
         ax.set(title=title, xlabel="before", ylabel="after", xlim=(0, top), ylim=(0, top))
     axes[0].legend(fontsize=8)
-    figure.savefig(HERE / "plot.png", dpi=110)
+    figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["page"]:
-        write_page()
-    else:
-        main()
+    main()
