@@ -59,12 +59,10 @@ REAL = {
 def write_place(name: str, folder: Path, split: str = "test") -> tuple[float, float, float, float]:
     """Write ``images/`` and ``depths/`` (16-bit PNG [mm]); return fx, fy, cx, cy [px]."""
     if not (folder / "done").is_file():
-        for part in ("images", "depths"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
         if name in REAL:
             _copy(name, folder)
         else:
-            _render(CAMERAS[name], folder, split, list(CAMERAS).index(name))
+            render(CAMERAS[name], folder, split, list(CAMERAS).index(name))
         (folder / "done").touch()
     if name in REAL:
         return REAL[name]
@@ -74,6 +72,7 @@ def write_place(name: str, folder: Path, split: str = "test") -> tuple[float, fl
 
 
 def _copy(name: str, folder: Path) -> None:
+    _make_folders(folder)
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
     lines = [line for line in (root / "pairs.csv").read_text().splitlines() if line.startswith(name)]
     for number, (image, depth) in enumerate(sorted(line.split(",")[:2] for line in lines)):
@@ -88,13 +87,22 @@ def _copy(name: str, folder: Path) -> None:
         cv2.imwrite(str(folder / "depths" / f"{number:04d}.png"), nearest)
 
 
-def _render(camera: Camera, folder: Path, split: str, number: int) -> None:
+def _make_folders(folder: Path) -> None:
+    for part in ("images", "depths"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+
+
+def render(
+    camera: Camera, folder: Path, split: str, number: int, *, rooms: int = ROOMS, turns: int = TURNS
+) -> None:
+    """Write what a camera sees in rooms ``rooms * number`` and on of a split."""
+    _make_folders(folder)
     height, width = SIZE
     fx = camera.focal * width
     ray_camera = RayCamera(SIZE, pinhole(fx, fx, (width - 1) / 2, (height - 1) / 2))
     probe = RayCamera((9, 12), np.diag([12 / width, 9 / height, 1.0]) @ ray_camera.intrinsics)
     written = 0
-    for index in range(ROOMS * number, ROOMS * (number + 1)):
+    for index in range(rooms * number, rooms * (number + 1)):
         room = generate_room(split, index)
         room.ambient = camera.ambient
         room.lights = [
@@ -107,7 +115,7 @@ def _render(camera: Camera, folder: Path, split: str, number: int) -> None:
             position, yaw, near = _stand(compiled, probe, camera, rng)
             if near < NEAREST:
                 continue
-            for turn in range(TURNS):
+            for turn in range(turns):
                 rotation = camera_rotation(yaw + 0.15 * turn, camera.pitch, rng.normal(0, 0.01))
                 linear, hits = compiled.photograph(ray_camera, position, rotation)
                 image = develop(linear, Draw((number, 7)), (number, index, written))  # one camera: one tone

@@ -12,7 +12,7 @@ from torch import nn
 import eldenet
 from eldenet.config import build_calibration, compose
 from eldenet.geometry import pinhole
-from eldenet.perception.camera_height import calibrate, level_camera, log_scale, refuse_unsure
+from eldenet.perception.camera_height import calibrate, level_camera, log_scale, refuse_few, scale_of_all
 
 SIZE, CAMERA = (48, 64), (50.0, 50.0, 31.5, 23.5)
 
@@ -44,14 +44,18 @@ def test_a_table_is_not_taken_for_the_floor():
     assert np.isnan(log_scale(depth, level_camera(CAMERA, 0.3), 0.8, known_pitch=True))
 
 
-def test_few_floors_and_floors_that_contradict_are_refused():
-    rng = np.random.default_rng(0)
+def test_few_floors_are_refused():
+    refuse_few(np.r_[np.zeros(40), np.full(60, np.nan)])
     with pytest.raises(ValueError, match=r"12 of 100 frames show a floor"):
-        refuse_unsure(np.r_[np.zeros(12), np.full(88, np.nan)], known_pitch=False)
-    with pytest.raises(ValueError, match=r"disagree by .* give camera_pitch= if it is fixed"):
-        refuse_unsure(rng.normal(0, 0.6, 100), known_pitch=False)
-    refuse_unsure(rng.normal(0.4, 0.1, 100), known_pitch=False)
-    refuse_unsure(rng.normal(0.4, 0.6, 100), known_pitch=True)
+        refuse_few(np.r_[np.zeros(12), np.full(88, np.nan)])
+
+
+def test_all_depth_follows_the_floor_in_part():
+    for known in (True, False):
+        assert scale_of_all(0.2, known_pitch=known) == 1.0  # may be the floor's own error
+        for floors in (-0.9, 0.5):
+            assert 0 < np.log(scale_of_all(floors, known_pitch=known)) / floors < 1
+    assert scale_of_all(0.5, known_pitch=True) > scale_of_all(0.5, known_pitch=False)
 
 
 class Floor(nn.Module):
@@ -89,7 +93,9 @@ def test_the_scale_is_stored_with_the_weights_and_held_out_frames_decide(walk, c
         given += ["camera_pitch=11.459", "runtime.threads=1"]
         assert calibrate(build_calibration(compose("adapt", given), walk / "run")) is kept
         model, info = saved.pop()
-        assert model.head.scale == pytest.approx(1.5 if kept else 1.0, rel=0.1)
+        assert model.head.scale == pytest.approx(
+            scale_of_all(np.log(1.5), known_pitch=True) if kept else 1.0, rel=0.1
+        )
         assert bool(info) is kept
         assert json.loads((walk / "run/run.json").read_text())["kept"] is kept
     said = capsys.readouterr().out
