@@ -10,6 +10,7 @@ import yaml
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 PLANS = sorted(EXPERIMENTS.glob("*/sweep.yaml"))
 ROWS = re.compile(r"\brows?=\[?([\w,]+)")
+TYPED = re.compile(r"study=experiments/(\w+)[^`\n]*?\brows?='?\[?([\w,]+)")
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.parent.name)
@@ -23,10 +24,13 @@ def test_stored_commands_train_the_row_they_lie_in(plan: Path) -> None:
 
 
 def test_commands_on_pages_name_rows_that_exist() -> None:
-    pages = [*EXPERIMENTS.glob("*.md"), *EXPERIMENTS.glob("*/README.md"), *EXPERIMENTS.parent.glob("docs/*.md")]
-    seen = 0
-    for page in pages:
-        for study, named in re.findall(r"study=experiments/(\w+)[^`\n]*?\brows?='?\[?([\w,]+)", page.read_text()):
+    root, seen = EXPERIMENTS.parent, 0
+    for page in [
+        *root.glob("experiments/*.md"),
+        *root.glob("experiments/*/README.md"),
+        *root.glob("docs/*.md"),
+    ]:
+        for study, named in TYPED.findall(page.read_text()):
             rows = yaml.safe_load((EXPERIMENTS / study / "sweep.yaml").read_text())["rows"]
             assert set(named.split(",")) <= set(rows), f"{page}: {named}"
             seen += 1
