@@ -21,7 +21,7 @@ from eldenet.navigation.env import ArenaNavEnv, ArenaNavVectorEnv, make_sensor, 
 NAME = "eldenet.navigation.registration:eldenet/ArenaNav-v0"
 
 
-def test_the_reward_is_that_of_algorithm_1():
+def test_the_rewards_terms_and_numbers_are_as_documented():
     values = reward(
         np.array([0.2, 0.0, -0.1, 0.1]), np.array([Event.NONE, Event.GOAL, Event.COLLISION, Event.TIMEOUT])
     )
