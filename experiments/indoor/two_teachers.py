@@ -44,8 +44,8 @@ class TwoTeachers:
         pictures = (square.permute(0, 2, 3, 1) * 255).round().to(torch.uint8).numpy()
         maps = torch.from_numpy(np.stack([self._fastdepth(picture) for picture in pictures]))[:, None]
         second = interpolate(maps, image.shape[-2:], mode="bilinear", align_corners=False)
-        medians = (first.flatten(1).median(1).values / second.flatten(1).median(1).values)[:, None, None, None]
-        return (first * second * medians).sqrt()
+        medians = [depth.flatten(1).median(1).values.view(-1, 1, 1, 1) for depth in (first, second)]
+        return (first * second * medians[0] / medians[1]).sqrt()
 
     def _fastdepth(self, picture: np.ndarray) -> np.ndarray:
         self._interpreter.set_tensor(self._input, picture[None])
