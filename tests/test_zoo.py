@@ -76,7 +76,7 @@ def test_overrides_replace_parts_and_options() -> None:
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        ("eldenett", {}, r"unknown model 'eldenett': did you mean eldenet\? .*vgg16_upconv"),
+        ("eldenett", {}, r"unknown model 'eldenett': did you mean eldenet\? docs/weights"),
         ("eldenet_room", {}, "trained weights"),
         ("eldenet", {"weights": "kitti"}, r"no weights 'kitti' for eldenet, only eldenet_.*load\('kitti'\)"),
         ("eldenet", {"revision": "v2"}, "apply to saved models"),

@@ -1,6 +1,7 @@
 """Help texts of the commands, and advice on settings that do not exist."""
 
 import difflib
+import os
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -43,7 +44,10 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     """
     words = [word for word in words if not word.startswith("-")]
     if unread := next((word for word in words if _parsed(word) is None), None):
-        return f"{unread} cannot be read: {QUOTES if '=' in unread else 'write setting=value'}"
+        if "=" in unread:
+            return f"{unread} cannot be read: {QUOTES}"
+        named = "source" in _settings(config_name, []) and os.path.exists(unread)
+        return f"{unread} cannot be read: write {f'source={unread}' if named else 'setting=value'}"
     try:
         if renamed := _renamed(config_name, words):
             return renamed
@@ -58,6 +62,18 @@ def advice(config_name: str, words: Sequence[str]) -> str:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
             return _nearest(unknown[1], _settings(config_name, others))
     return ""
+
+
+def quote_paths(words: Sequence[str]) -> list[str]:
+    """Quote values that Hydra cannot read but that name a file: ``source=my photo (1).jpg``."""
+    quoted = []
+    for word in words:
+        key, _, value = word.partition("=")
+        plain_name = not word.startswith("-") and value and '"' not in value
+        if plain_name and _parsed(word) is None and os.path.exists(value):
+            word = f'{key}="{value}"'
+        quoted.append(word)
+    return quoted
 
 
 def _jobs(words: Sequence[str]) -> Iterator[list[str]]:

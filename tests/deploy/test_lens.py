@@ -142,8 +142,8 @@ def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "line"),
     [
-        (["focal=50"], "camera: fx 50 px (given) at 64 x 48"),
-        ([], "camera: fx 48 px (from EXIF) at 64 x 48"),
+        (["focal=50"], "camera: fx 50 px (given), pictures 64 px wide"),
+        ([], "camera: fx 48 px (from EXIF), pictures 64 px wide"),
     ],
 )
 def test_predict_says_which_camera_it_assumed(
@@ -152,4 +152,13 @@ def test_predict_says_which_camera_it_assumed(
     lens_model.save_pretrained(tmp_path / "model")
     picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
     predict(setup(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
+    assert line in capsys.readouterr().out
+
+
+def test_predict_says_that_distances_may_be_off_without_a_focal_length(
+    lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens_model.save_pretrained(tmp_path / "model")
+    predict(setup(tmp_path / "model", save(tmp_path / "a.png", photo()), tmp_path / "out", "formats=[depth]"))
+    line = "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
     assert line in capsys.readouterr().out
