@@ -13,6 +13,13 @@ from eldenet.cli.commands import module_of
 from eldenet.config import compose, config_folder, plain
 from eldenet.renames import KEYS, OPTIONS
 
+MEANT = {  # settings as other tools call them
+    "weights": "checkpoint",
+    "model": "checkpoint",
+    "input": "source",
+    "image": "source",
+    "video": "source",
+}
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
@@ -129,6 +136,7 @@ def _nearest(key: str, known: dict[str, Any]) -> str:
     last = key.rpartition(".")[2]
     others = [name for name in known if name != key]  # it may exist with other choices
     alike = [name for name in others if name.rpartition(".")[2] == last]
+    alike = alike or [name for name in others if name == MEANT.get(key)]
     alike = alike or difflib.get_close_matches(key, others, 1)
     if "/" in key:  # a group of choices
         alike = [name.replace(".", "/") for name in alike]

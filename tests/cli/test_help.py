@@ -52,6 +52,12 @@ def test_the_reader_of_help_may_leave_before_its_end():
         ),
         ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: did you mean source?"),
         ("predict", ["source=my photo (1).jpg"], f"source=my photo (1).jpg cannot be read: {QUOTES}"),
+        (  # in the words of other tools
+            "predict",
+            ["weights=eldenet_indoor"],
+            "there is no setting weights: did you mean checkpoint?",
+        ),
+        ("predict", ["image=a.jpg"], "there is no setting image: did you mean source?"),
         ("predict", ["qqqqqqqq=1"], "there is no setting qqqqqqqq: --help lists all settings"),
         (
             "train",
