@@ -342,16 +342,17 @@ def check_source(source: str, setting: str = "source") -> None:
     if source in list_models() or source in list_weights() or path.exists():
         return
     if path.suffix in (".onnx", ".xml"):
-        raise FileNotFoundError(
-            f"{setting}={source} does not exist: python -m eldenet.export writes such files"
-        )
+        raise FileNotFoundError(f"{setting}={source} does not exist: eldenet export writes such files")
     if "/" not in source:
         near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
         raise ValueError(
             f"unknown model {source!r}: "
-            + (f"did you mean {near[0]}? Otherwise " if near else "")
-            + f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
-            f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
+            + (
+                f"did you mean {near[0]}? docs/weights.md and docs/networks.md list all names"
+                if near
+                else f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
+                f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
+            )
         )
     if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
         raise FileNotFoundError(

@@ -76,8 +76,9 @@ def test_overrides_replace_parts_and_options() -> None:
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        ("eldenett", {}, r"unknown model 'eldenett': did you mean eldenet\? .*vgg16_upconv"),
-        ("eldenet_room", {}, "trained weights"),
+        ("eldenett", {}, r"unknown model 'eldenett': did you mean eldenet\? docs/weights"),
+        ("eldenet_room", {}, r"did you mean eldenet_rooms\?"),
+        ("qqqqqqqq", {}, "choose trained weights .*vgg16_upconv"),
         ("eldenet", {"weights": "kitti"}, r"no weights 'kitti' for eldenet, only eldenet_.*load\('kitti'\)"),
         ("eldenet", {"revision": "v2"}, "apply to saved models"),
         ("eldenet_rooms", {"overrides": ["model.head.max_depth=80"]}, "apply to networks built by name"),

@@ -18,7 +18,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue
 
-from eldenet.cli.help import advice, help_template
+from eldenet.cli.help import advice, help_template, quote_paths
 from eldenet.config import USER_ERRORS, config_folder, resolver
 from eldenet.system.disk import disk_line, is_full
 
@@ -56,7 +56,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             stderr = sys.stderr
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(config_name, about))
-            words = sys.argv[1:]
+            words = sys.argv[1:] = quote_paths(sys.argv[1:])
             if stderr.isatty() and not any(word in QUIET for word in words):
                 stderr.write(f"eldenet {config_name} starts ...\r")  # at once: the imports take seconds
                 stderr.flush()

@@ -1,6 +1,7 @@
 """Help texts of the commands, and advice on settings that do not exist."""
 
 import difflib
+import os
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -12,6 +13,13 @@ from eldenet.cli.commands import module_of
 from eldenet.config import compose, config_folder, plain
 from eldenet.renames import KEYS, OPTIONS
 
+MEANT = {  # settings as other tools call them
+    "weights": "checkpoint",
+    "model": "checkpoint",
+    "input": "source",
+    "image": "source",
+    "video": "source",
+}
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
@@ -43,7 +51,10 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     """
     words = [word for word in words if not word.startswith("-")]
     if unread := next((word for word in words if _parsed(word) is None), None):
-        return f"{unread} cannot be read: {QUOTES if '=' in unread else 'write setting=value'}"
+        if "=" in unread:
+            return f"{unread} cannot be read: {QUOTES}"
+        named = "source" in _settings(config_name, []) and os.path.exists(unread)
+        return f"{unread} cannot be read: write {f'source={unread}' if named else 'setting=value'}"
     try:
         if renamed := _renamed(config_name, words):
             return renamed
@@ -58,6 +69,18 @@ def advice(config_name: str, words: Sequence[str]) -> str:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
             return _nearest(unknown[1], _settings(config_name, others))
     return ""
+
+
+def quote_paths(words: Sequence[str]) -> list[str]:
+    """Quote values that Hydra cannot read but that name a file: ``source=my photo (1).jpg``."""
+    quoted = []
+    for word in words:
+        key, _, value = word.partition("=")
+        plain_name = not word.startswith("-") and value and '"' not in value
+        if plain_name and _parsed(word) is None and os.path.exists(value):
+            word = f'{key}="{value}"'
+        quoted.append(word)
+    return quoted
 
 
 def _jobs(words: Sequence[str]) -> Iterator[list[str]]:
@@ -113,6 +136,7 @@ def _nearest(key: str, known: dict[str, Any]) -> str:
     last = key.rpartition(".")[2]
     others = [name for name in known if name != key]  # it may exist with other choices
     alike = [name for name in others if name.rpartition(".")[2] == last]
+    alike = alike or [name for name in others if name == MEANT.get(key)]
     alike = alike or difflib.get_close_matches(key, others, 1)
     if "/" in key:  # a group of choices
         alike = [name.replace(".", "/") for name in alike]

@@ -53,7 +53,7 @@ def nyu_labelled(source: str, output: str = "nyu_labelled") -> None:
             if number % 100 == 0 or number == len(frames):
                 _say(f"{part}: {number} of {len(frames)} frames")
         write_text(folder / f"data/nyu2_{part}.csv", "".join(f"{image},{depth}\n" for image, depth in pairs))
-    _say(f"written to {folder}: python -m eldenet.check_data data=nyu_labelled data.root={folder}")
+    _say(f"written to {folder}: eldenet check-data data=nyu_labelled data.root={folder}")
 
 
 def _say(text: str) -> None:

@@ -71,6 +71,8 @@ def export(setup: ExportSetup) -> Path:
     size, output, log = target.size, target.output, RunLog(target.output.parent)
     if setup.checkpoint in eldenet.list_models():
         log.say(untrained_note(setup.checkpoint))
+    if setup.pictures is None:
+        log.say("pictures for the check: rendered rooms (yours: pictures=folder)")
     pictures = read_pictures(setup.pictures, max(setup.checks, 1), "test")
     metadata = describe(model, target.name, size, camera_size=setup.camera, license=setup.license)
     metadata["precision"] = setup.precision

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 METADATA_PREFIX = "eldenet."
-EXPORT_AGAIN = "export it again (python -m eldenet.export)"
+EXPORT_AGAIN = "export it again (eldenet export)"
 _ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
 
 

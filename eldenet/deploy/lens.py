@@ -50,9 +50,9 @@ class Lens:
             focal, origin = float(camera.intrinsics[0, 0]), "from calib/"
         if focal is None and path is not None:
             focal, origin = exif_focal(path, size), "from EXIF"
-        shown = "the canonical camera: give intrinsics=, focal= or fov= if you know it"
+        shown = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
         self.origins[
-            shown if focal is None else f"fx {focal:.0f} px ({origin}) at {size[1]} x {size[0]}"
+            shown if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
         ] += 1
         return focal
 

@@ -188,7 +188,10 @@ class Results:
         )
         if self.pixels:
             share = 100 * self.unsure / self.pixels
-            log.say(f"sigma is above {100 * UNSURE:.0f} % of the depth in {share:.1f} % of the pixels: pale")
+            log.say(
+                f"pale colors: {share:.1f} % of the pixels, where the network is unsure "
+                f"(its sigma is above {100 * UNSURE:.0f} % of the depth)"
+            )
         if self.skipped:
             log.say(f"skipped {len(self.skipped)}:")
             for line in self.skipped:

@@ -19,6 +19,7 @@ from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
 from eldenet.deploy.viewer import RerunViewer, open_recording
 from eldenet.uncertainty import NO_SIGMA
+from eldenet.weights import BEST
 
 if TYPE_CHECKING:
     from eldenet.deploy.predictor import DepthPredictor
@@ -191,8 +192,8 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
     else:
         network = model = eldenet.load(checkpoint, trusted_modules=setup.trusted_modules)
-        packaged = checkpoint in eldenet.list_weights()
-        log.say(f"weights: {checkpoint}" + (" of the package (yours: checkpoint=...)" if packaged else ""))
+        default = " (the default; checkpoint=... takes others)" if checkpoint == BEST else ""
+        log.say(f"weights: {checkpoint}{default}")
         if setup.engine in ("auto", "torch"):
             device = resources.device
         else:

@@ -143,6 +143,7 @@ class DepthPredictor:
         frame: np.ndarray,
         *,
         intrinsics: "Sequence[float] | np.ndarray | None" = None,
+        focal: float | None = None,
         fov: float | None = None,
     ) -> Any:
         """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m], and sigma if ``uncertainty``.
@@ -150,7 +151,8 @@ class DepthPredictor:
         Args:
             frame: the camera's picture.
             intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frame [px]; only fx is used.
-            fov: horizontal field of view instead [degrees]. Without either: the canonical camera.
+            focal: fx of the frame instead [px].
+            fov: horizontal field of view instead [degrees]. Without any of them: the canonical camera.
 
         Raises:
             ValueError: the frame has another shape or type, its camera is given twice or out of range, or the
@@ -161,7 +163,7 @@ class DepthPredictor:
         if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
         size = (frame.shape[0], frame.shape[1])
-        focal = focal_length(intrinsics, fov, size[1])
+        focal = focal_length(intrinsics, fov, size[1], focal)
         picture, (depth, *sigma), scale = self._maps(frame)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
         if not np.isfinite(depth).all():
@@ -216,17 +218,26 @@ class DepthPredictor:
 
 
 def focal_length(
-    intrinsics: "Sequence[float] | np.ndarray | None", fov: float | None, width: int
+    intrinsics: "Sequence[float] | np.ndarray | None",
+    fov: float | None,
+    width: int,
+    focal: float | None = None,
 ) -> float | None:
     """Return fx [px] of a frame ``width`` pixels wide; None if nothing is given.
 
     Raises:
-        ValueError: both are given, or one is out of its range.
+        ValueError: several are given, or one is out of its range.
     """
+    given = {"intrinsics": intrinsics, "focal": focal, "fov": fov}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise ValueError(f"{' and '.join(names)} are given: give only one of them")
     if fov is not None:
-        if intrinsics is not None:
-            raise ValueError("both intrinsics and fov are given: give only one of them")
         return focal_of_fov(fov, width)
+    if focal is not None:
+        if not (focal > 0 and math.isfinite(focal)):
+            raise ValueError(f"focal={focal}: give fx of the frame in pixels, above 0")
+        return float(focal)
     if intrinsics is None:
         return None
     numbers = np.asarray(intrinsics, dtype=np.float64)

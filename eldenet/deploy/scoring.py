@@ -121,7 +121,7 @@ def open_checkpoint(setup: EvaluationSetup, resources: "Resources") -> "DepthNet
         )
         return RuntimeNetwork(network)
     if (setup.engine, setup.precision) != ("auto", None):
-        raise ValueError("engine and precision are for exported files (python -m eldenet.export)")
+        raise ValueError("engine and precision are for exported files (eldenet export)")
     return eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
 
 

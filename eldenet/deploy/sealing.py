@@ -45,7 +45,7 @@ def check_seal(path: Path) -> bool:
         files = path.name if is_onnx else f"{path.name} or {beside.name}"
         raise ValueError(
             f"{path} does not match its digest: {files} is damaged or was changed after the export; "
-            "export it again (python -m eldenet.export)"
+            "export it again (eldenet export)"
         )
     return True
 

@@ -150,8 +150,7 @@ class RangeErrors:
         """
         if not Path(path).is_file():
             raise FileNotFoundError(
-                f"no range errors at {path}: make them with python -m eldenet.navigate mode=fit_noise "
-                "sensor=camera"
+                f"no range errors at {path}: make them with eldenet navigate mode=fit_noise sensor=camera"
             )
         check_packaged(Path(path))
         try:

@@ -216,7 +216,7 @@ def _refuse_unknown(
     raise ValueError(
         f"no pixel of {len(frames)} frames such as {frames.names[0]} has a known depth that counts "
         f"({frames.min_depth:g} to {frames.max_depth:g} m, protocol {setup.protocol.name}): check "
-        "data.min_depth, data.max_depth and the unit of the depth files with python -m eldenet.check_data"
+        "data.min_depth, data.max_depth and the unit of the depth files with eldenet check-data"
     )
 
 

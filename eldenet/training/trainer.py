@@ -406,7 +406,7 @@ class Trainer:
         if blank == batches:
             raise ValueError(
                 "no pixel of the epoch's training frames has a known depth: check data.min_depth, "
-                "data.max_depth and the unit of the depth files with python -m eldenet.check_data"
+                "data.max_depth and the unit of the depth files with eldenet check-data"
             )
         count = f"{blank * self.processes:.0f} of {batches * self.processes}"
         self.log.say(f"note: {count} batches of this epoch have no known pixel, so they teach nothing")

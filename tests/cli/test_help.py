@@ -8,8 +8,8 @@ import pytest
 
 from eldenet import renames
 from eldenet.cli.commands import module_of
-from eldenet.cli.help import QUOTES, advice
-from eldenet.config import config_folder
+from eldenet.cli.help import QUOTES, advice, quote_paths
+from eldenet.config import compose, config_folder
 
 COMMANDS = sorted({path.stem for path in config_folder().glob("*.yaml")} - {"base", "no_run_folder", "zoo"})
 
@@ -52,6 +52,12 @@ def test_the_reader_of_help_may_leave_before_its_end():
         ),
         ("predict", ["sorce=x", "chekpoint=y"], "there is no setting sorce: did you mean source?"),
         ("predict", ["source=my photo (1).jpg"], f"source=my photo (1).jpg cannot be read: {QUOTES}"),
+        (  # in the words of other tools
+            "predict",
+            ["weights=eldenet_indoor"],
+            "there is no setting weights: did you mean checkpoint?",
+        ),
+        ("predict", ["image=a.jpg"], "there is no setting image: did you mean source?"),
         ("predict", ["qqqqqqqq=1"], "there is no setting qqqqqqqq: --help lists all settings"),
         (
             "train",
@@ -60,6 +66,7 @@ def test_the_reader_of_help_may_leave_before_its_end():
         ),
         ("train", ["data.input_size=[1,2"], f"data.input_size=[1,2 cannot be read: {QUOTES}"),
         ("train", ["quick"], "quick cannot be read: write setting=value"),
+        ("predict", [__file__], f"{__file__} cannot be read: write source={__file__}"),
         ("train", ["model/backbne=x"], "there is no setting model/backbne: did you mean model/backbone?"),
         ("train", ["data.subst=5"], "there is no setting data.subst: did you mean data.subset?"),
         (  # it exists, but not with data=mix
@@ -78,6 +85,15 @@ def test_the_reader_of_help_may_leave_before_its_end():
 )
 def test_a_mistyped_setting_gets_the_nearest_one(command, words, line):
     assert advice(command, words) == line
+
+
+def test_a_file_with_special_characters_needs_no_quotes_of_its_own(tmp_path):
+    file = tmp_path / "my photo (1), b=2.jpg"
+    file.touch()
+    assert quote_paths([f"source={file}"]) == [f'source="{file}"']
+    assert compose("predict", quote_paths([f"source={file}"])).source == str(file)
+    as_typed = ["-m", "source=nothing (1).jpg", "seed=1,2", f'source="{file}"', "size=[1,2]"]
+    assert quote_paths(as_typed) == as_typed
 
 
 @pytest.mark.parametrize("plus", ["", "+", "++"])

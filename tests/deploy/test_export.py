@@ -9,7 +9,7 @@ import torch
 
 import eldenet
 from eldenet.config import build_export, compose
-from eldenet.deploy import runtimes
+from eldenet.deploy import quantize, runtimes
 from eldenet.deploy.exporting import compare_with_torch, export, target_of
 from eldenet.deploy.files import differences, read_metadata
 from eldenet.deploy.quantize import read_pictures
@@ -110,6 +110,22 @@ def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp
     else:
         assert "not compared under openvino" in capsys.readouterr().out
     assert runtimes.load(path, precision="fp32", threads=1).precision == "fp32"
+
+
+def test_export_says_why_it_renders_rooms(
+    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class RenderedError(Exception):
+        pass
+
+    def render(*_: object) -> None:
+        raise RenderedError
+
+    monkeypatch.setattr(quantize, "read_pictures", render)
+    words = [f"checkpoint='{model_folder}'", f"output='{tmp_path / 'r.onnx'}'"]
+    with pytest.raises(RenderedError):
+        export(build_export(compose("export", words)))
+    assert "pictures for the check: rendered rooms (yours: pictures=folder)" in capsys.readouterr().out
 
 
 def test_a_camera_file_takes_frames(model_folder: Path, photos: Path, tmp_path: Path) -> None:

@@ -70,11 +70,16 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
     assert focal == pytest.approx(32)
     wide = predictor(frame, fov=90)
     np.testing.assert_array_equal(wide, predictor(frame, intrinsics=np.diag([focal, focal, 1.0])))
+    np.testing.assert_array_equal(wide, predictor(frame, focal=focal))
     np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
     with pytest.raises(ValueError, match="give only one of them"):
         predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
     with pytest.raises(ValueError, match="fx above 0"):
         predictor(frame, intrinsics=(0, 32, 31.5, 23.5))
+    with pytest.raises(ValueError, match="focal and fov are given: give only one of them"):
+        predictor(frame, focal=32, fov=90)
+    with pytest.raises(ValueError, match="focal=-1: give fx of the frame in pixels"):
+        predictor(frame, focal=-1)
 
 
 def test_a_network_without_focal_lengths_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -142,8 +147,8 @@ def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "line"),
     [
-        (["focal=50"], "camera: fx 50 px (given) at 64 x 48"),
-        ([], "camera: fx 48 px (from EXIF) at 64 x 48"),
+        (["focal=50"], "camera: fx 50 px (given), pictures 64 px wide"),
+        ([], "camera: fx 48 px (from EXIF), pictures 64 px wide"),
     ],
 )
 def test_predict_says_which_camera_it_assumed(
@@ -152,4 +157,13 @@ def test_predict_says_which_camera_it_assumed(
     lens_model.save_pretrained(tmp_path / "model")
     picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
     predict(setup(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
+    assert line in capsys.readouterr().out
+
+
+def test_predict_says_that_distances_may_be_off_without_a_focal_length(
+    lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens_model.save_pretrained(tmp_path / "model")
+    predict(setup(tmp_path / "model", save(tmp_path / "a.png", photo()), tmp_path / "out", "formats=[depth]"))
+    line = "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
     assert line in capsys.readouterr().out

@@ -264,7 +264,7 @@ def test_without_a_checkpoint_the_best_weights_of_the_package_are_taken(tmp_path
     save(tmp_path / "photo.jpg", photo(48, 64))
     done = run_command("predict", "source=photo.jpg", "output=out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert f"weights: {BEST} of the package (yours: checkpoint=...)" in done.stdout
+    assert f"weights: {BEST} (the default; checkpoint=... takes others)" in done.stdout
     assert (tmp_path / "out/photo_depth.png").is_file()
 
 

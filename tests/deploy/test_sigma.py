@@ -90,7 +90,9 @@ def test_the_predictor_refuses_a_network_without_sigma() -> None:
         DepthPredictor(small_net(), uncertainty=True)
 
 
-def test_predict_writes_sigma_and_pales_what_it_does_not_know(model: DepthNet, tmp_path: Path) -> None:
+def test_predict_writes_sigma_and_pales_what_it_does_not_know(
+    model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = save(tmp_path / "room.png", photo())
     folder = model.save_pretrained(tmp_path / "model", info=model.info)
     results = predict(setup(folder, source, tmp_path / "out", "formats=[depth,color,sigma]"))
@@ -106,6 +108,8 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(model: DepthNet, t
     assert 0.05 < share < 0.95
     assert pale.sum() == pytest.approx(5 * 5 * estimate.unsure.sum(), rel=0.02)
     assert (results.unsure, results.pixels) == (estimate.unsure.sum(), 48 * 64)
+    said = capsys.readouterr().out
+    assert f"pale colors: {100 * share:.1f} % of the pixels, where the network is unsure" in said
 
 
 def test_predict_refuses_sigma_of_a_network_that_knows_none(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def load(
     if is_exported(source):
         path = Path(source).expanduser()  # type: ignore[arg-type]
         if not path.is_file():
-            raise FileNotFoundError(f"{path} does not exist: python -m eldenet.export writes such files")
+            raise FileNotFoundError(f"{path} does not exist: eldenet export writes such files")
         if runtime == "auto":
             return fastest(path, precision, threads=threads, device=device)
         if runtime not in READS[path.suffix]:
@@ -99,7 +99,7 @@ def load(
             "line, input_size=[height,width]"
         )
     if precision == "int8":
-        raise ValueError("int8 needs calibration pictures: export a file (python -m eldenet.export)")
+        raise ValueError("int8 needs calibration pictures: export a file (eldenet export)")
     with tempfile.TemporaryDirectory() as folder:
         path = write_onnx(model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=metadata)
         return _open(path, runtime, precision, threads, device)

@@ -47,7 +47,7 @@ class TorchRuntime(Runtime):
         if device == "cuda" and not torch.cuda.is_available():
             raise ValueError("device=cuda, but torch sees no CUDA device: use device=cpu")
         allowed = ("fp32", "bf16", "fp16") if device == "cuda" else ("fp32", "bf16")
-        refuse(precision, allowed, layout, "for int8 export a file (python -m eldenet.export precision=int8)")
+        refuse(precision, allowed, layout, "for int8 export a file (eldenet export precision=int8)")
         if device == "cuda":
             full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"

@@ -110,7 +110,7 @@ def _check_line(path: Path, line: Mapping[str, str]) -> None:
     if not fits:
         raise ValueError(
             f"{path}: the line of {line['row']!r} is damaged: restore the file, or measure again "
-            "(python -m eldenet.benchmark study=...)"
+            "(eldenet benchmark study=...)"
         )
 
 
@@ -138,9 +138,7 @@ class Latencies:
         for line in lines.values():
             _check_line(path, line)
         if not lines:
-            raise ValueError(
-                f"{path} has no line: python -m eldenet.benchmark study={study.folder} writes it"
-            )
+            raise ValueError(f"{path} has no line: eldenet benchmark study={study.folder} writes it")
         for name in SAME:
             values = sorted({line[name] for line in lines.values()})
             if len(values) > 1:
@@ -167,7 +165,7 @@ class Latencies:
         if different:
             raise ValueError(
                 f"the latency of {row.name} was measured on another network than its runs have: "
-                f"{', '.join(different[:3])}. Measure it again (python -m eldenet.benchmark study=...)"
+                f"{', '.join(different[:3])}. Measure it again (eldenet benchmark study=...)"
             )
 
     def of(self, row: str) -> float | None:

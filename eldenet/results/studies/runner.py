@@ -83,7 +83,7 @@ def run_study(setup: StudySetup, training: Training, log: RunLog) -> None:
     failed = [f"{one.run} ({one.reason})" for one in outcomes if one.status == "failed"]
     if failed:
         raise ValueError(f"{len(failed)} of {len(outcomes)} runs failed: {'; '.join(failed)}")
-    log.say(f"tables: python -m eldenet.report study={setup.study}")
+    log.say(f"tables: eldenet report study={setup.study}")
 
 
 def refuse_unknown_seeds(rows: Sequence[StudyRow], seeds: Sequence[int] | None) -> None:

@@ -163,7 +163,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
         measure("runtimes=[torch]", "precisions=[fp16]", output="none")
     assert (tiny / "benchmark.csv").read_bytes() == before
     (tiny / "benchmark.csv").write_bytes(before.splitlines(keepends=True)[0])
-    with pytest.raises(ValueError, match="has no line: python -m eldenet"):
+    with pytest.raises(ValueError, match="has no line: eldenet benchmark"):
         write_study_report(tiny, training_composition())
     add_to_plan(tiny, old='"data.input_size=[64,80]"', new="data.input_size=null")
     with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
