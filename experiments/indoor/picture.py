@@ -34,7 +34,7 @@ def main(source: str, output: str) -> None:
     rows = []
     for share in (0.2, 0.4, 0.6, 0.8):
         error, photo, truth, depth = found[round(share * (len(found) - 1))]
-        near, far = visible_range(np.where(truth > 0, truth, np.nan))
+        near, far = visible_range(np.stack([truth, depth]))  # of both maps
         panels = [photo, color_depth(truth, near, far, truth > 0), color_depth(depth, near, far)]
         panels = [np.asarray(cv2.resize(panel, SIZE, interpolation=cv2.INTER_AREA)) for panel in panels]
         gap = np.full((SIZE[1], 4, 3), 255, np.uint8)
