@@ -41,7 +41,7 @@ def test_batches_without_a_known_pixel_are_counted(tmp_path: Path, capsys) -> No
 
 
 def test_an_epoch_without_a_known_pixel_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"no pixel of the epoch's training frames.*check_data"):
+    with pytest.raises(ValueError, match=r"no pixel of the epoch's training frames.*check-data"):
         fit(tmp_path, data=PartlyUnknown(4, 4), epochs=1)
     assert not (tmp_path / "model").exists()
 
