@@ -32,7 +32,7 @@ def test_every_network_takes_the_head_and_keeps_its_depth(name: str) -> None:
     image = picture(64, 96)
     with torch.inference_mode():
         depth, estimate = plain(image), other.predict(image)
-        assert torch.equal(other(image), depth)
+        torch.testing.assert_close(other(image), depth)  # kernels round in another way on some processors
     assert plain.predict(image).sigma is None
     assert estimate.depth.shape == estimate.sigma.shape == (1, 1, 64, 96)
     torch.testing.assert_close(estimate.depth, depth)
