@@ -104,8 +104,8 @@ def test_two_processes_train_to_the_weights_of_one(tmp_path, command_server):
     # the validation counted each of the five frames once
     progress = [load_checkpoint(tmp_path / name)["progress"] for name in ("one", "two")]
     for one, two in zip(*(entry["history"] for entry in progress), strict=True):
-        assert one["val_rmse"] == pytest.approx(two["val_rmse"], rel=1e-4)
-        assert one["train_total"] == pytest.approx(two["train_total"], rel=1e-4)  # the mean of both shares
+        assert one["val_rmse"] == pytest.approx(two["val_rmse"], rel=1e-3)
+        assert one["train_total"] == pytest.approx(two["train_total"], rel=1e-3)  # the mean of both shares
     # a run of two processes is another one than that of one
     with pytest.raises(ValueError, match=r"belongs to another training: processes=1 \(there 2\)"):
         train(tmp_path / "more", 1, ckpt_path=tmp_path / "two")
