@@ -71,6 +71,11 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
 
 
+def is_improvement(changes: Mapping[str, Change]) -> bool:
+    """Return whether a change is worth keeping: the first metric is surely better."""
+    return next(iter(changes.values())).is_better
+
+
 def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> None:
     """Print a table of at most 80 columns: before, after, and the difference with its interval."""
     rows = []
@@ -86,24 +91,27 @@ def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> Non
 def record_change(
     folder: Path,
     log: "RunLog",
-    model: "DepthNet",
+    start: "DepthNet",
+    changed: "DepthNet",
     changes: Mapping[str, Change],
     weights: str,
     facts: Mapping[str, Any],
-) -> None:
-    """Write ``model/`` and ``run.json``, and say whether the change was kept.
+) -> bool:
+    """Write ``model/`` and ``run.json``, say whether the change is kept, and return it.
 
     Args:
         folder: of the run.
         log: what the person sees.
-        model: what is kept.
-        changes: metric -> its change on held-out frames; the first one decided.
+        start: the network before the change, which stays if the change is not kept.
+        changed: the network after it.
+        changes: metric -> its change on held-out frames.
         weights: what the run started from.
         facts: what was done, for ``run.json``.
     """
-    kept = next(iter(changes.values())).is_better
+    kept = is_improvement(changes)
     told = {name: vars(change) for name, change in changes.items()}
-    model.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": told} if kept else {})
+    info = {"adapted_from": weights, "held_out": told} if kept else {}
+    (changed if kept else start).save_pretrained(folder / "model", info=info)
     record = {"weights": weights, "weights_sha256": fingerprint(weights), "kept": kept, "held_out": told}
     write_json(folder / RUN_FILE, {**record, **facts, **environment()})
     if kept:
@@ -115,3 +123,4 @@ def record_change(
         )
     log.say(f"written to {folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
     log.close()
+    return kept

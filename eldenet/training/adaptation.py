@@ -18,7 +18,14 @@ from eldenet.data.loaders import collate
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
-from eldenet.results.before_after import PICTURE_WIDTH, Change, compare, record_change, say_changes
+from eldenet.results.before_after import (
+    PICTURE_WIDTH,
+    Change,
+    compare,
+    is_improvement,
+    record_change,
+    say_changes,
+)
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
 LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
-METRICS = ("abs_rel", "rmse", "delta1")  # of the table; the first one decides
+METRICS = ("abs_rel", "rmse", "delta1")  # of the table
 TITLES = ("image", "truth", "before", "after")
 
 
@@ -116,27 +123,25 @@ def adapt(setup: AdaptationSetup) -> bool:
     models = {"all weights": model, "the scale alone": scaled}
     rows = {name: _score(models[name], held_out, setup, resources) for name in models}
     changes = {name: _changes(before, rows[name]) for name in models}
-    chosen = best_candidate({name: changes[name][METRICS[0]] for name in models})
-    kept = changes[chosen][METRICS[0]].is_better
+    chosen = best_candidate(changes)
     say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
     write_held_out(setup.folder, before, rows[chosen])
     _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
-    facts: dict[str, Any] = {
+    facts = {
         "tuned": chosen,
         "scale": scale,
         "epochs": epochs,
         "training_frames": len(train_set),
         "input_size": list(size),
         "seconds": time.monotonic() - started,
+        "config": dict(setup.settings),
     }
-    facts["config"] = dict(setup.settings)
-    record_change(setup.folder, log, models[chosen] if kept else start, changes[chosen], setup.weights, facts)
-    return kept
+    return record_change(setup.folder, log, start, models[chosen], changes[chosen], setup.weights, facts)
 
 
-def best_candidate(changes: Mapping[str, Change]) -> str:
-    """Return the name of the smallest error after, first of those that are surely better."""
-    return min(changes, key=lambda name: (not changes[name].is_better, changes[name].after))
+def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
+    """Return the name of the smallest error after, first of those worth keeping."""
+    return min(changes, key=lambda name: (not is_improvement(changes[name]), changes[name][METRICS[0]].after))
 
 
 def make_frames(
