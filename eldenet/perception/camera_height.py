@@ -16,7 +16,7 @@ from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
-from eldenet.results.before_after import PICTURE_WIDTH, compare, record_change, say_changes
+from eldenet.results.before_after import compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
@@ -131,7 +131,7 @@ def measure_floors(
                 log_scale(depth, camera, setup.camera_height, known_pitch=setup.camera_pitch is not None)
             )
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
-                size = (round(photo.shape[0] * PICTURE_WIDTH / photo.shape[1]), PICTURE_WIDTH)
+                size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))
             bar.advance(1)
     return names, np.array(values), shown

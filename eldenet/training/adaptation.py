@@ -19,10 +19,10 @@ from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_dep
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
 from eldenet.results.before_after import (
-    PICTURE_WIDTH,
     Change,
     compare,
     is_improvement,
+    panel_size,
     record_change,
     say_changes,
 )
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
+BATCH = 8  # frames, to measure the time of an update
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
 METRICS = ("abs_rel", "rmse", "delta1")  # of the table
 TITLES = ("image", "truth", "before", "after")
@@ -108,7 +109,9 @@ def adapt(setup: AdaptationSetup) -> bool:
     loss = setup.make_loss()
     left = 60 * setup.minutes - (time.monotonic() - started)
     epochs = affordable_epochs(model, train_set, setup, left)
-    log.say(f"depth of the start times {scale:.2f}, then {epochs} epochs of training")
+    log.say(
+        f"depth of the start times {scale:.2f}, then {epochs} epochs of training on {len(train_set)} frames"
+    )
     setup.make_trainer(epochs=epochs, evaluate_every=epochs).fit(
         model,
         loss,
@@ -197,10 +200,13 @@ def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
 
 
 def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, seconds: float) -> int:
-    """Return how many epochs fit into ``seconds``; where not one does, ``frames`` keeps a share of them."""
+    """Return how many epochs fit into ``seconds``.
+
+    Where not one does, ``frames`` keeps as many frames as fit, at least those of a batch.
+    """
     twin = copy.deepcopy(model).train()
     device = next(twin.parameters()).device
-    batch = min(8, len(frames))
+    batch = min(BATCH, len(frames))
     for _ in range(2):  # the first one warms up
         started = time.monotonic()
         images: Any = collate([frames[index] for index in range(batch)])["image"]
@@ -208,9 +214,9 @@ def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: Adaptation
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         took = (time.monotonic() - started) / batch
-    draws = max(1, int(0.8 * seconds / (1.5 * took)))  # the loss, the optimizer and the scores take time
+    draws = max(batch, int(0.8 * seconds / (1.5 * took)))  # loss, optimizer and scores take time
     if draws < len(frames):
-        frames.draw_subset(max(1, draws), setup.seed)
+        frames.draw_subset(draws, setup.seed)
     return max(1, min(setup.epochs, draws // len(frames)))
 
 
@@ -243,8 +249,7 @@ def _draw(path: Path, frames: "DepthDataset", before: DepthNet, after: DepthNet)
     rows = []
     for index in np.unique(np.linspace(0, len(frames) - 1, 3).round().astype(int)):
         frame, sample = frames.load_frame(int(index)), frames[int(index)]
-        height, width = frame.image.shape[:2]
-        size = (round(height * PICTURE_WIDTH / width), PICTURE_WIDTH)
+        size = panel_size(frame.image)
         truth = _nearest(sample["depth"][0].numpy(), size)
         image, focal = sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)
         maps = []

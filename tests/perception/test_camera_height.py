@@ -96,7 +96,9 @@ def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     model = DepthNet(Floor(), ScaledHead(1.0, 0.01, 100.0), mean=(0, 0, 0), std=(1, 1, 1)).eval()
     model.info = {"input_size": list(SIZE)}
     monkeypatch.setattr(eldenet, "load", lambda *_, **__: model)
-    monkeypatch.setattr(DepthNet, "save_pretrained", lambda self, folder, info: saved.append((self, info)))
+    monkeypatch.setattr(
+        DepthNet, "save_pretrained", lambda self, folder, info=None: saved.append((self, info))
+    )
     return tmp_path
 
 
