@@ -16,7 +16,7 @@ from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
-from eldenet.results.before_after import PICTURE_WIDTH, compare, record_change, say_changes
+from eldenet.results.before_after import compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
@@ -25,7 +25,12 @@ from eldenet.visualization import photo_beside_depths, stack_rows, visible_range
 FREE_SLOPE = 0.7  # [rad]: of a floor before a camera in a hand, whose pitch is not known
 LEAST_FLOORS = 20  # frames with a floor
 LEAST_SHARE = 0.3  # of all frames
-FLOOR_SHARE = {True: 0.7, False: 0.4}  # of a floor's log scale that all depth needs: pitch known, or fitted
+#: Share of the floors' log scale that all depth follows, by how the pitch is known and by which way depth
+#: goes. Chosen on rendered cameras: experiments/adapt/floors.md.
+FLOOR_SHARE = {
+    "given": {"grows": 0.4, "shrinks": 0.7},
+    "fitted": {"grows": 0.2, "shrinks": 0.4},
+}
 LEAST_FLOOR_SCALE = 0.3  # log scale of floors; a smaller one may be an error of their own depth
 HELD_OUT, BLOCKS, GAP = 0.25, 20, 1  # share, blocks of time, frames left out beside one
 CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
@@ -73,53 +78,63 @@ def calibrate(setup: CalibrationSetup) -> bool:
     """
     resources = choose_resources(**setup.resources)
     start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
+    log = RunLog(setup.folder)
+    known_pitch = setup.camera_pitch is not None
+    names, values, shown = measure_floors(
+        setup, DepthPredictor(start, device=resources.device, steady=False), log
+    )
+    refuse_few(values)
+    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
+    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
+    floors = float(np.nanmedian(values[fitted]))
+    scale = scale_of_all(floors, known_pitch=known_pitch)
+    before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
+    changes = {"scale_error": compare("scale_error", before.tolist(), after.tolist())}
+    found = int(np.isfinite(values).sum())
+    log.say(
+        f"{found} of {len(values)} frames show the floor, whose depth is right times {np.exp(floors):.2f}"
+    )
+    few = "this may be an error of the floor alone, so depth stays as it is"
+    log.say(few if scale == 1 else f"all depth follows in part: times {scale:.2f}")
+    say_changes(log, f"{setup.weights}: floors of {changes['scale_error'].frames} held-out frames", changes)
+    model = copy.deepcopy(start)
+    model.rescale(scale)
+    rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
+    write_rows(setup.folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
+    draw(setup.folder / "before_after.png", shown, scale)
+    facts = {
+        "scale": scale,
+        "floor_scale": float(np.exp(floors)),
+        "frames": len(values),
+        "frames_with_floor": found,
+        "config": dict(setup.settings),
+    }
+    return record_change(setup.folder, log, start, model, changes, setup.weights, facts)
+
+
+def measure_floors(
+    setup: CalibrationSetup, predictor: DepthPredictor, log: RunLog
+) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return the names of the frames, the log scale of each, and photo and depth [m] of ``SHOWN`` of them."""
     camera = level_camera(setup.intrinsics, setup.camera_pitch)
-    predictor = DepthPredictor(start, device=resources.device, steady=False)
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
-    logs: list[float] = []
+    values: list[float] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
-    log = RunLog(setup.folder)
     pictures, total = frames_of(setup.source, setup.frames)
     with log.bar("floors", total) as bar:
         for name, photo in pictures:
             check_intrinsics(camera.intrinsics, photo.shape[:2])
             depth = predict(photo)
             names.append(name)
-            logs.append(
+            values.append(
                 log_scale(depth, camera, setup.camera_height, known_pitch=setup.camera_pitch is not None)
             )
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
-                size = (round(photo.shape[0] * PICTURE_WIDTH / photo.shape[1]), PICTURE_WIDTH)
+                size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))
             bar.advance(1)
-    values = np.array(logs)
-    refuse_few(values)
-    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
-    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
-    floors = float(np.nanmedian(values[fitted]))
-    scale = scale_of_all(floors, known_pitch=setup.camera_pitch is not None)
-    before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
-    change = compare("scale_error", before.tolist(), after.tolist())
-    say_changes(log, f"{setup.weights}: floors of {change.frames} held-out frames", {"scale_error": change})
-    found = int(np.isfinite(values).sum())
-    log.say(f"{found} of {len(values)} frames show the floor, which says depth times {np.exp(floors):.3f}")
-    log.say(f"depth times {scale:.3f}" if scale != 1 else "that is within the floor's own error: no change")
-    model = copy.deepcopy(start)
-    model.rescale(scale)
-    rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
-    write_rows(setup.folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
-    draw(setup.folder / "before_after.png", shown, scale)
-    facts: dict[str, Any] = {
-        "scale": scale,
-        "floor_scale": float(np.exp(floors)),
-        "frames": len(values),
-        "frames_with_floor": found,
-    }
-    facts["config"] = dict(setup.settings)
-    kept = model if change.is_better else start
-    record_change(setup.folder, log, kept, {"scale_error": change}, setup.weights, facts)
-    return change.is_better
+    return names, np.array(values), shown
 
 
 def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray]], int]:
@@ -202,13 +217,13 @@ def floor_pixels(
 def scale_of_all(floors: float, *, known_pitch: bool) -> float:
     """Return the factor for all depth, given the median log scale of the floors.
 
-    A network is often more wrong about the floor than about the rest, and a fitted pitch adds its own error:
-    in rendered rooms, the whole factor of the floor made depth worse as often as better, and these shares of
-    it halved the error (experiments/adapt).
+    A network is often more wrong about the floor than about the rest, above all where it takes a tall camera
+    for a lower one, and a fitted pitch adds its own error. So all depth follows the floor in part.
     """
     if abs(floors) < LEAST_FLOOR_SCALE:
         return 1.0
-    return float(np.exp(FLOOR_SHARE[known_pitch] * floors))
+    share = FLOOR_SHARE["given" if known_pitch else "fitted"]["grows" if floors > 0 else "shrinks"]
+    return float(np.exp(share * floors))
 
 
 def refuse_few(values: np.ndarray) -> None:

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 #: Stretches of time that held-out frames are drawn in.
 BLOCKS = 5
-PICTURE_WIDTH = 320  # [px] of a panel of before_after.png
+PICTURE_HEIGHT = 240  # [px] of a panel of before_after.png
+#: Facts about weights that a change makes untrue.
+MEASURED = ("test", "delta1", "abs_rel", "rmse")
 #: What a table calls errors that are no metrics of depth.
 OTHERS = {"scale_error": "error of scale"}
 
@@ -71,6 +73,16 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
 
 
+def panel_size(picture: np.ndarray) -> tuple[int, int]:
+    """Return ``(height, width)`` [px] of a panel of before_after.png that shows ``picture (H, W, ...)``."""
+    return PICTURE_HEIGHT, round(PICTURE_HEIGHT * picture.shape[1] / picture.shape[0])
+
+
+def is_improvement(changes: Mapping[str, Change]) -> bool:
+    """Return whether a change is worth keeping: the first metric is surely better."""
+    return next(iter(changes.values())).is_better
+
+
 def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> None:
     """Print a table of at most 80 columns: before, after, and the difference with its interval."""
     rows = []
@@ -86,32 +98,41 @@ def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> Non
 def record_change(
     folder: Path,
     log: "RunLog",
-    model: "DepthNet",
+    start: "DepthNet",
+    changed: "DepthNet",
     changes: Mapping[str, Change],
     weights: str,
     facts: Mapping[str, Any],
-) -> None:
-    """Write ``model/`` and ``run.json``, and say whether the change was kept.
+) -> bool:
+    """Write ``model/`` and ``run.json``, say whether the change is kept, and return it.
 
     Args:
         folder: of the run.
         log: what the person sees.
-        model: what is kept.
-        changes: metric -> its change on held-out frames; the first one decided.
+        start: the network before the change, which stays if the change is not kept.
+        changed: the network after it.
+        changes: metric -> its change on held-out frames.
         weights: what the run started from.
         facts: what was done, for ``run.json``.
     """
-    kept = next(iter(changes.values())).is_better
+    kept = is_improvement(changes)
     told = {name: vars(change) for name, change in changes.items()}
-    model.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": told} if kept else {})
+    if kept:
+        changed.info = {name: fact for name, fact in changed.info.items() if name not in MEASURED}
+        changed.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": told})
+    else:
+        start.save_pretrained(folder / "model")
     record = {"weights": weights, "weights_sha256": fingerprint(weights), "kept": kept, "held_out": told}
     write_json(folder / RUN_FILE, {**record, **facts, **environment()})
-    if kept:
-        log.say("kept: the held-out frames are better, and the interval excludes 0")
-    else:
-        log.say(
+    verdict = "kept: the held-out frames are better, and the interval excludes 0"
+    if not kept:
+        verdict = (
             f"not kept: the held-out frames are not surely better, so {folder / 'model'} holds the weights "
             f"of {weights} as they were"
         )
+    log.say(verdict)
     log.say(f"written to {folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
+    if kept:
+        log.say(f"to use it: python -m eldenet.predict checkpoint={folder} source=... intrinsics=...")
     log.close()
+    return kept

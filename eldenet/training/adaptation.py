@@ -18,7 +18,14 @@ from eldenet.data.loaders import collate
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
-from eldenet.results.before_after import PICTURE_WIDTH, Change, compare, record_change, say_changes
+from eldenet.results.before_after import (
+    Change,
+    compare,
+    is_improvement,
+    panel_size,
+    record_change,
+    say_changes,
+)
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
@@ -33,8 +40,9 @@ if TYPE_CHECKING:
 
 LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
+BATCH = 8  # frames, to measure the time of an update
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
-METRICS = ("abs_rel", "rmse", "delta1")  # of the table; the first one decides
+METRICS = ("abs_rel", "rmse", "delta1")  # of the table
 TITLES = ("image", "truth", "before", "after")
 
 
@@ -101,7 +109,9 @@ def adapt(setup: AdaptationSetup) -> bool:
     loss = setup.make_loss()
     left = 60 * setup.minutes - (time.monotonic() - started)
     epochs = affordable_epochs(model, train_set, setup, left)
-    log.say(f"depth of the start times {scale:.2f}, then {epochs} epochs of training")
+    log.say(
+        f"depth of the start times {scale:.2f}, then {epochs} epochs of training on {len(train_set)} frames"
+    )
     setup.make_trainer(epochs=epochs, evaluate_every=epochs).fit(
         model,
         loss,
@@ -116,27 +126,25 @@ def adapt(setup: AdaptationSetup) -> bool:
     models = {"all weights": model, "the scale alone": scaled}
     rows = {name: _score(models[name], held_out, setup, resources) for name in models}
     changes = {name: _changes(before, rows[name]) for name in models}
-    chosen = best_candidate({name: changes[name][METRICS[0]] for name in models})
-    kept = changes[chosen][METRICS[0]].is_better
+    chosen = best_candidate(changes)
     say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
     write_held_out(setup.folder, before, rows[chosen])
     _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
-    facts: dict[str, Any] = {
+    facts = {
         "tuned": chosen,
         "scale": scale,
         "epochs": epochs,
         "training_frames": len(train_set),
         "input_size": list(size),
         "seconds": time.monotonic() - started,
+        "config": dict(setup.settings),
     }
-    facts["config"] = dict(setup.settings)
-    record_change(setup.folder, log, models[chosen] if kept else start, changes[chosen], setup.weights, facts)
-    return kept
+    return record_change(setup.folder, log, start, models[chosen], changes[chosen], setup.weights, facts)
 
 
-def best_candidate(changes: Mapping[str, Change]) -> str:
-    """Return the name of the smallest error after, first of those that are surely better."""
-    return min(changes, key=lambda name: (not changes[name].is_better, changes[name].after))
+def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
+    """Return the name of the smallest error after, first of those worth keeping."""
+    return min(changes, key=lambda name: (not is_improvement(changes[name]), changes[name][METRICS[0]].after))
 
 
 def make_frames(
@@ -192,10 +200,13 @@ def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
 
 
 def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, seconds: float) -> int:
-    """Return how many epochs fit into ``seconds``; where not one does, ``frames`` keeps a share of them."""
+    """Return how many epochs fit into ``seconds``.
+
+    Where not one does, ``frames`` keeps as many frames as fit, at least those of a batch.
+    """
     twin = copy.deepcopy(model).train()
     device = next(twin.parameters()).device
-    batch = min(8, len(frames))
+    batch = min(BATCH, len(frames))
     for _ in range(2):  # the first one warms up
         started = time.monotonic()
         images: Any = collate([frames[index] for index in range(batch)])["image"]
@@ -203,9 +214,9 @@ def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: Adaptation
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         took = (time.monotonic() - started) / batch
-    draws = max(1, int(0.8 * seconds / (1.5 * took)))  # the loss, the optimizer and the scores take time
+    draws = max(batch, int(0.8 * seconds / (1.5 * took)))  # loss, optimizer and scores take time
     if draws < len(frames):
-        frames.draw_subset(max(1, draws), setup.seed)
+        frames.draw_subset(draws, setup.seed)
     return max(1, min(setup.epochs, draws // len(frames)))
 
 
@@ -238,8 +249,7 @@ def _draw(path: Path, frames: "DepthDataset", before: DepthNet, after: DepthNet)
     rows = []
     for index in np.unique(np.linspace(0, len(frames) - 1, 3).round().astype(int)):
         frame, sample = frames.load_frame(int(index)), frames[int(index)]
-        height, width = frame.image.shape[:2]
-        size = (round(height * PICTURE_WIDTH / width), PICTURE_WIDTH)
+        size = panel_size(frame.image)
         truth = _nearest(sample["depth"][0].numpy(), size)
         image, focal = sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)
         maps = []

@@ -68,7 +68,15 @@ def model_card(info: Mapping[str, Any], model: Mapping[str, Any]) -> str:
         lines += [f"| {split} frames of {_line(data)}, protocol {_line(protocol)} | |", "|---|---:|"]
         lines += [f"| {METRICS[metric]} | {value:.3f} |" for metric, value in found.items()] + [""]
     lines += [f"- trained on: {_line(data)}", f"- license of the weights: {_line(license_text)}"]
-    shown = ("input_size", "whole_frame_size", "weights have seen", "started_from", "seed", "epoch")
+    shown = (
+        "input_size",
+        "whole_frame_size",
+        "weights have seen",
+        "started_from",
+        "adapted_from",
+        "seed",
+        "epoch",
+    )
     lines += [f"- {key.replace('_', ' ')}: {_line(info[key])}" for key in shown if info.get(key) is not None]
     head = model.get("head")
     if isinstance(head, Mapping) and head.get("max_depth") is not None:

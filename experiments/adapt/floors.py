@@ -1,9 +1,10 @@
-"""How much of a floor's error do all depths share? Measured with 30 rendered cameras in rooms of ``val``.
+"""How much of a floor's error do all depths share? Measured with rendered cameras in rooms of ``val``.
 
 python experiments/adapt/floors.py
 
-``FLOOR_SHARE`` and ``LEAST_FLOOR_SCALE`` of ``perception.camera_height`` were chosen on ``floors.md``.
-Cameras that are written already are not rendered or predicted again.
+``FLOOR_SHARE`` and ``LEAST_FLOOR_SCALE`` of ``perception.camera_height`` were chosen on the first 30 cameras
+of ``floors.md``; the others were rendered afterwards. Cameras that are written already are not rendered or
+predicted again.
 """
 
 import csv
@@ -32,7 +33,8 @@ from eldenet.perception.camera_height import (  # noqa: E402
 from eldenet.system.files import read_table  # noqa: E402
 
 WEIGHTS = ("eldenet_indoor", "eldenet_rooms")
-CAMERAS, ROOMS, TURNS = 30, 6, 2
+CHOOSING, CHECKING = range(30), range(30, 50)  # numbers of cameras
+ROOMS, TURNS = 6, 2
 STORED = Path(__file__).with_name("floors.csv")
 WORK = Path(tempfile.gettempdir()) / "eldenet-floors"
 COLUMNS = ["weights", "camera", "height", "focal", "pitch", "depth_error", "floor_given", "floor_fitted"]
@@ -76,7 +78,7 @@ def main() -> None:
         writer = csv.writer(file, lineterminator="\n")
         if not stored:
             writer.writerow(COLUMNS)
-        for number in range(CAMERAS):
+        for number in (*CHOOSING, *CHECKING):
             camera, folder = draw_camera(rng), WORK / str(number)
             for name, predictor in predictors.items():
                 if (name, str(number)) in done:
@@ -92,30 +94,64 @@ def main() -> None:
     report()
 
 
+def read_cameras(weights: str, pitch: str, numbers: range) -> tuple[np.ndarray, np.ndarray]:
+    """Return the log error of all depth and that of the floors, of each camera that sees enough floors."""
+    rows = [row for row in read_table(STORED, COLUMNS) if row["weights"] == weights]
+    rows = [row for row in rows if int(row["camera"]) in numbers]
+    rows = [row for row in rows if int(row[f"found_{pitch}"]) >= LEAST_SHARE * int(row["frames"])]
+    depth, floor = (np.array([float(r[n]) for r in rows]) for n in ("depth_error", f"floor_{pitch}"))
+    return depth, floor
+
+
 def report() -> None:
-    """Write ``floors.md``: the error of scale of all depth after it was moved by a share of the floor's."""
+    """Write ``floors.md``: what share of the floors' error all depth has, and the error after each rule."""
     lines = [
-        "Medians over the cameras of |log scale|. Moved: where the floor's is at least the limit.",
+        "Of each camera: the median over its frames of log(true / predicted), of all depth and of floors.",
         "",
-        "| weights | pitch | slope | share | limit | error before | after | moved | worse |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+        "Slope: of all depth's on the floors', through 0. Depth grows if the floors' is above 0.",
+        "",
+        "| weights | pitch | depth | cameras | slope | `FLOOR_SHARE` |",
+        "|---|---|---|---:|---:|---:|",
     ]
     for weights in WEIGHTS:
-        rows = [row for row in read_table(STORED, COLUMNS) if row["weights"] == weights]
-        for pitch in ("given", "fitted"):
-            seen = [r for r in rows if int(r[f"found_{pitch}"]) >= LEAST_SHARE * int(r["frames"])]
-            depth, floor = (np.array([float(r[n]) for r in seen]) for n in ("depth_error", f"floor_{pitch}"))
-            slope = (floor @ depth) / (floor @ floor)
-            for share in (1.0, FLOOR_SHARE[pitch == "given"]):
-                for limit in (0.0, LEAST_FLOOR_SCALE):
-                    moved = np.abs(floor) >= limit
-                    before, after = np.abs(depth), np.abs(depth - share * floor * moved)
-                    cells = [weights, pitch, f"{slope:.2f}", f"{share:g}", f"{limit:g}"]
-                    cells += [f"{np.median(before):.3f}", f"{np.median(after):.3f}"]
-                    cells += [f"{moved.sum()} of {len(moved)}", str((after > before).sum())]
-                    lines.append(f"| {' | '.join(cells)} |")
+        for pitch, shares in FLOOR_SHARE.items():
+            depth, floor = read_cameras(weights, pitch, CHOOSING)
+            for way, those in (("grows", floor > 0), ("shrinks", floor <= 0)):
+                slope = (floor[those] @ depth[those]) / (floor[those] @ floor[those])
+                cells = [weights, pitch, way, str(those.sum()), f"{slope:.2f}", f"{shares[way]:g}"]
+                lines.append(f"| {' | '.join(cells)} |")
+    for numbers, title in (
+        (CHOOSING, "The cameras that chose the shares"),
+        (CHECKING, "Cameras that were rendered afterwards"),
+    ):
+        lines += ["", f"## {title}", "", *rules(numbers)]
     lines += ["", "Made by `python experiments/adapt/floors.py`."]
     STORED.with_suffix(".md").write_text("\n".join(lines) + "\n")
+
+
+def rules(numbers: range) -> list[str]:
+    """Return the table of what rules do to the error of scale of all depth."""
+    lines = [
+        f"Medians of |log(true / predicted)| of all depth. Limit: {LEAST_FLOOR_SCALE:g} of the floors'.",
+        "",
+        "| weights | pitch | depth follows floors | error before | after | moved | worse | worst change |",
+        "|---|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for weights in WEIGHTS:
+        for pitch, shares in FLOOR_SHARE.items():
+            depth, floor = read_cameras(weights, pitch, numbers)
+            part = np.where(floor > 0, shares["grows"], shares["shrinks"])
+            large = np.abs(floor) >= LEAST_FLOOR_SCALE
+            for rule, share in (
+                ("wholly", np.ones(len(floor))),
+                ("in part", part),
+                ("in part, from the limit on", part * large),
+            ):
+                before, after = np.abs(depth), np.abs(depth - share * floor)
+                cells = [weights, pitch, rule, f"{np.median(before):.3f}", f"{np.median(after):.3f}"]
+                cells += [f"{(share > 0).sum()} of {len(floor)}", str((after > before).sum())]
+                lines.append(f"| {' | '.join(cells)} | {(after - before).max():+.3f} |")
+    return lines
 
 
 if __name__ == "__main__":

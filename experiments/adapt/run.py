@@ -97,9 +97,14 @@ def adapted(weights: str, place: str, block: int, seed: int, epochs: int) -> lis
     settings += [f"trainer.epochs={epochs}", "minutes=120", f"seed={seed}", f"data.split_seed={seed}"]
     settings += ["data.gap=0"] if place in REAL else []  # their frames are far apart already
     settings += ["runtime.threads=1", "runtime.workers=0", "runtime.precision=fp32", "runtime.device=cpu"]
-    better = adapt(build_adaptation(compose("adapt", settings), run))
-    kept = read_record(run / RUN_FILE)["tuned"] if better else "no"
-    before, after = (score(w, source, report, camera).mean(axis=0) for w in (weights, run))
+    before = score(weights, source, report, camera).mean(axis=0)
+    try:
+        better = adapt(build_adaptation(compose("adapt", settings), run))
+        kept = read_record(run / RUN_FILE)["tuned"] if better else "no"
+        after = score(run, source, report, camera).mean(axis=0)
+    except ValueError as error:
+        print(error)
+        kept, after = "refused", before
     figures = [f"{value:.4f}" for value in (before[0], after[0], before[1], after[1])]
     return [place, block, seed, epochs, len(mine), kept, len(report), *figures]
 
@@ -226,7 +231,7 @@ def write_page(weights: str) -> None:
     for place in dict.fromkeys(row["place"] for row in trials):
         mine = [row for row in trials if row["place"] == place]
         mean = {name: np.mean([float(row[name]) for row in mine]) for name in DEPTH_HEADER[7:]}
-        kept = sum(row["kept"] != "no" for row in mine)
+        kept = sum(row["kept"] not in ("no", "refused") for row in mine)
         cells = " | ".join(f"{mean[name]:.3f}" for name in DEPTH_HEADER[7:])
         lines.append(f"| {place} | {len(mine)} | {kept} | {sum(map(worse, mine))} | {cells} |")
     count = sum(map(worse, trials))

@@ -12,7 +12,14 @@ from torch import nn
 import eldenet
 from eldenet.config import build_calibration, compose
 from eldenet.geometry import pinhole
-from eldenet.perception.camera_height import calibrate, level_camera, log_scale, refuse_few, scale_of_all
+from eldenet.perception.camera_height import (
+    FLOOR_SHARE,
+    calibrate,
+    level_camera,
+    log_scale,
+    refuse_few,
+    scale_of_all,
+)
 
 SIZE, CAMERA = (48, 64), (50.0, 50.0, 31.5, 23.5)
 
@@ -50,12 +57,21 @@ def test_few_floors_are_refused():
         refuse_few(np.r_[np.zeros(12), np.full(88, np.nan)])
 
 
-def test_all_depth_follows_the_floor_in_part():
-    for known in (True, False):
-        assert scale_of_all(0.2, known_pitch=known) == 1.0  # may be the floor's own error
-        for floors in (-0.9, 0.5):
-            assert 0 < np.log(scale_of_all(floors, known_pitch=known)) / floors < 1
-    assert scale_of_all(0.5, known_pitch=True) > scale_of_all(0.5, known_pitch=False)
+@pytest.mark.parametrize("known", [True, False])
+def test_all_depth_follows_the_floor_in_part(known):
+    assert scale_of_all(0.2, known_pitch=known) == 1.0  # may be the floor's own error
+    for floors in (-0.9, 0.5):
+        assert 0 < np.log(scale_of_all(floors, known_pitch=known)) / floors < 1
+
+
+def test_depth_follows_less_where_it_grows_and_where_the_pitch_is_fitted():
+    given, fitted = FLOOR_SHARE["given"], FLOOR_SHARE["fitted"]
+    for share in (given, fitted):
+        assert share["grows"] < share["shrinks"]
+    for way in ("grows", "shrinks"):
+        assert fitted[way] < given[way]
+    assert scale_of_all(0.5, known_pitch=True) == pytest.approx(np.exp(0.5 * given["grows"]))
+    assert scale_of_all(-0.5, known_pitch=False) == pytest.approx(np.exp(-0.5 * fitted["shrinks"]))
 
 
 class Floor(nn.Module):
@@ -80,7 +96,9 @@ def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     model = DepthNet(Floor(), ScaledHead(1.0, 0.01, 100.0), mean=(0, 0, 0), std=(1, 1, 1)).eval()
     model.info = {"input_size": list(SIZE)}
     monkeypatch.setattr(eldenet, "load", lambda *_, **__: model)
-    monkeypatch.setattr(DepthNet, "save_pretrained", lambda self, folder, info: saved.append((self, info)))
+    monkeypatch.setattr(
+        DepthNet, "save_pretrained", lambda self, folder, info=None: saved.append((self, info))
+    )
     return tmp_path
 
 

@@ -1,9 +1,12 @@
 """A change of weights counts only where the whole interval says so."""
 
+import copy
+
 import numpy as np
 import pytest
 
-from eldenet.results.before_after import compare, say_changes
+import eldenet
+from eldenet.results.before_after import compare, record_change, say_changes
 from eldenet.results.run_log import RunLog
 
 HARD = np.linspace(0.1, 1.0, 40)  # errors differ more between frames than between networks
@@ -42,3 +45,16 @@ def test_the_table_fits_a_terminal(tmp_path, capsys):
     assert max(map(len, lines)) <= 80
     for word in ("AbsRel ↓", "RMSE [m] ↓", "δ1 ↑", "error of scale ↓", "95 % interval"):
         assert any(word in line for line in lines)
+
+
+@pytest.mark.parametrize("gain", [0.02, -0.02])
+def test_changed_weights_do_not_state_the_scores_of_the_start(tmp_path, gain):
+    start = eldenet.load("eldenet_s")
+    start.info = {"test": {"delta1": 0.987, "protocol": "nyu_eigen"}}
+    folder = str(start.save_pretrained(tmp_path / "start"))
+    changes = {"abs_rel": compare("abs_rel", HARD, HARD - gain)}
+    kept = record_change(tmp_path, RunLog(tmp_path), start, copy.deepcopy(start), changes, folder, {})
+    assert kept is (gain > 0)
+    card = (tmp_path / "model/README.md").read_text()
+    assert ("0.987" in card) is not kept
+    assert ("adapted from" in card) is kept

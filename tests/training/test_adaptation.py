@@ -46,7 +46,7 @@ def start(folder: Path) -> Path:
 
 def setup(root: Path, *overrides: str):
     given = [f"data.root={root}", f"weights={root / 'start'}", "runtime.threads=1", "runtime.workers=0"]
-    config = compose("adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=1", *overrides])
+    config = compose("adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=60", *overrides])
     return build_adaptation(config, root / "run")
 
 
@@ -62,7 +62,9 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert kept.head.max_depth == pytest.approx(2 * 3, rel=0.05)
     for name in ("before_after.png", "held_out.csv", "model/config.json"):
         assert (tmp_path / "run" / name).is_file()
-    assert "kept" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "kept" in said
+    assert f"predict checkpoint={tmp_path / 'run'}" in said
 
 
 def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
@@ -92,8 +94,8 @@ def test_no_frame_is_both_learned_and_held_out(tmp_path):
 
 
 def test_the_scale_alone_is_kept_where_the_training_is_not_surely_better():
-    def change(after: float, high: float) -> Change:
-        return Change("abs_rel", 0.3, after, after - 0.4, high, 20)
+    def change(after: float, high: float) -> dict[str, Change]:
+        return {"abs_rel": Change("abs_rel", 0.3, after, after - 0.4, high, 20)}
 
     both = {"all": change(0.2, -0.01), "scale": change(0.25, -0.01)}
     assert best_candidate(both) == "all"
@@ -110,6 +112,8 @@ def test_the_time_limits_the_training(tmp_path):
     assert len(frames) == whole
     assert affordable_epochs(model, frames, made, seconds=1e-3) == 1
     assert len(frames) < whole
+    assert affordable_epochs(model, frames, made, seconds=-1) == 1  # reading them took all the time
+    assert len(frames) >= 2
 
 
 def test_a_rescaled_network_keeps_its_factor_when_saved(tmp_path):
