@@ -94,6 +94,7 @@ class Camera:
         check_view(width, intrinsics)
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
         self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
+        self.wrong_columns = artifacts is not None
         self.size, self.light = (height, width), light
         self.drift, self.latency = as_drift(drift), check_latency(latency)
         self.sources: dict[str, tuple[str, Any]] = {}

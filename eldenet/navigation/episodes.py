@@ -15,6 +15,7 @@ from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
+from eldenet.simulation.arena_mjcf import FRICTION
 from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
@@ -49,21 +50,25 @@ class EpisodeSettings:
             true pose decides when an episode ends.
         time_limit: [s].
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
-        range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`.
+        range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`; None:
+            if single columns of the sensor may be wrong.
         robot_size: of its footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`; no driver knows it.
         robot_speed: speed and turn rate that it reaches, relative to the commands; no driver knows it.
+        robot_friction: between its wheels and the floor, for physics="wheels"; no driver knows it.
 
     Raises:
-        ValueError: unknown physics or goal, or a size or speed out of range.
+        ValueError: unknown physics or goal, a size, speed or friction out of range, or a friction without
+            wheels.
     """
 
     physics: str = "kinematic"
     goal: str = "known"
     time_limit: float = TIME_LIMIT
     seed: int = 0
-    range_filter: bool = False
+    range_filter: bool | None = False
     robot_size: float = 1.0
     robot_speed: float = 1.0
+    robot_friction: float = FRICTION
 
     def __post_init__(self) -> None:
         one_of("physics", self.physics, PHYSICS)
@@ -71,6 +76,17 @@ class EpisodeSettings:
         for name, value in (("size", self.robot_size), ("speed", self.robot_speed)):
             if not 0.5 <= value <= 1.5:
                 raise ValueError(f"robot.{name}={value}: give a factor from 0.5 to 1.5")
+        if not 0.05 <= self.robot_friction <= 2:
+            raise ValueError(f"robot.friction={self.robot_friction}: give 0.05 to 2")
+        if self.robot_friction != FRICTION and self.physics != "wheels":
+            raise ValueError(
+                f"robot.friction={self.robot_friction} has no effect with physics={self.physics}: choose "
+                "physics=wheels"
+            )
+
+    def filters(self, sensor: Sensor) -> bool:
+        """Return whether ranges of a sensor are filtered."""
+        return getattr(sensor, "wrong_columns", False) if self.range_filter is None else self.range_filter
 
 
 class Episodes:
@@ -92,7 +108,8 @@ class Episodes:
         self.observations: list[Observation | None] = [None] * count
         self._sensors: list[SensorInstance | None] = [None] * count
         self._odometry: list[Odometry | None] = [None] * count
-        self._filters = [RangeFilter() for _ in range(count)]  # for range_filter only
+        self._filtered = settings.filters(sensor)
+        self._filters = [RangeFilter() for _ in range(count)]
         self._localizers: list[Localizer | None] = [None] * count  # for goal="fixes" only
         self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # true ones
@@ -108,7 +125,9 @@ class Episodes:
             world.arena = arena
             world.place(arena.start)
         else:
-            world = self.worlds[slot] = ArenaWorld(arena, self.settings.physics, self.settings.robot_size)
+            world = self.worlds[slot] = ArenaWorld(
+                arena, self.settings.physics, self.settings.robot_size, self.settings.robot_friction
+            )
         stream = np.random.SeedSequence(tuple(seed))
         rng = np.random.Generator(np.random.PCG64(stream))
         self._sensors[slot] = self.sensor.begin(world, rng)
@@ -146,7 +165,7 @@ class Episodes:
         """Take a new scan in some slots."""
         for slot in slots:
             scan = self._sensors[slot].scan()  # type: ignore[union-attr]
-            if self.settings.range_filter:
+            if self._filtered:
                 odometry = np.array(self._odometry[slot].pose)  # type: ignore[union-attr]
                 ranges, cautious = self._filters[slot](scan.ranges, odometry, scan.cautious)
                 scan = scan._replace(ranges=ranges, cautious=cautious)

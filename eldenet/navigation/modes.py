@@ -227,9 +227,10 @@ def evaluate(setup: EvaluationSetup, log: RunLog) -> None:
         rates = [f"{s[name]:.1f}" for name in ("collision", "timeout", "seconds")]
         table.append([str(density), f"{s['success']:.1f}", interval, *rates, f"{s['spl']:.3f}"])
     write_record(setup, sensor, policy, {"metrics": metrics, "arenas": hashes})
+    filtered = "range filter, " if setup.episode.filters(sensor) else ""
     title = (
-        f"{policy.name}, {setup.episode.physics}, goal {setup.episode.goal}, {setup.episodes} {setup.split} "
-        f"arenas ({setup.kind}) per density: {setup.folder / RUN_FILE}"
+        f"{policy.name}, {setup.episode.physics}, goal {setup.episode.goal}, {filtered}{setup.episodes} "
+        f"{setup.split} arenas ({setup.kind}) per density: {setup.folder / RUN_FILE}"
     )
     log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
 

@@ -20,6 +20,7 @@ from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
 MAX_LATENCY = 1.0  # [s]
+BURST = 5  # scans in a row that are lost, in the mean
 
 
 class Observation(NamedTuple):
@@ -67,6 +68,8 @@ class Sensor(Protocol):
         drift: of the odometry used with it.
         latency: from a scan until the command that was decided on it takes effect [s], in steps of 0.1 s;
             until then earlier commands last, and at the start the robot stands.
+
+    A sensor whose single columns may be wrong says so by an attribute ``wrong_columns``.
     """
 
     drift: "Drift"
@@ -132,12 +135,15 @@ class Ranges:
         false_near: share of the columns, redrawn in each scan, that read as nearest.
         false_far: share of the columns, redrawn in each scan, that read as if nothing were there.
         stuck: columns, drawn once per episode, that always read as nearest.
+        factor: of all ranges: 0.85 reads everything 15 % too near.
+        lost: share of the scans that are lost, in bursts of a second in the mean; the last one before is
+            reported again. The first scan of an episode is never lost.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].
 
     Raises:
-        ValueError: a share is not in [0, 1], together they exceed 1, there are not so many columns, or the
-            latency is out of range.
+        ValueError: a share is not in [0, 1], together they exceed 1, there are not so many columns, or
+            factor, lost or latency are out of range.
     """
 
     def __init__(
@@ -146,6 +152,8 @@ class Ranges:
         false_near: float = 0.0,
         false_far: float = 0.0,
         stuck: int = 0,
+        factor: float = 1.0,
+        lost: float = 0.0,
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
@@ -155,12 +163,18 @@ class Ranges:
             )
         if not 0 <= stuck <= ROBOT.columns:
             raise ValueError(f"stuck={stuck}: give 0 to {ROBOT.columns} columns")
+        if not 0.5 <= factor <= 2:
+            raise ValueError(f"sensor.factor={factor}: give a factor from 0.5 to 2")
+        if not 0 <= lost <= 0.5:
+            raise ValueError(f"sensor.lost={lost}: give a share of the scans, 0 to 0.5")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
+        self.factor, self.lost = factor, lost
+        self.wrong_columns = bool(false_near or false_far or stuck)
         self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""
-        if not (self.false_near or self.false_far or self.stuck):
+        if not (self.false_near or self.false_far or self.stuck or self.lost) and self.factor == 1:
             return _TrueRanges(world)
         return _WrongRanges(self, world, rng)
 
@@ -177,10 +191,24 @@ class _WrongRanges:
     def __init__(self, sensor: Ranges, world: ArenaWorld, rng: np.random.Generator) -> None:
         self.sensor, self.world, self.rng = sensor, world, rng
         self.stuck = rng.permutation(ROBOT.columns)[: sensor.stuck]
+        self.last: np.ndarray | None = None
+        self.losing = False
 
     def scan(self) -> Observation:
+        if self.sensor.lost and self.last is not None:
+            self.losing = self.rng.random() < self._chance_to_lose()
+            if self.losing:
+                return Observation(self.last.copy(), np.zeros(ROBOT.columns, np.intp))
         ranges, chance = self.world.ranges(), self.rng.random(ROBOT.columns)
+        hit = ranges < ROBOT.far
+        ranges[hit] = np.clip(self.sensor.factor * ranges[hit], ROBOT.near, ROBOT.far)
         ranges[chance < self.sensor.false_near] = ROBOT.near
         ranges[chance > 1 - self.sensor.false_far] = ROBOT.far
         ranges[self.stuck] = ROBOT.near
-        return Observation(ranges, np.zeros(ROBOT.columns, np.intp))
+        self.last = ranges
+        return Observation(ranges.copy(), np.zeros(ROBOT.columns, np.intp))
+
+    def _chance_to_lose(self) -> float:
+        """Of the next scan: a burst goes on, or a new one begins as often as the share asks for."""
+        lost = self.sensor.lost
+        return 1 - 1 / BURST if self.losing else lost / (1 - lost) / BURST

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 WALL_HEIGHT, CEILING = 2.0, 4.0  # [m]
 ROBOTS = ("none", "planar", "wheels")
 WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
+FRICTION = 1.1  # between wheels and floor
 TIMESTEP = 0.005  # of the wheels' physics [s]
 
 # The chassis reaches down to 6 cm, so that nothing slips under it; it turns around the center of the axle.
@@ -26,7 +27,14 @@ _CHASSIS = (
 )
 
 
-def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False, size: float = 1.0) -> str:
+def arena_mjcf(
+    arena: Arena,
+    robot: str = "planar",
+    *,
+    visual: bool = False,
+    size: float = 1.0,
+    friction: float = FRICTION,
+) -> str:
     """Return the MJCF text of an arena.
 
     Args:
@@ -35,6 +43,7 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False, siz
             wheels and a caster on the floor) or "none" (for the camera's model).
         visual: add materials, a ceiling and the hall for :mod:`eldenet.simulation.arena_view`.
         size: of the robot's footprint and track, relative to :data:`~eldenet.simulation.robot.ROBOT`.
+        friction: between wheels and floor.
 
     Raises:
         ValueError: unknown robot.
@@ -55,7 +64,7 @@ def arena_mjcf(arena: Arena, robot: str = "planar", *, visual: bool = False, siz
         if o.path
     ]
     assets = materials.palette.assets() if materials is not None else ""
-    body = {"none": "", "planar": _planar(size), "wheels": _wheels(size)}[robot]
+    body = {"none": "", "planar": _planar(size), "wheels": _wheels(size, friction)}[robot]
     inner = "\n".join([*walls, *bodies, body])
     return (
         '<mujoco model="arena">\n<compiler angle="radian"/>\n'
@@ -133,13 +142,15 @@ def _planar(size: float) -> str:
     )
 
 
-def _wheels(size: float) -> str:
+def _wheels(size: float, friction: float) -> str:
     """Return a free body on two driven wheels and a frictionless caster behind them."""
+    # of two bodies that touch, MuJoCo takes the greater friction, unless one has priority
+    grip = f'friction="{number(friction)}"' + ("" if friction == FRICTION else ' priority="1"')
     shared = 'contype="0" conaffinity="3" group="5"'
     wheels = "".join(
         f'<body name="{name}" pos="0 {number(y)} {WHEEL_RADIUS}">'
         f'<joint name="{name}" type="hinge" axis="0 1 0" damping="0.05" armature="0.02"/>'
-        f'<geom type="cylinder" size="{WHEEL_RADIUS} 0.02" euler="1.5708 0 0" condim="3" friction="1.1" '
+        f'<geom type="cylinder" size="{WHEEL_RADIUS} 0.02" euler="1.5708 0 0" condim="3" {grip} '
         f'{shared} mass="1"/></body>'
         for name, y in (("left", size * WHEEL_TRACK / 2), ("right", -size * WHEEL_TRACK / 2))
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.simulation.arena_mjcf import TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
+from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.rendering.camera import SEEN_GROUPS
 from eldenet.simulation.robot import ROBOT
@@ -26,18 +26,23 @@ class ArenaWorld:
         physics: "kinematic" moves the pose along arcs, at bounded acceleration, and checks for contacts
             (about 4 us each); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
         size: of the robot's footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`.
+        friction: between wheels and floor.
 
     Raises:
         ValueError: unknown physics.
     """
 
-    def __init__(self, arena: Arena, physics: str = "kinematic", size: float = 1.0) -> None:
+    def __init__(
+        self, arena: Arena, physics: str = "kinematic", size: float = 1.0, friction: float = FRICTION
+    ) -> None:
         import mujoco
 
         if physics not in PHYSICS:
             raise ValueError(f"physics={physics!r}: choose one of {', '.join(PHYSICS)}")
         self.arena, self.physics, self.size = arena, physics, size
-        text = arena_mjcf(arena, "planar" if physics == "kinematic" else "wheels", size=size)
+        text = arena_mjcf(
+            arena, "planar" if physics == "kinematic" else "wheels", size=size, friction=friction
+        )
         self.model: Any = mujoco.MjModel.from_xml_string(text)
         self.data: Any = mujoco.MjData(self.model)
         self._kinematics, self._collide = mujoco.mj_kinematics, mujoco.mj_collision

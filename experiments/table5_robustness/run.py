@@ -7,9 +7,8 @@ All rows cross the same test arenas with 80 obstacles, and draw their wrong read
 
 import sys
 from argparse import ArgumentParser
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from eldenet.system.resources import prepare_environment
 
@@ -26,15 +25,16 @@ from eldenet.navigation.evaluation import (  # noqa: E402
     summarize,
     write_episodes,
 )
-from eldenet.navigation.planners.astar import AStarOnlineDWA  # noqa: E402
-from eldenet.navigation.policy import Navigator  # noqa: E402
-from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+from conditions import METHODS, VERSIONS  # noqa: E402
+
 DENSITY = 80
 FAULTS: Mapping[str, Mapping[str, float]] = {
     "clean": {},
@@ -45,10 +45,6 @@ FAULTS: Mapping[str, Mapping[str, float]] = {
     "5 % of each": {"false_near": 0.05, "false_far": 0.05},
     "one stuck column": {"stuck": 1},
 }
-METHODS: Mapping[str, Callable[[int], Any]] = {
-    "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
-    "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
-}
 LABELS = ("method", "faults", "filter", "version")
 
 # (method, faults, whether there is the filter) -> episodes by arena
@@ -58,15 +54,18 @@ Rows = dict[tuple[str, str, bool], list[Episode]]
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=40, help="test arenas")
-    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--methods", default=";".join(list(METHODS)[:3]), help="separated by semicolons")
     parser.add_argument("--faults", default=",".join(FAULTS))
+    parser.add_argument(
+        "--filter", default="both", choices=("both", "with"), help="rows without it too, or not"
+    )
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
     stored = read(folder / "results.csv")
     arenas = frozen_arenas(DENSITY, args.worlds)
     for faults in args.faults.split(","):
-        for method in args.methods.split(","):
-            for filtered in (False, True):
+        for method in args.methods.split(";"):
+            for filtered in (False, True) if args.filter == "both" else (True,):
                 rows = stored.setdefault((method, faults, filtered), [])
                 if len(rows) >= args.worlds:
                     continue
@@ -78,9 +77,9 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     write(folder, stored)
 
 
-def version(filtered: bool) -> str:
+def version(method: str, filtered: bool) -> str:
     """Version of what an episode depends on."""
-    return f"{EPISODE_VERSION}.{FILTER_VERSION}" if filtered else f"{EPISODE_VERSION}"
+    return f"{VERSIONS[method]}.{FILTER_VERSION}" if filtered else VERSIONS[method]
 
 
 def read(file: Path) -> Rows:
@@ -88,7 +87,7 @@ def read(file: Path) -> Rows:
     return {
         (method, faults, filtered == "True"): episodes
         for (method, faults, filtered, made_with), episodes in read_episodes(file, LABELS).items()
-        if made_with == version(filtered == "True")
+        if made_with == version(method, filtered == "True")
     }
 
 
@@ -101,7 +100,7 @@ def write(folder: Path, rows: Rows) -> None:
         )
     }
     made = {key: rows[key] for key in sorted(rows, key=order.__getitem__) if rows[key]}
-    labeled = {(*key, version(key[2])): episodes for key, episodes in made.items()}
+    labeled = {(*key, version(key[0], key[2])): episodes for key, episodes in made.items()}
     write_episodes(folder / "results.csv", LABELS, labeled)
     where = environment()
     text = [
@@ -111,29 +110,33 @@ def write(folder: Path, rows: Rows) -> None:
         f"{where['date']}. The last column counts the arenas that only one of both solved, and McNemar's "
         "p-value.",
     ]
-    for method in dict.fromkeys(key[0] for key in made if (*key[:2], not key[2]) in made):
+    for method in dict.fromkeys(key[0] for key in made if key[2]):
         text += ["", f"## {method}", "", "| readings | arenas | without filter | with filter |"]
         text[-1] += " time-outs | collisions | time of successes [s] | only without : only with |"
         text += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
         for faults in FAULTS:
-            both = [made.get((method, faults, on)) for on in (False, True)]
-            if both[0] and both[1]:
-                text.append(line_of(faults, both[0], both[1]))
-    text += ["", "Time-outs, collisions [%] and time: without / with the filter.", ""]
-    text += ["Made by `python experiments/table5_robustness/run.py`."]
+            without, having = (made.get((method, faults, on)) for on in (False, True))
+            if having:
+                text.append(line_of(faults, without, having))
+    text += ["", "Arenas, time-outs, collisions [%] and time: without / with the filter, or with it alone."]
+    text += ["", "Made by `python experiments/table5_robustness/run.py`."]
     (folder / "results.md").write_text("\n".join(text) + "\n")
 
 
-def line_of(faults: str, without: Sequence[Episode], having: Sequence[Episode]) -> str:
-    """Return a line of the table."""
-    count = min(len(without), len(having))
-    tables = [summarize(rows[:count]) for rows in (without, having)]
-    cells = [f"{t['success']:.1f} ({t['success_low']:.0f} to {t['success_high']:.0f})" for t in tables]
+def line_of(faults: str, without: Sequence[Episode] | None, having: Sequence[Episode]) -> str:
+    """Return a line of the table: a dash where there are no rows without the filter."""
+    both = [rows for rows in (without, having) if rows]
+    tables = [summarize(rows) for rows in both]
+    rates = [f"{t['success']:.1f} ({t['success_low']:.0f} to {t['success_high']:.0f})" for t in tables]
+    cells = [" / ".join(str(len(rows)) for rows in both), *(["-"] if without is None else []), *rates]
     for name in ("timeout", "collision", "seconds"):
         cells.append(" / ".join(f"{t[name]:.1f}" for t in tables))
+    if without is None:
+        return f"| {faults} | {' | '.join(cells)} | - |"
+    count = min(len(without), len(having))
     first, second = ([row.outcome == "success" for row in rows[:count]] for rows in (without, having))
     only_without, only_with, p = mcnemar(first, second)
-    return f"| {faults} | {count} | {' | '.join(cells)} | {only_without} : {only_with} (p = {p:.2g}) |"
+    return f"| {faults} | {' | '.join(cells)} | {only_without} : {only_with} (p = {p:.2g}) |"
 
 
 if __name__ == "__main__":

@@ -70,8 +70,11 @@ def measure(rows: Rows, key: tuple[str, int, str, float], worlds: int, folder: P
     """Measure a row unless it is stored, and store it."""
     if len(rows.setdefault(key, [])) < worlds:
         split, density, method, carrot = key
-        arenas = frozen_arenas(density, worlds, split=split)
-        rows[key] = run_episodes(arenas, driver(method, carrot), Ranges(), EpisodeSettings("wheels"))
+        # nothing is drawn with true ranges: an episode is the same whichever are run beside it
+        arenas = frozen_arenas(density, worlds, split=split)[len(rows[key]) :]
+        rows[key] = rows[key] + run_episodes(
+            arenas, driver(method, carrot), Ranges(), EpisodeSettings("wheels")
+        )
         print(*key, summarize(rows[key])["success"], flush=True)
         write(folder, rows)
 

@@ -123,3 +123,18 @@ def test_the_footprint_has_the_size_that_is_set(physics):
         episodes.start(0, arena, (0,))
         touched.append(int(episodes.step(np.array([[0.0, 0.0]]))[1][0]))
     assert touched == [0, 2]
+
+
+def test_a_slippery_floor_lets_the_wheels_spin():
+    ways = {}
+    for friction in (1.1, 0.15):
+        episodes = Episodes(1, Ranges(), EpisodeSettings("wheels", robot_friction=friction))
+        episodes.start(0, EMPTY, (0,))
+        for _ in range(3):
+            episodes.step(np.array([[1.0, 0.0]]))
+        ways[friction] = episodes.travelled[0]
+    assert 0 < ways[0.15] < 0.8 * ways[1.1]
+    with pytest.raises(ValueError, match=r"robot\.friction=9: give 0\.05 to 2"):
+        EpisodeSettings("wheels", robot_friction=9)
+    with pytest.raises(ValueError, match=r"robot\.friction=0\.2 has no effect with physics=kinematic"):
+        EpisodeSettings(robot_friction=0.2)

@@ -5,10 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from eldenet.config import compose
+from eldenet.navigation.cameras import camera, depth_camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings
+from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.range_filter import WIDEST_GAP, RangeFilter, fill_gaps
-from eldenet.navigation.sensors import EXACT, Observation, Ranges
+from eldenet.navigation.sensors import BURST, EXACT, Observation, Ranges
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import generate_arena
 from eldenet.simulation.robot import ROBOT
@@ -152,6 +155,17 @@ def test_any_driver_gets_filtered_ranges_by_a_setting_of_the_episode():
         assert (episodes.sense().fault is None) == on
 
 
+def test_by_default_the_command_filters_where_single_columns_may_be_wrong():
+    settings = EpisodeSettings(range_filter=None)
+    wrong = [Ranges(false_near=0.02), Ranges(false_far=0.02), Ranges(stuck=1), depth_camera()]
+    right = [Ranges(), Ranges(factor=0.9, lost=0.1, latency=0.4), NoisyRanges(), camera(), Blinking()]
+    assert all(map(settings.filters, wrong))
+    assert not any(map(settings.filters, right))
+    assert EpisodeSettings(range_filter=True).filters(Ranges())
+    for mode in ("record", "evaluate"):
+        assert compose("navigate", [f"mode={mode}"]).range_filter is None
+
+
 def test_the_trained_driver_is_not_slowed_by_one_reading():
     clear, wrong, unfiltered = Navigator.load(), Navigator.load(), Navigator.load()
     unfiltered.range_filter = None
@@ -177,3 +191,29 @@ def test_wrong_readings_come_in_the_asked_shares():
         Ranges(false_near=0.7, false_far=0.4)
     with pytest.raises(ValueError, match="stuck=41"):
         Ranges(stuck=41)
+
+
+def test_a_factor_scales_what_is_in_range():
+    world = ArenaWorld(generate_arena("val", 5, 0))
+    true = world.ranges()
+    for factor in (0.85, 1.15):
+        ranges = Ranges(factor=factor).begin(world, np.random.default_rng(0)).scan().ranges
+        scaled = np.clip(factor * true, ROBOT.near, ROBOT.far)
+        assert ranges == pytest.approx(np.where(true < ROBOT.far, scaled, true))
+    with pytest.raises(ValueError, match=r"sensor\.factor=3: give a factor from 0\.5 to 2"):
+        Ranges(factor=3)
+
+
+def test_lost_scans_come_in_bursts_and_repeat_the_last_one():
+    world = ArenaWorld(generate_arena("val", 5, 0))
+    instance, lost = Ranges(lost=0.1).begin(world, np.random.default_rng(0)), []
+    for number in range(4000):
+        world.place((0.01 * (number % 100) - 8, 0.0, 0.0))
+        before, ranges = instance.last, instance.scan().ranges
+        lost.append(bool(instance.losing))
+        assert (ranges == (before if lost[-1] else world.ranges())).all()
+    bursts = np.diff(np.array(lost, int), prepend=0).clip(0).sum()
+    assert np.mean(lost) == pytest.approx(0.1, abs=0.03)
+    assert sum(lost) / bursts == pytest.approx(BURST, abs=1.5)
+    with pytest.raises(ValueError, match=r"sensor\.lost=0\.9: give a share of the scans, 0 to 0\.5"):
+        Ranges(lost=0.9)

@@ -1,0 +1,89 @@
+"""One table of all conditions and faults: the packaged driver as table 5 has it, and what helps.
+
+python experiments/table5_robustness/table.py             measures rows that are missing, writes table.md
+python experiments/table5_robustness/table.py --stored    measures nothing
+"""
+
+import sys
+from argparse import ArgumentParser
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+import conditions  # noqa: E402
+import run as faults  # noqa: E402
+
+from eldenet.navigation.evaluation import Episode, summarize  # noqa: E402
+
+METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned", "astar_online_dwa")
+HEAD = (
+    "what differs from 80 obstacles and true ranges",
+    "packaged driver alone",
+    "packaged driver",
+    "`astar_online_dqn`",
+    "`astar_online_dwa`, tuned",
+    "`astar_online_dwa`",
+)
+
+
+def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--worlds", type=int, default=40, help="test arenas of rows that are missing")
+    parser.add_argument("--stored", action="store_true", help="measure nothing")
+    args = parser.parse_args(arguments)
+    if not args.stored:
+        conditions.main(["--worlds", str(args.worlds)], folder)
+        faults.main(["--worlds", str(args.worlds)], folder)
+    write(folder, conditions.read(folder / "conditions.csv"), faults.read(folder / "results.csv"))
+
+
+def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
+    """Write ``table.md``."""
+    lines = [line for name in conditions.CONDITIONS if (line := condition_line(name, rows))]
+    lines += [fault_line(name, faulty) for name in list(faults.FAULTS)[1:]]
+    text = [
+        "# What an arena, a delay or a fault costs",
+        "",
+        "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last four columns "
+        "know the latency, and get filtered ranges where single columns are wrong; the first one does not.",
+        "",
+        f"| {' | '.join(HEAD)} |",
+        f"|---|{'---:|' * (len(HEAD) - 1)}",
+        *lines,
+        "",
+        "Made by `python experiments/table5_robustness/table.py --stored` of `conditions.csv` and "
+        "`results.csv`.",
+    ]
+    (folder / "table.md").write_text("\n".join(text) + "\n")
+
+
+def condition_line(name: str, rows: conditions.Rows) -> str | None:
+    """Return a line of the table; None for a known latency, which stands in the line of the latency."""
+    if conditions.CONDITIONS[name].predicted:
+        return None
+    known = f"{name}, predicted"
+    helped = known if known in conditions.CONDITIONS else name
+    return line(name, rows.get(("dqn_ensemble", name)), [rows.get((method, helped)) for method in METHODS])
+
+
+def fault_line(name: str, rows: faults.Rows) -> str:
+    """Return a line of the table: without the range filter, then with it."""
+    alone = rows.get(("dqn_ensemble", name, False))
+    return line(name, alone, [rows.get((method, name, True)) for method in METHODS])
+
+
+def line(name: str, alone: Sequence[Episode] | None, helped: Sequence[Sequence[Episode] | None]) -> str:
+    return f"| {' | '.join([name, *map(cell, (alone, *helped))])} |"
+
+
+def cell(episodes: Sequence[Episode] | None) -> str:
+    if not episodes:
+        return "-"
+    s: Mapping[str, float] = summarize(episodes)
+    return f"{s['success']:.1f} ({s['success_low']:.0f} to {s['success_high']:.0f}; {len(episodes)})"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
