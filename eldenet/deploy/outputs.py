@@ -46,7 +46,7 @@ class Results:
         images: pictures or frames written so far.
         skipped: reasons why pictures could not be read.
         too_far: pixels beyond 65.535 m, which the depth files cannot hold.
-        unsure: pixels that a picture shows in pale colors, and ``pixels`` all of them.
+        unsure: pixels where the network is unsure, and ``pixels`` all of them.
         size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
@@ -129,7 +129,7 @@ class Results:
     ) -> None:
         """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
-        Of an estimate with sigma, the colors are pale where it is unsure.
+        With the format "sigma", the colors are pale where the network is unsure.
         ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is the picture's own.
 
         Raises:
@@ -164,9 +164,8 @@ class Results:
             write_picture(file["depth"], steps)
         if "color" in formats:
             near, far = self.depth_range or visible_range(estimate.depth)
-            write_picture(
-                file["color"], photo_beside_depth(photo, estimate.depth, near, far, unsure=estimate.unsure)
-            )
+            unsure = self.shown_unsure(estimate)
+            write_picture(file["color"], photo_beside_depth(photo, estimate.depth, near, far, unsure=unsure))
         if "sigma" in formats:
             write_picture(file["sigma"], to_millimeters(estimate.sigma))
             beside = photo_beside_sigma(photo, estimate.depth, estimate.sigma)
@@ -175,6 +174,10 @@ class Results:
             self.unsure += int(estimate.unsure.sum())
             self.pixels += estimate.depth.size
         self.images += 1
+
+    def shown_unsure(self, estimate: DepthEstimate) -> np.ndarray | None:
+        """Return the pixels that pictures show in pale colors: none without the format "sigma"."""
+        return estimate.unsure if "sigma" in self.formats else None
 
     def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
         """Print what was written, where and how fast, and what was not."""
@@ -188,9 +191,10 @@ class Results:
         )
         if self.pixels:
             share = 100 * self.unsure / self.pixels
+            marked = "in pale colors" if "sigma" in self.formats else "formats=[color,sigma] shows where"
             log.say(
-                f"pale colors: {share:.1f} % of the pixels, where the network is unsure "
-                f"(its sigma is above {100 * UNSURE:.0f} % of the depth)"
+                f"the network is unsure of {share:.1f} % of the pixels "
+                f"(sigma above {100 * UNSURE:.0f} % of the depth): {marked}"
             )
         if self.skipped:
             log.say(f"skipped {len(self.skipped)}:")

@@ -56,7 +56,8 @@ def predict_video(
                 if "color" in results.formats:
                     shown_depth = as_estimate(depth)
                     span = results.depth_range or _follow(span, visible_range(shown_depth.depth))
-                    add(photo_beside_depth(photo, shown_depth.depth, *span, unsure=shown_depth.unsure), taken)
+                    unsure = results.shown_unsure(shown_depth)
+                    add(photo_beside_depth(photo, shown_depth.depth, *span, unsure=unsure), taken)
                 lost = f", {stream.dropped} dropped" if stream.drop else ""
                 bar.advance(1, f"now {stream.fps:.0f} frames/s{lost}")
                 if results.images == frames or stop:

@@ -109,7 +109,19 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(
     assert pale.sum() == pytest.approx(5 * 5 * estimate.unsure.sum(), rel=0.02)
     assert (results.unsure, results.pixels) == (estimate.unsure.sum(), 48 * 64)
     said = capsys.readouterr().out
-    assert f"pale colors: {100 * share:.1f} % of the pixels, where the network is unsure" in said
+    assert f"the network is unsure of {100 * share:.1f} % of the pixels" in said
+    assert "in pale colors" in said
+
+
+def test_pictures_without_the_format_sigma_have_plain_colors(
+    model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = save(tmp_path / "room.png", photo())
+    folder = model.save_pretrained(tmp_path / "model", info=model.info)
+    predict(setup(folder, source, tmp_path / "out", "formats=[color]"))
+    panel = cv2.imread(str(tmp_path / "out" / "room_color.png"))[:, 5 * 64 + 4 : 2 * 5 * 64 + 4]
+    assert not (panel >= PALE).all(-1).any()
+    assert "formats=[color,sigma] shows where" in capsys.readouterr().out
 
 
 def test_predict_refuses_sigma_of_a_network_that_knows_none(tmp_path: Path) -> None:
