@@ -95,12 +95,11 @@ def test_two_processes_train_to_the_weights_of_one(tmp_path, command_server):
         assert rank.returncode == 0, rank.stderr[-3000:]
     train(tmp_path / "one", 1)
     for group in ("model", "loss"):
-        assert (
-            largest_difference(tmp_path / "one", tmp_path / "two", group) < 5e-4
-        )  # rounding differs by processor
+        # rounding alone: two threads, or kernels without oneDNN, move a weight by 7e-5
+        assert largest_difference(tmp_path / "one", tmp_path / "two", group) < 2e-4
     start = with_statistics("eldenet_s", seed=1).state_dict()  # it did train
     trained = load_checkpoint(tmp_path / "one")["model"]
-    assert max(float((trained[name] - start[name]).abs().max()) for name in start) > 1e-3
+    assert max(float((trained[name] - start[name]).abs().max()) for name in start) > 4e-3
     # the validation counted each of the five frames once
     progress = [load_checkpoint(tmp_path / name)["progress"] for name in ("one", "two")]
     for one, two in zip(*(entry["history"] for entry in progress), strict=True):
