@@ -41,6 +41,21 @@ def test_it_drives_over_no_place_that_it_never_saw():
     assert not driver._is_safe(0, straight, np.array([[0.5, 0.0]]), nothing)
 
 
+def test_it_is_fast_beside_a_wall_and_slow_before_things_and_near_the_goal():
+    driver = PlanAndSteer(slows_within=1.0)
+    straight, nothing = 2, np.empty((0, 2))
+    beside = np.stack([np.linspace(-1, 2.5, 36), np.full(36, 0.5)], axis=1)
+    close = beside - [0, 0.2]
+    ahead = np.array([[1.5, 0.0]])
+    assert driver._fastest(straight, 8.0, beside, nothing) == ROBOT.max_speed
+    assert driver._fastest(straight, 8.0, close, nothing) == 0
+    before_a_thing, before_the_unseen = (
+        driver._fastest(straight, 8.0, *points) for points in ((ahead, nothing), (nothing, ahead))
+    )
+    assert 0 < before_a_thing <= before_the_unseen < 0.75
+    assert driver._fastest(straight, 0.5, nothing, nothing) == 0.5
+
+
 def test_it_backs_up_where_it_can_only_stand():
     driver = PlanAndSteer()
     driver.reset(0)
