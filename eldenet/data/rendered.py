@@ -3,8 +3,11 @@
 import hashlib
 import os
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Unpack
+
+import numpy as np
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
@@ -32,6 +35,8 @@ class RenderedScenes(DepthDataset):
         workers: processes that render missing frames; None for two (one on a single core), 0 renders in this
             process.
         detail: frames of ``detailed``: closer to real pictures.
+        depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
+            (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
             0 to ``generator.farthest``.
 
@@ -59,8 +64,12 @@ class RenderedScenes(DepthDataset):
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
         detail: bool = False,
+        depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
+        self.artifacts = None
+        if depth_camera:  # found by its name, like the renderer: simulation lies above data
+            self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
         if detail:
             self.generator = self.detailed.with_focal(self.generator.focal)
         one_of("split", split, SPLITS)
@@ -104,12 +113,19 @@ class RenderedScenes(DepthDataset):
 
     @property
     def split_hash(self) -> str:
-        """Names the split in reports: the frames, their size and the version of their generator."""
-        return hashlib.sha256("\n".join([self.folder.name, *self.names]).encode()).hexdigest()[:16]
+        """Names the split in reports: the frames, their size, depth and the version of their generator."""
+        parts = [self.folder.name, *self.names, *(["depth_camera"] if self.artifacts else [])]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""
         frame = self.store.frame(self.places[index])
         if frame is None:
             raise ValueError(f"{self.folder}: {self.names[index]} is damaged: run again to render it again")
-        return frame
+        if self.artifacts is None or frame.intrinsics is None:
+            return frame
+        rng = np.random.default_rng((self.places[index], SPLITS.index(self.split)))
+        dead = self.artifacts.draw_dead(self.size[1], rng)
+        sky = frame.depth == 0
+        depth = self.artifacts.apply(np.where(sky, 1e3, frame.depth), frame.intrinsics[0, 0], dead, rng)
+        return frame._replace(depth=np.where(sky, 0, depth))

@@ -22,6 +22,7 @@ class Rooms(RenderedScenes):
             None: about the Kinect's, 0.76 to 0.88.
         detail: rooms as people photograph them: natural colors, more things, light that bounces, shade where
             things touch.
+        depth_camera: depth as a stereo depth camera measures it, see there.
         **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:
@@ -43,7 +44,17 @@ class Rooms(RenderedScenes):
         workers: int | None = None,
         focal: Sequence[float] | None = None,
         detail: bool = False,
+        depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         self.generator = self.generator.with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)
+        super().__init__(
+            split,
+            frames,
+            size=size,
+            root=root,
+            workers=workers,
+            detail=detail,
+            depth_camera=depth_camera,
+            **options,
+        )

@@ -24,6 +24,7 @@ class Streets(RenderedScenes):
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: KITTI's, 0.58.
         detail: streets with sidewalks, trees, poles, signs, house fronts, clouds and shadows.
+        depth_camera: depth as a stereo depth camera measures it, see there.
         **options: see :class:`~eldenet.data.base.DepthDataset`.
 
     Raises:
@@ -46,7 +47,17 @@ class Streets(RenderedScenes):
         workers: int | None = None,
         focal: Sequence[float] | None = None,
         detail: bool = False,
+        depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
         self.generator = self.generator.with_focal(focal)
-        super().__init__(split, frames, size=size, root=root, workers=workers, detail=detail, **options)
+        super().__init__(
+            split,
+            frames,
+            size=size,
+            root=root,
+            workers=workers,
+            detail=detail,
+            depth_camera=depth_camera,
+            **options,
+        )

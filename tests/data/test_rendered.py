@@ -13,6 +13,7 @@ from eldenet.data import rendered
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.rooms import Rooms
+from eldenet.data.streets import Streets
 from eldenet.simulation.furnished_rooms.render import render_room
 
 SIZE = (32, 40)
@@ -47,6 +48,28 @@ def test_samples_have_the_types_of_every_data_set(dataset: Rooms) -> None:
     known = sample["depth"][sample["mask"]]
     assert 0.1 <= known.min() <= known.max() <= 10
     assert (dataset.ground_truth, len(dataset)) == ("dense", 20)
+
+
+def test_a_depth_camera_leaves_holes_and_the_picture_as_it_was(cache: Path, dataset: Rooms) -> None:
+    measured = Rooms("train", 20, size=SIZE, root=cache, workers=0, depth_camera=True)
+    exact, frame = dataset.load_frame(3), measured.load_frame(3)
+    holes = frame.depth == 0
+    assert 0.02 < holes.mean() < 0.4
+    assert holes.all(axis=0).sum() == 1  # the dead column
+    error = np.abs(frame.depth / exact.depth - 1)[~holes]
+    assert 0 < np.median(error) < 0.05
+    np.testing.assert_array_equal(frame.image, exact.image)
+    np.testing.assert_array_equal(frame.depth, measured.load_frame(3).depth)
+    assert not measured[3]["mask"][0][torch.from_numpy(holes)].any()
+    assert measured.split_hash != dataset.split_hash
+
+
+def test_a_depth_camera_measures_no_sky(cache: Path) -> None:
+    frame = Streets("train", 1, size=SIZE, root=cache, workers=0, depth_camera=True).load_frame(0)
+    sky = Streets("train", 1, size=SIZE, root=cache, workers=0).load_frame(0).depth == 0
+    assert sky.any()
+    assert not frame.depth[sky].any()
+    assert np.isfinite(frame.depth).all()
 
 
 def test_the_frames_that_results_were_scored_on_keep_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
