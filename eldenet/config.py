@@ -1036,6 +1036,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
 def _build_learner(config: DictConfig, sensor: Any) -> Any:
     from eldenet.navigation.dqn import DQN
     from eldenet.navigation.env import ArenaNavVectorEnv
+    from eldenet.navigation.episodes import Randomization
 
     settings = plain(config)
     if "policy" in settings and settings["policy"].get("path", "planner") is not None:
@@ -1045,7 +1046,8 @@ def _build_learner(config: DictConfig, sensor: Any) -> Any:
 
     env = ArenaNavVectorEnv(
         config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
-        time_limit=config.time_limit, goal=config.goal, **settings["observer"],
+        time_limit=config.time_limit, goal=config.goal,
+        randomization=Randomization(**settings["training"]["randomize"]), **settings["observer"],
     )  # fmt: skip
     return DQN(env, instantiate(config.learner)(seed=config.seed))
 

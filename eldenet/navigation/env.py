@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from eldenet.navigation.episodes import TIME_LIMIT, Episodes, EpisodeSettings, Event
+from eldenet.navigation.episodes import FIXED, TIME_LIMIT, Episodes, EpisodeSettings, Event, Randomization
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Observer
 from eldenet.navigation.sensors import Ranges, Sensor
@@ -64,6 +64,7 @@ class ArenaNavVectorEnv(VectorEnv):
         arenas: to train in; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
         goal: "known", "fixes" or "odometry"; see :class:`~eldenet.navigation.episodes.EpisodeSettings`.
+        randomization: size, speed and latency of the robot, drawn for each episode.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 
@@ -78,12 +79,13 @@ class ArenaNavVectorEnv(VectorEnv):
         arenas: TrainingArenas | None = None,
         time_limit: float = TIME_LIMIT,
         goal: str = "known",
+        randomization: Randomization = FIXED,
         **observer: Any,
     ) -> None:
         self.num_envs = num_envs
         self.observer = Observer(num_envs, **observer)
         settings = EpisodeSettings(physics, goal, time_limit)
-        self.episodes = Episodes(num_envs, make_sensor(sensor), settings)
+        self.episodes = Episodes(num_envs, make_sensor(sensor), settings, randomization)
         check_arenas(arenas)
         self._arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []

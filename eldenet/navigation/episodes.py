@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,6 +90,38 @@ class EpisodeSettings:
         return getattr(sensor, "wrong_columns", False) if self.range_filter is None else self.range_filter
 
 
+class Randomization(NamedTuple):
+    """What a training draws anew for each episode, each from a range (least, greatest).
+
+    Attributes:
+        size: of the footprint, times ``settings.robot_size``.
+        speed: that the robot reaches, times ``settings.robot_speed``.
+        latency: added to the sensor's [s].
+    """
+
+    size: tuple[float, float] = (1.0, 1.0)
+    speed: tuple[float, float] = (1.0, 1.0)
+    latency: tuple[float, float] = (0.0, 0.0)
+
+    def check(self) -> "Randomization":
+        """Return itself.
+
+        Raises:
+            ValueError: a range is out of its limits or not in order.
+        """
+        for (name, ends), (least, most) in zip(
+            self._asdict().items(), ((0.5, 1.5), (0.5, 1.5), (0.0, 1.0)), strict=True
+        ):
+            if len(ends) != 2 or not least <= ends[0] <= ends[1] <= most:
+                raise ValueError(
+                    f"training.randomize.{name}={list(ends)}: give [least, greatest] within {least} to {most}"
+                )
+        return self
+
+
+FIXED = Randomization()  # every episode has the same robot
+
+
 class Episodes:
     """``count`` robots that drive at the same time.
 
@@ -96,14 +129,24 @@ class Episodes:
         count: number of robots.
         sensor: of all robots.
         settings: of all episodes.
+        randomization: what differs between episodes.
 
     Attributes:
         worlds: one per slot.
         observations: last scan of each slot.
     """
 
-    def __init__(self, count: int, sensor: Sensor, settings: EpisodeSettings = EpisodeSettings()) -> None:
+    def __init__(
+        self,
+        count: int,
+        sensor: Sensor,
+        settings: EpisodeSettings = EpisodeSettings(),
+        randomization: Randomization = FIXED,
+    ) -> None:
         self.count, self.sensor, self.settings = count, sensor, settings
+        self.randomization = randomization.check()
+        self._speeds = np.full(count, settings.robot_speed)
+        self._latencies = np.full(count, sensor.latency)  # [s]
         self.worlds: list[ArenaWorld | None] = [None] * count
         self.observations: list[Observation | None] = [None] * count
         self._sensors: list[SensorInstance | None] = [None] * count
@@ -120,15 +163,22 @@ class Episodes:
 
     def start(self, slot: int, arena: Arena, seed: Sequence[int]) -> None:
         """Put a slot's robot at the start of an arena; ``seed`` is that of its sensor's errors."""
+        stream = np.random.SeedSequence(tuple(seed))
+        fixes, robot = stream.spawn(2)
+        size = self._randomize(slot, np.random.Generator(np.random.PCG64(robot)))
         world = self.worlds[slot]
-        if world is not None and world.arena.obstacles == arena.obstacles and world.arena.side == arena.side:
+        if (
+            world is not None
+            and world.size == size
+            and world.arena.obstacles == arena.obstacles
+            and world.arena.side == arena.side
+        ):
             world.arena = arena
             world.place(arena.start)
         else:
             world = self.worlds[slot] = ArenaWorld(
-                arena, self.settings.physics, self.settings.robot_size, self.settings.robot_friction
+                arena, self.settings.physics, size, self.settings.robot_friction
             )
-        stream = np.random.SeedSequence(tuple(seed))
         rng = np.random.Generator(np.random.PCG64(stream))
         self._sensors[slot] = self.sensor.begin(world, rng)
         self._filters[slot].reset()
@@ -136,11 +186,18 @@ class Episodes:
         self._odometry[slot] = Odometry(drift, rng, world.pose)
         if self.settings.goal == "fixes":
             self._localizers[slot] = Localizer(world.pose, deviation=FIX_DEVIATION, **drift._asdict())
-            self._rngs[slot] = np.random.Generator(np.random.PCG64(stream.spawn(1)[0]))
+            self._rngs[slot] = np.random.Generator(np.random.PCG64(fixes))
         self.poses[slot] = world.pose
         self.travelled[slot] = 0.0
         self._commands[slot] = []
         self._waypoint[slot] = self._steps[slot] = 0
+
+    def _randomize(self, slot: int, rng: np.random.Generator) -> float:
+        """Draw a slot's speed and latency, and return the size of its robot."""
+        size, speed, latency = (rng.uniform(*ends) for ends in self.randomization)
+        self._speeds[slot] = self.settings.robot_speed * speed
+        self._latencies[slot] = self.sensor.latency + latency
+        return self.settings.robot_size * size
 
     @property
     def seconds(self) -> np.ndarray:
@@ -210,10 +267,10 @@ class Episodes:
 
     def _command(self, slot: int, substep: int) -> tuple[float, float]:
         """Command that takes effect in a part of the current period: it is as old as the sensor's latency."""
-        late = math.ceil((self.sensor.latency - substep * ROBOT.period / SUBSTEPS) / ROBOT.period - 1e-9)
+        late = math.ceil((self._latencies[slot] - substep * ROBOT.period / SUBSTEPS) / ROBOT.period - 1e-9)
         number = len(self._commands[slot]) - 1 - max(late, 0)
         speed, turn = self._commands[slot][number] if number >= 0 else (0.0, 0.0)
-        return speed * self.settings.robot_speed, turn * self.settings.robot_speed
+        return speed * float(self._speeds[slot]), turn * float(self._speeds[slot])
 
     def _drive(self, slot: int) -> tuple[float, Event]:
         """Drive one robot for one period; progress is toward the way-point at its start."""

@@ -32,6 +32,7 @@ IDLE: Mapping[str, tuple[Any, ...]] = {
     "latency": (0.0,),
     "drift": ({"distance": 0.0, "heading": 0.0},),
     "kind": ("open",),
+    "randomize": ({"size": [1.0, 1.0], "speed": [1.0, 1.0], "latency": [0.0, 0.0]},),
 }
 
 

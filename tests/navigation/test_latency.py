@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eldenet.navigation.episodes import Episodes, EpisodeSettings
+from eldenet.navigation.episodes import Episodes, EpisodeSettings, Randomization
 from eldenet.navigation.latency import Predictive, ahead
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.observer import Observer, Senses
@@ -111,6 +111,27 @@ def test_a_robot_may_be_larger_and_faster_than_its_driver_knows():
     assert ways["large"] == pytest.approx(ways["plain"], rel=0.1)
     with pytest.raises(ValueError, match=r"robot\.size=3\.0: give a factor from 0\.5 to 1\.5"):
         EpisodeSettings(robot_size=3.0)
+
+
+def test_a_training_draws_another_robot_for_each_episode():
+    ranges = Randomization(size=(0.85, 1.15), speed=(0.8, 1.2), latency=(0.0, 0.4))
+    episodes = Episodes(1, Ranges(), randomization=ranges)
+    sizes, ways = set(), []
+    for seed in range(20):
+        episodes.start(0, EMPTY, (seed,))
+        for _ in range(10):
+            episodes.step(np.array([[0.5, 0.0]]))
+        sizes.add(episodes.worlds[0].size)
+        ways.append(episodes.travelled[0])
+    assert len(sizes) == 20
+    assert 0.85 <= min(sizes) < 0.95 < 1.05 < max(sizes) <= 1.15
+    assert max(ways) > 1.4 * min(ways)  # faster, or sooner
+    episodes.start(0, EMPTY, (3,))
+    assert episodes.worlds[0].size in sizes  # from the seed alone
+    with pytest.raises(
+        ValueError, match=r"training\.randomize\.size=\[0\.2, 1\.0\]: give \[least, greatest\] within 0\.5"
+    ):
+        Episodes(1, Ranges(), randomization=Randomization(size=(0.2, 1.0)))
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "wheels"])
