@@ -1,15 +1,19 @@
 """Plan far, steer near: out of traps, through doors, and never over places that nobody saw."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
+from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.planners.plan_and_steer import PlanAndSteer, is_circle, is_free
+from eldenet.navigation.planners.plan_and_steer import SIDEWAYS, PlanAndSteer, is_circle, is_free, sideways
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 
 
@@ -54,6 +58,29 @@ def test_it_is_fast_beside_a_wall_and_slow_before_things_and_near_the_goal():
     )
     assert 0 < before_a_thing <= before_the_unseen < 0.75
     assert driver._fastest(straight, 0.5, nothing, nothing) == 0.5
+
+
+def test_it_drives_slower_after_it_slid():
+    driver = PlanAndSteer(slows_within=1.0)
+    far, goal = np.full((1, ROBOT.columns), ROBOT.far), np.array([[8.0, 0.0]])
+    speeds = []
+    for x, y in ((0.0, 0.0), (0.2, 0.0), (0.4, 0.04), (0.6, 0.04)):
+        speeds.append(float(driver.commands(Senses(far, np.array([[x, y, 0.0]]), goal))[0, 0]))
+    assert speeds == [1.0, 1.0, 0.5, 0.5]
+    driver.reset(0)
+    assert driver.commands(Senses(far, np.zeros((1, 3)), goal))[0, 0] == 1.0
+
+
+@pytest.mark.parametrize(("friction", "slides"), [(1.1, False), (0.15, True)])
+def test_a_robot_moves_sideways_only_where_it_slides(friction, slides):
+    arena = Arena("", 0, 0, (), (-8.0, 0.0, 0.0), ((8.0, 0.0),))
+    episodes = Episodes(1, Ranges(), EpisodeSettings("wheels", robot_friction=friction))
+    episodes.start(0, arena, (0,))
+    poses = [episodes.poses[0].copy()]
+    for period in range(30):
+        episodes.step(np.array([[1.0, 1.2 * (-1) ** (period // 5)]]))
+        poses.append(episodes.poses[0].copy())
+    assert (max(sideways(*pair) for pair in pairwise(poses)) > SIDEWAYS) == slides
 
 
 def test_it_backs_up_where_it_can_only_stand():

@@ -3,7 +3,7 @@
 The learned driver alone is fast and avoids what it remembers, but knows no way around: it runs into dead ends
 and goes round in circles. Here it gets a way-point for its goal. Its command is driven if its arc is free of
 remembered obstacles and of places never seen, and faster where a faster arc has room; otherwise the dynamic
-window chooses one.
+window chooses one. Where its wheels slide it slows down.
 """
 
 import math
@@ -37,13 +37,20 @@ HORIZON = 1.8  # duration of an arc, along which it needs room [s]
 ROOM = 0.06  # least clearance of an arc [m]
 FAST_ROOM = 0.12  # least clearance of an arc that is driven faster than the learned driver would [m]
 MARGIN = 0.04  # added to the footprint on all sides [m]
+SIDEWAYS = (
+    0.1  # speed across its heading at which a robot slides [m/s]; on a normal floor it stays below 0.04
+)
+SLIDING_FOR, SLIDING_SPEED = (
+    5.0,
+    0.5,
+)  # time for which it then drives slower [s], relative to the learned driver
 FREE_START = 0.6  # radius around the start that counts as seen [m]
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
 BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
 #: Of what this driver decides; stored rows name it.
-STEER_VERSION = 3
+STEER_VERSION = 4
 _LEVELS = 20  # of speed in the table of arcs
 
 
@@ -81,6 +88,8 @@ class PlanAndSteer:
         self._maps = [OnlineMap() for _ in range(robots)]
         self._paths: list[np.ndarray | None] = [None] * robots
         self._trails: list[list[tuple[float, float, float]]] = [[] for _ in range(robots)]  # x, y, way so far
+        self._before = np.full((robots, 3), np.nan)  # last poses
+        self._sliding = np.zeros(robots, np.intp)  # control periods for which it still drives slower
         self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self.circles = np.zeros(robots, np.intp)
@@ -95,6 +104,8 @@ class PlanAndSteer:
         self._maps[robot].reset()
         self._paths[robot] = None
         self._trails[robot] = []
+        self._before[robot] = np.nan
+        self._sliding[robot] = 0
         self._left[robot] = self._backs[robot] = self.circles[robot] = 0
 
     @torch.inference_mode()
@@ -110,6 +121,10 @@ class PlanAndSteer:
                 pose if senses.scanned_from is None else known.place(senses.scanned_from[robot]),
                 senses.ranges[robot],
             )
+            self._sliding[robot] = max(self._sliding[robot] - 1, 0)
+            if sideways(self._before[robot], pose) > SIDEWAYS:
+                self._sliding[robot] = round(SLIDING_FOR / ROBOT.period)
+            self._before[robot] = pose
             self._plan(robot, pose, goal_in_world(pose, goal[robot]))
             goal[robot] = self._waypoint(robot, pose, goal[robot], before[robot])
         observation = self.observer.observe(senses._replace(goal=goal), who)
@@ -121,8 +136,12 @@ class PlanAndSteer:
             walls, unseen = after[robot], self._unseen(robot, poses[robot])
             backs = self._backs[robot] > 0
             if not backs and self._left[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
-                fastest = self._fastest(int(action), float(senses.goal[robot, 0]), walls, unseen)
-                out[robot] = max(wanted[0], fastest), wanted[1]
+                if self._sliding[robot] > 0:
+                    speed = SLIDING_SPEED * wanted[0]
+                else:
+                    distance = float(senses.goal[robot, 0])
+                    speed = max(wanted[0], self._fastest(int(action), distance, walls, unseen))
+                out[robot] = speed, wanted[1]
             else:
                 out[robot] = self._careful(robot, float(goal[robot, 1]), walls)
         self.observer.last = out
@@ -219,6 +238,14 @@ class PlanAndSteer:
         if free < FREE or gap < min(ROOM, _along(self._table, walls, standing)[1]):
             return False
         return _along(self._table, unseen, command)[0] >= FREE
+
+
+def sideways(before: np.ndarray, now: np.ndarray) -> float:
+    """Speed across the heading between poses ``(3,)`` of two periods in a row [m/s]; nan if one is nan."""
+    turn = math.remainder(now[2] - before[2], math.tau)
+    heading = before[2] + turn / 2
+    dx, dy = now[:2] - before[:2]
+    return abs(math.cos(heading) * dy - math.sin(heading) * dx) / ROBOT.period
 
 
 def is_circle(trail: Sequence[tuple[float, float, float]]) -> bool:
