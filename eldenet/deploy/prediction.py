@@ -78,6 +78,7 @@ class PredictionSetup:
     frames: int | None
     camera_timeout: float | None
     steady: bool
+    sharp: bool
     trusted_modules: Sequence[str]
 
 
@@ -206,6 +207,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
         max_side=max_side,
         device=device,
         steady=setup.steady and setup.source.is_video,
+        sharp=setup.sharp and not setup.source.is_video and setup.boxes is None,
         uncertainty=knows_sigma(setup, network),
     )
     if checkpoint in eldenet.list_models():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.deploy.runtimes.base import Runtime
+from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import BORDER_COLOR, fit_into, focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.resources import full_fp32
@@ -56,6 +57,8 @@ class DepthPredictor:
         max_side: longest side of frames without ``input_size`` [px].
         device: for a model; None: the CPU. A runtime has its own device.
         steady: whether the frames come from a video, whose depth must not flicker.
+        sharp: move the edges of the depth to the picture's (:mod:`eldenet.deploy.sharpen`). This takes longer
+            than the network, so it is for single pictures.
         uncertainty: return a :class:`~eldenet.uncertainty.DepthEstimate`: depth, sigma and intervals.
 
     Raises:
@@ -71,6 +74,7 @@ class DepthPredictor:
         max_side: int = MAX_SIDE,
         device: "str | torch.device | None" = None,
         steady: bool = True,
+        sharp: bool = False,
         uncertainty: bool = False,
     ) -> None:
         if isinstance(model, str | Path):
@@ -93,7 +97,7 @@ class DepthPredictor:
             raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
-        self.steady = steady
+        self.steady, self.sharp = steady, sharp
         self._filters = threading.local()
         self.stretch = float(getattr(model, "info", {}).get("stretch") or 1.0)
         self._said = False  # that the network ignores cameras
@@ -176,8 +180,9 @@ class DepthPredictor:
             elif not self._said:
                 self._said = True
                 logging.getLogger("eldenet").warning(NO_FOCAL)
-        if depth.shape != size:
-            depth, *spread = (enlarged(each, size) for each in (depth, *spread))
+        if self.sharp:
+            depth = sharpen(depth, frame)
+        depth, *spread = (each if each.shape == size else enlarged(each, size) for each in (depth, *spread))
         return DepthEstimate(depth, depth * spread[0], self.model.distribution) if spread else depth
 
     def _maps(self, frame: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], float]:

@@ -23,7 +23,7 @@ SIZE = (320, 213)  # of a panel (width, height) [px]
 def main(source: str, output: str) -> None:
     """Rank the frames and draw four of them."""
     folder = Path(os.environ["ELDENET_DATA"]) / "other_cameras" / "hololens_office"
-    predictor = DepthPredictor(eldenet.load(source), steady=False)
+    predictor = DepthPredictor(eldenet.load(source), steady=False, sharp=True)
     found = []
     for path in sorted(folder.glob("*.jpg")):
         photo = cv2.imread(str(path))[..., ::-1]

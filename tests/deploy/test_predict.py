@@ -25,6 +25,17 @@ RNG = np.random.default_rng(0)
 CAMERA = [50.0, 52.0, 31.0, 22.5]
 
 
+def test_pictures_are_sharpened_unless_told_otherwise(
+    model_folder: Path, model: DepthNet, tmp_path: Path
+) -> None:
+    source = save(tmp_path / "in/kitchen.png", photo())
+    for words, sharp in (([], True), (["sharp=false"], False)):
+        run(model_folder, source, tmp_path / f"out{sharp}", *words)
+        depth = DepthPredictor(model, sharp=sharp)(photo())
+        written = read_depth(tmp_path / f"out{sharp}/kitchen_depth.png", "mm")
+        np.testing.assert_allclose(written, depth, atol=5.1e-4)
+
+
 def test_a_picture_becomes_depth_colors_and_points(
     model_folder: Path, model: DepthNet, tmp_path: Path
 ) -> None:
@@ -33,7 +44,7 @@ def test_a_picture_becomes_depth_colors_and_points(
     results = run(model_folder, source, tmp_path / "out", camera)
     assert listed(tmp_path / "out") == ["kitchen.ply", "kitchen_color.png", "kitchen_depth.png"]
     assert (results.images, results.skipped, results.too_far) == (1, [], 0)
-    depth = DepthPredictor(model)(photo())
+    depth = DepthPredictor(model, sharp=True)(photo())
     written = cv2.imread(str(tmp_path / "out/kitchen_depth.png"), cv2.IMREAD_UNCHANGED)
     assert written.dtype == np.uint16
     np.testing.assert_array_equal(written, np.rint(depth.astype(np.float64) * 1000))
