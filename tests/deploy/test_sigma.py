@@ -99,7 +99,7 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(
     names = ["room_color.png", "room_depth.png", "room_sigma.png", "room_sigma_color.png"]
     assert listed(tmp_path / "out") == names
     read = [cv2.imread(str(tmp_path / "out" / name), cv2.IMREAD_UNCHANGED) for name in names]
-    estimate = DepthPredictor(model, steady=False, uncertainty=True)(photo())
+    estimate = DepthPredictor(model, steady=False, sharp=True, uncertainty=True)(photo())
     np.testing.assert_allclose(read[2] / 1000, estimate.sigma, atol=6e-4)
     assert read[2].dtype == np.uint16
     panel = read[0][:, 5 * 64 + 4 : 2 * 5 * 64 + 4]  # right of the photo; small photos are enlarged
