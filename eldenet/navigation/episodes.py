@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -90,33 +89,31 @@ class EpisodeSettings:
         return getattr(sensor, "wrong_columns", False) if self.range_filter is None else self.range_filter
 
 
-class Randomization(NamedTuple):
+@dataclass(frozen=True)
+class Randomization:
     """What a training draws anew for each episode, each from a range (least, greatest).
 
     Attributes:
         size: of the footprint, times ``settings.robot_size``.
         speed: that the robot reaches, times ``settings.robot_speed``.
         latency: added to the sensor's [s].
+
+    Raises:
+        ValueError: a range is out of its limits or not in order.
     """
 
-    size: tuple[float, float] = (1.0, 1.0)
-    speed: tuple[float, float] = (1.0, 1.0)
-    latency: tuple[float, float] = (0.0, 0.0)
+    size: Sequence[float] = (1.0, 1.0)
+    speed: Sequence[float] = (1.0, 1.0)
+    latency: Sequence[float] = (0.0, 0.0)
 
-    def check(self) -> "Randomization":
-        """Return itself.
-
-        Raises:
-            ValueError: a range is out of its limits or not in order.
-        """
-        for (name, ends), (least, most) in zip(
-            self._asdict().items(), ((0.5, 1.5), (0.5, 1.5), (0.0, 1.0)), strict=True
-        ):
-            if len(ends) != 2 or not least <= ends[0] <= ends[1] <= most:
+    def __post_init__(self) -> None:
+        limits = {"size": (0.5, 1.5), "speed": (0.5, 1.5), "latency": (0.0, 1.0)}
+        for name, (low, high) in limits.items():
+            ends = getattr(self, name)
+            if len(ends) != 2 or not low <= ends[0] <= ends[1] <= high:
                 raise ValueError(
-                    f"training.randomize.{name}={list(ends)}: give [least, greatest] within {least} to {most}"
+                    f"training.randomize.{name}={list(ends)}: give [least, greatest] within {low} to {high}"
                 )
-        return self
 
 
 FIXED = Randomization()  # every episode has the same robot
@@ -144,7 +141,7 @@ class Episodes:
         randomization: Randomization = FIXED,
     ) -> None:
         self.count, self.sensor, self.settings = count, sensor, settings
-        self.randomization = randomization.check()
+        self.randomization = randomization
         self._speeds = np.full(count, settings.robot_speed)
         self._latencies = np.full(count, sensor.latency)  # [s]
         self.worlds: list[ArenaWorld | None] = [None] * count
@@ -194,7 +191,10 @@ class Episodes:
 
     def _randomize(self, slot: int, rng: np.random.Generator) -> float:
         """Draw a slot's speed and latency, and return the size of its robot."""
-        size, speed, latency = (rng.uniform(*ends) for ends in self.randomization)
+        drawn = self.randomization
+        size, speed, latency = (
+            rng.uniform(low, high) for low, high in (drawn.size, drawn.speed, drawn.latency)
+        )
         self._speeds[slot] = self.settings.robot_speed * speed
         self._latencies[slot] = self.sensor.latency + latency
         return self.settings.robot_size * size

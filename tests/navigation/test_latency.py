@@ -131,7 +131,7 @@ def test_a_training_draws_another_robot_for_each_episode():
     with pytest.raises(
         ValueError, match=r"training\.randomize\.size=\[0\.2, 1\.0\]: give \[least, greatest\] within 0\.5"
     ):
-        Episodes(1, Ranges(), randomization=Randomization(size=(0.2, 1.0)))
+        Randomization(size=(0.2, 1.0))
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "wheels"])
