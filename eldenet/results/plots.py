@@ -180,7 +180,7 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
         for row, curves in rows.items():
             for epochs, values in curves:
                 dot = "." if len(values) == 1 else ""
-                axis.plot(epochs, values, dot, linestyle="-", color=colors[row], linewidth=0.6, alpha=0.6)
+                axis.plot(epochs, values, marker=dot, color=colors[row], linewidth=0.6, alpha=0.6)
             shortest = min(len(epochs) for epochs, _ in curves)
             mean = np.mean([values[:shortest] for _, values in curves], axis=0)
             label = f"{row} ({len(curves)} seed{'s' if len(curves) > 1 else ''})"
