@@ -122,8 +122,9 @@ class RenderedScenes(DepthDataset):
         frame = self.store.frame(self.places[index])
         if frame is None:
             raise ValueError(f"{self.folder}: {self.names[index]} is damaged: run again to render it again")
-        if self.artifacts is None or frame.intrinsics is None:
+        if self.artifacts is None:
             return frame
+        assert frame.intrinsics is not None  # rendered frames have them
         rng = np.random.default_rng((self.places[index], SPLITS.index(self.split)))
         dead = self.artifacts.draw_dead(self.size[1], rng)
         sky = frame.depth == 0
