@@ -5,30 +5,25 @@ HoloLens office (deep-video-mvs, MIT) in ``$ELDENET_DATA/other_cameras``, which 
 seen. Rows lie at 20, 40, 60 and 80 % of all frames ranked by AbsRel, best first; the focal length is given.
 """
 
-import os
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
+from sharp import place
 
 import eldenet
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.visualization import color_depth, depth_scale, stack_rows, visible_range
 
-INTRINSICS = (440.5, 440.4, 239.6, 150.4)
 SIZE = (320, 213)  # of a panel (width, height) [px]
 
 
 def main(source: str, output: str) -> None:
     """Rank the frames and draw four of them."""
-    folder = Path(os.environ["ELDENET_DATA"]) / "other_cameras" / "hololens_office"
     predictor = DepthPredictor(eldenet.load(source), steady=False, sharp=True)
     found = []
-    for path in sorted(folder.glob("*.jpg")):
-        photo = cv2.imread(str(path))[..., ::-1]
-        truth = cv2.imread(str(path.with_suffix(".png")), cv2.IMREAD_UNCHANGED) / np.float32(1000)
-        depth, known = predictor(np.ascontiguousarray(photo), intrinsics=INTRINSICS), truth > 0
+    for photo, truth, camera in place("hololens_office"):
+        depth, known = predictor(photo, intrinsics=camera), truth > 0
         found.append((float(np.mean(np.abs(depth - truth)[known] / truth[known])), photo, truth, depth))
     found.sort(key=lambda frame: frame[0])
     rows = []

@@ -13,15 +13,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from other_cameras import PLACES
 
 import eldenet
 from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.io import read_depth, read_image
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.results.run_record import environment
 from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
 
-PLACES = {"hololens_office": (440.5, 440.4, 239.6, 150.4), "tum_fr3_cabinet": (401.6, 404.4, 240.1, 185.7)}
 EDGE = 1.15  # ratio of neighboring depths at an edge
 NEAR = 9  # side of the square around an edge [px]
 
@@ -44,9 +45,8 @@ def nyu() -> Iterator[Shot]:
 def place(name: str) -> Iterator[Shot]:
     """The frames of another camera."""
     for path in sorted((Path(os.environ["ELDENET_DATA"]) / "other_cameras" / name).glob("*.jpg")):
-        photo = np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
-        truth = cv2.imread(str(path.with_suffix(".png")), cv2.IMREAD_UNCHANGED) / np.float32(1000)
-        yield photo, truth, PLACES[name]
+        truth = read_depth(path.with_suffix(".png"), "mm")
+        yield read_image(path), truth, tuple(PLACES[name][0])
 
 
 def near_edges(truth: np.ndarray) -> np.ndarray:
