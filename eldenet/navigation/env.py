@@ -64,7 +64,7 @@ class ArenaNavVectorEnv(VectorEnv):
         arenas: to train in; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
         goal: "known", "fixes" or "odometry"; see :class:`~eldenet.navigation.episodes.EpisodeSettings`.
-        randomization: size, speed and latency of the robot, drawn for each episode.
+        randomization: size (drawn for each arena), speed and latency (for each episode) of the robot.
         observer: options of :class:`~eldenet.navigation.observer.Observer`.
     """
 

@@ -94,7 +94,7 @@ class Randomization:
     """What a training draws anew for each episode, each from a range (least, greatest).
 
     Attributes:
-        size: of the footprint, times ``settings.robot_size``.
+        size: of the footprint, times ``settings.robot_size``; drawn for each arena.
         speed: that the robot reaches, times ``settings.robot_speed``.
         latency: added to the sensor's [s].
 
@@ -166,10 +166,10 @@ class Episodes:
         world = self.worlds[slot]
         if (
             world is not None
-            and world.size == size
+            and world.arena.name == arena.name
             and world.arena.obstacles == arena.obstacles
             and world.arena.side == arena.side
-        ):
+        ):  # the robot keeps its size: another one needs a new world, which takes longer than the episode
             world.arena = arena
             world.place(arena.start)
         else:

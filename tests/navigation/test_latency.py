@@ -1,6 +1,7 @@
 """Delay: commands take effect late, and a driver that knows it decides for where it will be then."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,12 +114,12 @@ def test_a_robot_may_be_larger_and_faster_than_its_driver_knows():
         EpisodeSettings(robot_size=3.0)
 
 
-def test_a_training_draws_another_robot_for_each_episode():
+def test_a_training_draws_another_robot_for_each_arena_and_episode():
     ranges = Randomization(size=(0.85, 1.15), speed=(0.8, 1.2), latency=(0.0, 0.4))
     episodes = Episodes(1, Ranges(), randomization=ranges)
     sizes, ways = set(), []
     for seed in range(20):
-        episodes.start(0, EMPTY, (seed,))
+        episodes.start(0, replace(EMPTY, index=seed), (seed,))
         for _ in range(10):
             episodes.step(np.array([[0.5, 0.0]]))
         sizes.add(episodes.worlds[0].size)
@@ -126,6 +127,9 @@ def test_a_training_draws_another_robot_for_each_episode():
     assert len(sizes) == 20
     assert 0.85 <= min(sizes) < 0.95 < 1.05 < max(sizes) <= 1.15
     assert max(ways) > 1.4 * min(ways)  # faster, or sooner
+    kept = episodes.worlds[0].size
+    episodes.start(0, replace(EMPTY, index=19), (3,))
+    assert episodes.worlds[0].size == kept  # the same arena
     episodes.start(0, EMPTY, (3,))
     assert episodes.worlds[0].size in sizes  # from the seed alone
     with pytest.raises(
