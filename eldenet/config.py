@@ -95,17 +95,37 @@ def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
     Raises:
         ValueError: there is no such config, or an override does not fit it.
     """
+    config = _load(config_name, overrides)
+    with open_dict(config):
+        config.pop("hydra", None)
+    return config
+
+
+def groups(config_name: str) -> dict[str, list[str]]:
+    """Return the groups of YAML files that a command chooses from, with the names of their files."""
+    modes = [[f"mode={path.stem}"] for path in (config_folder() / "mode").glob("*.yaml")]
+    loaded = [_load(config_name, words) for words in (modes if config_name == "navigate" else [[]])]
+    chosen = {name.partition("/")[0] for config in loaded for name in config.hydra.runtime.choices}
+    if "model" in chosen:
+        chosen.add("experiment")
+    files = sorted(path.relative_to(config_folder()) for path in config_folder().rglob("*.yaml"))
+    found: dict[str, list[str]] = {}
+    for file in files:
+        if file.parts[0] in chosen:
+            found.setdefault(file.parent.as_posix(), []).append(file.stem)
+    return found
+
+
+def _load(config_name: str, overrides: Sequence[str]) -> DictConfig:
+    """Compose a config, with Hydra's own part."""
     search_path = create_config_search_path(str(config_folder()))
     for source in added_sources():
         search_path.prepend("command-line", source, anchor=SearchPathQuery(provider="schema"))
     loader = ConfigLoaderImpl(search_path)
     try:
-        config = loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
+        return loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
     except HydraException as error:
         raise ValueError(str(error)) from error
-    with open_dict(config):
-        config.pop("hydra", None)
-    return config
 
 
 def added_sources() -> list[str]:

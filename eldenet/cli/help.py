@@ -3,14 +3,16 @@
 import difflib
 import os
 import re
+import shutil
 from collections.abc import Iterator, Sequence
+from textwrap import fill
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
 
 from eldenet.cli.commands import module_of
-from eldenet.config import compose, config_folder, plain
+from eldenet.config import compose, config_folder, groups, plain
 from eldenet.renames import KEYS, OPTIONS
 
 MEANT = {  # settings as other tools call them
@@ -35,11 +37,16 @@ def help_template(config_name: str, about: str) -> str:
     if "\n  - mode: " in settings:  # each mode adds settings of its own
         for file in sorted((config_folder() / "mode").glob("*.yaml")):
             settings += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
-    shown = f"{about.replace('``', '').strip()}\n\n{settings}".replace("$", "$$")
-    return (
-        f"{shown}\n\nChoices of all commands' groups:\n$APP_CONFIG_GROUPS\n"
-        f"Every setting: python -m {module_of(config_name)} --cfg job"
+    choices = "\n".join(
+        fill(f"{group}: {', '.join(names)}", shutil.get_terminal_size().columns, subsequent_indent="  ")
+        for group, names in groups(config_name).items()
     )
+    if choices:
+        choices = f"Choices of its groups:\n{choices}\n\n"
+    return (
+        f"{about.replace('``', '').strip()}\n\n{settings}\n\n{choices}"
+        f"Every setting: python -m {module_of(config_name)} --cfg job"
+    ).replace("$", "$$")
 
 
 def advice(config_name: str, words: Sequence[str]) -> str:
