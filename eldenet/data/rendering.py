@@ -144,7 +144,7 @@ def render_missing(
     """
     from eldenet.system.progress import open_console, progress_bar
 
-    title = f"rendering {generator.name}/{split} {size[1]}x{size[0]}"
+    title = f"rendering {generator.name}/{split} {size[0]} x {size[1]}"
     with progress_bar(open_console(stderr=True), title, len(scenes) * VIEWS, unit="frames") as bar:
         if workers == 0:
             store = SceneStore(folder, generator.name, split, max(scenes) + 1, size)

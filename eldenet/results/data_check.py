@@ -33,10 +33,11 @@ def check(setup: CheckDataSetup) -> bool:
 
 
 def _show(log: RunLog, setup: CheckDataSetup, found: DataCheck) -> None:
-    """Print one table with a column per split, then what is wrong or in doubt."""
-    cells = [_cells(split) for split in found.splits]
-    rows = [[title, *(column[title] for column in cells)] for title in cells[0]]
-    log.table(f"data={setup.name}", ["", *(split.split for split in found.splits)], rows)
+    """Print one table with a column per split that could be opened, then what is wrong or in doubt."""
+    opened = [split for split in found.splits if not split.fault]
+    if cells := [_cells(split) for split in opened]:
+        rows = [[title, *(column[title] for column in cells)] for title in cells[0]]
+        log.table(f"data={setup.name}", ["", *(split.split for split in opened)], rows)
     for copy, original in setup.same.items():
         log.say(f"{copy} has the same frames as {original}, which were read once")
     for split in found.splits:
@@ -71,7 +72,7 @@ def _cells(found: SplitCheck) -> dict[str, str]:
     marks = [found.percentiles.get(q) for q in ("p5", "p50", "p95")]
     focal = f", fx {found.intrinsics[0]:.1f} px" if found.intrinsics else ""
     return {
-        "frames": "cannot be opened" if found.fault else str(len(found.names)),
+        "frames": str(len(found.names)),
         "files missing": str(len(found.missing)),
         "read": str(found.looked_at),
         "unreadable": str(len(found.unreadable)),
