@@ -796,10 +796,11 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     """
     from eldenet.data.kitti_calibration import object_camera
     from eldenet.deploy import runtimes
+    from eldenet.deploy.lens import needs_lens
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
     from eldenet.deploy.viewer import check_installed
-    from eldenet.geometry import focal_of_fov, pinhole
+    from eldenet.geometry import focal_of_fov
     from eldenet.results.fingerprints import fingerprint
 
     if config.checkpoint is None:
@@ -840,16 +841,14 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")
-    asked = (config.boxes or "ply" in formats) and not given and not source.is_video
-    calibrated = bool(camera) or (asked and all(object_camera(Path(path)) for path in source.names))
-    if "ply" in formats and not calibrated:
-        raise ValueError("a point cloud needs intrinsics=[fx,fy,cx,cy] of the source's pictures [px]")
+    if "ply" in formats and not given:
+        needs_lens(list(source.names), is_video=source.is_video)
     results = Results(
         output,
         tuple(formats),
-        pinhole(*camera) if camera else None,
         (span[0], span[1]) if span else None,
         bool(config.overwrite),
+        one_size=camera is not None,
     )
     recording = None
     if config.viewer is not None:
@@ -858,12 +857,13 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         recording = output / "predict.rrd"
         results.refuse_to_overwrite([], [recording])
     if not (config.boxes or recording or source.is_live):
-        deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "intrinsics", "depth_range")
-        results.settings = {name: str(config[name]) for name in deciding}
+        deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "depth_range", "sharp")
+        results.settings = {name: str(config[name]) for name in (*deciding, "intrinsics", "focal", "fov")}
         results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
-    if config.boxes and not calibrated:
+    by_calib = not given and not source.is_video
+    if config.boxes and not (camera or (by_calib and all(map(object_camera, map(Path, source.names))))):
         raise ValueError(
             "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or KITTI's "
             "image_2/000001.png with calib/000001.txt"

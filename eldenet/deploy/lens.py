@@ -9,16 +9,16 @@ from pathlib import Path
 
 from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
-from eldenet.geometry import focal_of_film, focal_of_fov
+from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, pinhole
 
 EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
 
 
 class Lens:
-    """The focal length of every picture, and where it comes from.
+    """The camera of every picture, and where it comes from.
 
     Args:
-        canonical_px: of the network; None: it ignores focal lengths, so none is used.
+        canonical_px: of the network; None: it ignores focal lengths.
         intrinsics: ``(fx, fy, cx, cy)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
@@ -35,26 +35,45 @@ class Lens:
         focal: float | None = None,
         fov: float | None = None,
     ) -> None:
-        self.canonical_px, self.fov = canonical_px, fov
+        self.canonical_px, self.intrinsics, self.fov = canonical_px, intrinsics, fov
         self.focal = focal if intrinsics is None else float(intrinsics[0])
         self.origins: Counter[str] = Counter()
 
-    def focal_of(self, size: tuple[int, int], path: Path | None = None) -> float | None:
-        """Fx [px] of a picture of ``(height, width)``; None: the canonical camera's."""
+    def focal_of(self, size: Sequence[int], path: Path | None = None) -> float | None:
+        """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's."""
         if self.canonical_px is None:
             return None
+        focal, origin = self._find(size, path)
+        shown = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
+        self.origins[
+            shown if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
+        ] += 1
+        return focal
+
+    def camera_of(self, size: Sequence[int], path: Path | None = None) -> PinholeCamera | None:
+        """Camera of a picture of ``(height, width, ...)``, for its points; None: not known.
+
+        Only intrinsics and KITTI's calibration have a principal point; else it is the picture's center.
+        """
+        if self.intrinsics is not None:
+            return PinholeCamera(pinhole(*self.intrinsics))
+        if path is not None and (camera := object_camera(path)) is not None:
+            return camera
+        focal, _ = self._find(size, path)
+        if focal is None:
+            return None
+        return PinholeCamera(pinhole(focal, focal, (size[1] - 1) / 2, (size[0] - 1) / 2))
+
+    def _find(self, size: Sequence[int], path: Path | None) -> tuple[float | None, str]:
+        """Fx [px] of a picture, and where it comes from."""
         focal, origin = self.focal, "given"
         if focal is None and self.fov is not None:
             focal = focal_of_fov(self.fov, size[1])
         if focal is None and path is not None and (camera := object_camera(path)) is not None:
             focal, origin = float(camera.intrinsics[0, 0]), "from calib/"
         if focal is None and path is not None:
-            focal, origin = exif_focal(path, size), "from EXIF"
-        shown = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
-        self.origins[
-            shown if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
-        ] += 1
-        return focal
+            focal, origin = exif_focal(path, (size[0], size[1])), "from EXIF"
+        return focal, origin
 
     def describe(self) -> str:
         """Return one line that says which cameras were assumed."""
@@ -65,6 +84,17 @@ class Lens:
         parts = [what + (f" ({count} pictures)" if len(self.origins) > 1 else "") for what, count in often]
         more = len(self.origins) - len(often)
         return f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else "")
+
+
+def needs_lens(sources: Sequence[Path | str], *, is_video: bool) -> None:
+    """Raise ValueError for the first picture, or the video, that does not say its lens itself."""
+    for path in sources:
+        known = not is_video and (object_camera(Path(path)) or exif_focal(Path(path), (1, 1)))
+        if not known:
+            raise ValueError(
+                f"{path}: a point cloud needs the lens, which this file does not say: give fov=degrees or "
+                "intrinsics=[fx,fy,cx,cy]"
+            )
 
 
 def exif_focal(path: Path, size: tuple[int, int]) -> float | None:

@@ -40,14 +40,14 @@ class Results:
     Attributes:
         folder: of all results.
         formats: some of "depth", "color", "ply", "sigma".
-        intrinsics: ``(3, 3)`` of all pictures of the source [px], for point clouds and 3D boxes.
         depth_range: (near, far) of the colors [m]; None: each picture's own.
         overwrite: replace files of the same name.
+        one_size: refuse pictures of another size than the first, since intrinsics were given.
         images: pictures or frames written so far.
         skipped: reasons why pictures could not be read.
         too_far: pixels beyond 65.535 m, which the depth files cannot hold.
         unsure: pixels where the network is unsure, and ``pixels`` all of them.
-        size: ``(height, width)`` of the first picture [px]; intrinsics hold for this size alone.
+        size: ``(height, width)`` of the first picture [px].
         frames_per_second: of a video, once it is open.
         settings: that decide what the results are; noted in ``folder`` until all are written, so that the
             same command goes on after it was stopped. None: it starts again.
@@ -57,9 +57,9 @@ class Results:
 
     folder: Path
     formats: tuple[str, ...]
-    intrinsics: np.ndarray | None = None
     depth_range: tuple[float, float] | None = None
     overwrite: bool = False
+    one_size: bool = False
     images: int = 0
     skipped: list[str] = field(default_factory=list)
     too_far: int = 0
@@ -130,34 +130,32 @@ class Results:
         """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
 
         With the format "sigma", the colors are pale where the network is unsure.
-        ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is the picture's own.
+        ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is for its points and boxes.
 
         Raises:
-            ValueError: intrinsics were given, and this picture has another size than they or the first one.
+            ValueError: the picture has another size than its intrinsics or, with ``one_size``, the first one.
         """
         if not self.images:
             self.begin()
         estimate = as_estimate(depth)
         height, width = estimate.depth.shape
         self.size = self.size or (height, width)
-        if self.intrinsics is not None and self.size != (height, width):
+        if self.one_size and self.size != (height, width):
             raise ValueError(
                 f"{name} is {height} x {width}, but the previous pictures are {self.size[0]} x "
                 f"{self.size[1]}: "
                 "one set of intrinsics fits one size, so predict them in separate folders"
             )
-        intrinsics = self.intrinsics if camera is None else camera.intrinsics
-        if intrinsics is not None:
-            check_intrinsics(intrinsics, (height, width))
+        if camera is not None:
+            check_intrinsics(camera.intrinsics, (height, width))
         if self.viewer is not None:
-            seen_by = None if intrinsics is None else camera or PinholeCamera(intrinsics)
-            self.viewer.show(name, photo, estimate, time, seen_by)
+            self.viewer.show(name, photo, estimate, time, camera)
         if self.also is not None:
             self.also(name, photo, depth, time, camera)
         # last: a picture whose files are there is done, its boxes too
         file = {kind: self.folder / f"{name}{ENDING[kind]}" for kind in formats}
-        if "ply" in formats and intrinsics is not None:
-            write_ply(file["ply"], back_project(estimate.depth, intrinsics), photo)
+        if "ply" in formats and camera is not None:
+            write_ply(file["ply"], back_project(estimate.depth, camera.intrinsics), photo)
         if "depth" in formats:
             steps = to_millimeters(estimate.depth)
             self.too_far += int(((steps == 0) & (estimate.depth > 1)).sum())

@@ -104,9 +104,8 @@ def predict(setup: PredictionSetup) -> Results:
     if setup.boxes is not None:
         boxes = setup.boxes(results, names, log, predictor.seconds, predictor.max_depth)
     if setup.recording is not None:
-        viewer = open_recording(
-            setup.recording, points=results.intrinsics is not None or setup.boxes is not None
-        )
+        known = any(value is not None for value in (setup.intrinsics, setup.focal, setup.fov, setup.boxes))
+        viewer = open_recording(setup.recording, points=known)
     broken = ""
     done = {path for path, name in source.names.items() if results.goes_on and results.has(name, Path(path))}
     with GracefulStop() as stop, viewer as results.viewer, boxes as results.also:
@@ -148,7 +147,7 @@ class Timed:
 
         ``path`` is of the photo, whose EXIF may know the lens.
         """
-        focal = self.lens.focal_of((frame.shape[0], frame.shape[1]), path)
+        focal = self.lens.focal_of(frame.shape, path)
         camera = None if focal is None else (focal, focal, 0.0, 0.0)  # the network uses fx alone
         start = time.perf_counter()
         depth = self.predictor(frame, intrinsics=camera)
@@ -240,7 +239,6 @@ def predict_pictures(
 ) -> None:
     """Predict the pictures that are not ``done``; unreadable ones stop it or are listed at the end."""
     from eldenet.data.io import read_image
-    from eldenet.data.kitti_calibration import object_camera
 
     results = setup.results
     pictures = {path: name for path, name in setup.source.names.items() if path not in done}
@@ -260,7 +258,7 @@ def predict_pictures(
                     raise
                 results.skipped.append(str(error))
             else:
-                camera = object_camera(Path(path)) if results.intrinsics is None else None
+                camera = predictor.lens.camera_of(photo.shape, Path(path))
                 results.write(name, photo, predictor(photo, Path(path)), results.formats, camera=camera)
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate

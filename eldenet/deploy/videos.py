@@ -1,10 +1,7 @@
 """Depth of the frames of a video or a camera, for ``eldenet.predict``."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from eldenet.deploy.outputs import Results, in_time, open_video
 from eldenet.deploy.stream import DepthStream, without_password
@@ -12,6 +9,7 @@ from eldenet.uncertainty import as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range
 
 if TYPE_CHECKING:
+    from eldenet.deploy.prediction import Timed
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import GracefulStop
 
@@ -21,7 +19,7 @@ RANGE_MEMORY = 0.9  # share of a video's color range that comes from the frame b
 def predict_video(
     source: Path | str,
     name: str,
-    predictor: Callable[[np.ndarray], np.ndarray],
+    predictor: "Timed",
     results: Results,
     log: "RunLog",
     stop: "GracefulStop",
@@ -52,7 +50,10 @@ def predict_video(
         ):
             add = in_time(video, rate)
             for _, photo, depth, taken in stream:
-                results.write(f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken)
+                camera = predictor.lens.camera_of(photo.shape)
+                results.write(
+                    f"{name}/{results.images:06d}", photo, depth, per_frame, time=taken, camera=camera
+                )
                 if "color" in results.formats:
                     shown_depth = as_estimate(depth)
                     span = results.depth_range or _follow(span, visible_range(shown_depth.depth))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from support.predicting import photo, save, setup
+from support.predicting import photo, read_ply, save, setup
 from torch import nn
 
 import eldenet
@@ -118,6 +118,7 @@ def test_files_give_the_meters_of_torch(
 
 
 def photo_with_exif(path: Path, size: tuple[int, int], film: int, *, turned: bool = False) -> Path:
+    path.parent.mkdir(exist_ok=True)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = film
     if turned:
@@ -142,6 +143,18 @@ def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
     assert Lens(50.0).focal_of((48, 64), path) == pytest.approx(26 * 80 / 43.27)
     assert Lens(50.0).focal_of((48, 64)) is None
     assert Lens(None, focal=70.0).focal_of((48, 64), path) is None
+
+
+def test_a_photo_whose_exif_knows_the_lens_becomes_points(lens_model: DepthNet, tmp_path: Path) -> None:
+    lens_model.save_pretrained(tmp_path / "model")
+    photo_with_exif(tmp_path / "in/a.jpg", (48, 64), 26)
+    photo_with_exif(tmp_path / "in/b.jpg", (64, 48), 26)  # of another size
+    predict(setup(tmp_path / "model", tmp_path / "in", tmp_path / "out", "formats=[depth,ply]"))
+    focal = 26 * 80 / 43.27
+    for name, (height, width) in {"a": (48, 64), "b": (64, 48)}.items():
+        points = read_ply(tmp_path / f"out/{name}.ply")
+        cols = np.tile(np.arange(width), height)
+        np.testing.assert_allclose(points["x"] / points["z"] * focal + (width - 1) / 2, cols, atol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -80,6 +80,19 @@ def test_a_longer_lens_moves_points_away_and_keeps_their_width(size: tuple[int, 
         np.testing.assert_allclose(far[axis], factor * near[axis], rtol=1e-4, atol=1e-5)
 
 
+def test_points_of_a_field_of_view_are_those_of_its_intrinsics(model_folder: Path, tmp_path: Path) -> None:
+    focal = 32 / np.tan(np.radians(35))
+    given = {"fov": "fov=70", "focal": f"focal={focal}", "matrix": f"intrinsics=[{focal},{focal},31.5,23.5]"}
+    clouds = []
+    for name, camera in given.items():
+        source = save(tmp_path / f"{name}/a.png", photo())
+        run(model_folder, source, tmp_path / name / "out", camera, "formats=[ply]")
+        clouds.append(read_ply(tmp_path / name / "out/a.ply"))
+    for cloud in clouds[1:]:
+        for axis in "xyz":
+            np.testing.assert_allclose(cloud[axis], clouds[0][axis], rtol=1e-5, atol=1e-6)
+
+
 def test_a_note_says_when_depth_is_doubtful(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     source = save(tmp_path / "a.png", photo())
     eldenet.load("eldenet_s").save_pretrained(tmp_path / "model")
@@ -175,7 +188,7 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
         (["intrinsics=[500,500,320,x]"], "4 numbers"),
         (["intrinsics=[0,500,320,240]"], "focal lengths above 0"),
         (["intrinsics=5"], "4 numbers"),
-        (["formats=[ply]"], "needs intrinsics"),
+        (["formats=[ply]"], "a.png: a point cloud needs the lens, which this file does not say"),
         (["fov=60", "intrinsics=[500,500,32,24]"], "intrinsics and fov are given"),
         (["fov=190"], "fov=190"),
         (["focal=0"], "focal=0"),

@@ -43,7 +43,7 @@ def test_other_formats_are_one_file_per_frame(model_folder: Path, model: DepthNe
         source,
         tmp_path / "out",
         "formats=[depth,ply]",
-        "intrinsics=[50,50,32,24]",
+        "fov=66",
         "steady=false",
     )
     assert listed(tmp_path / "out") == ["walk"]
