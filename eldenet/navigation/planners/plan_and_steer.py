@@ -37,13 +37,9 @@ HORIZON = 1.8  # duration of an arc, along which it needs room [s]
 ROOM = 0.06  # least clearance of an arc [m]
 FAST_ROOM = 0.12  # least clearance of an arc that is driven faster than the learned driver would [m]
 MARGIN = 0.04  # added to the footprint on all sides [m]
-SIDEWAYS = (
-    0.1  # speed across its heading at which a robot slides [m/s]; on a normal floor it stays below 0.04
-)
-SLIDING_FOR, SLIDING_SPEED = (
-    5.0,
-    0.5,
-)  # time for which it then drives slower [s], relative to the learned driver
+SIDEWAYS = 0.1  # speed across its heading from which on a robot slides [m/s]; a normal floor stays below 0.04
+SLIDING_FOR = 5.0  # time for which it then drives slower [s]
+SLIDING_SPEED = 0.5  # of it then, relative to the learned driver's
 FREE_START = 0.6  # radius around the start that counts as seen [m]
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
