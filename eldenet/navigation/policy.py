@@ -21,7 +21,7 @@ from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.range_filter import RangeFilter
-from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.ranges import check_meters, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
 from eldenet.system.files import parse_json, part_file
@@ -232,9 +232,10 @@ class Navigator:
             and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape, a depth map has no intrinsics, or its camera sees less
-                than the 69.4 degrees of the training.
+            ValueError: ``depth`` has another shape or is of whole numbers, a depth map has no intrinsics, or
+                its camera sees less than the 69.4 degrees of the training.
         """
+        check_meters(np.asarray(depth))
         depth = np.asarray(depth, dtype=np.float64)
         now, goal_row = np.array([odometry], np.float64), np.array([goal], np.float64)
         then = None if scanned_from is None else np.array([scanned_from], np.float64)
@@ -298,6 +299,7 @@ def as_ranges(
     depth: np.ndarray, intrinsics: np.ndarray | None, camera_height: float = ROBOT.camera_height
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    check_meters(depth)
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=..., the (3, 3) matrix of its camera [px]")

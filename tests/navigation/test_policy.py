@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy import Navigator, as_ranges
+from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
 GOAL = (5.0, 0.2)
+CAMERA = np.array([[460.0, 0, 320], [0, 460.0, 240], [0, 0, 1]])
 
 
 def ranges_with_a_pillar(away: float) -> np.ndarray:
@@ -46,3 +48,22 @@ def test_an_old_scan_is_remembered_from_where_it_was_taken():
     assert np.ptp(late.observer.memory.points(0), axis=0).max() < 1.0  # no second pillar beside the first
     assert late.step(ranges_with_a_pillar(2.0), GOAL, (0, 0, 0), scanned_from=(np.nan, 0, 0)) == (0.0, 0.0)
     assert late.stop_reason == "scanned_from not finite"
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, bool])
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_a_picture_of_millimeters_is_refused(kind, shape):
+    """A depth camera gives uint16: read as meters, a wall at 0.6 m would be out of range."""
+    depth, navigator = np.full(shape, 600, kind), Navigator.load()
+    line = rf"depth is of type {np.dtype(kind)}: give meters as floats; divide millimeters by 1000$"
+    calls = [
+        lambda: navigator.step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA),
+        lambda: as_ranges(depth, CAMERA),
+        lambda: depth_to_ranges(depth, CAMERA),
+    ]
+    for call in calls if len(shape) == 2 else calls[:2]:
+        with pytest.raises(ValueError, match=line):
+            call()
+    assert not navigator.observer.last.any()
+    meters = depth.astype(np.float32) / 1000
+    assert as_ranges(meters, CAMERA).max() < 1.0
