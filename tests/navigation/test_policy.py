@@ -67,3 +67,31 @@ def test_a_picture_of_millimeters_is_refused(kind, shape):
     assert not navigator.observer.last.any()
     meters = depth.astype(np.float32) / 1000
     assert as_ranges(meters, CAMERA).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    "intrinsics",
+    [CAMERA.tolist(), tuple(map(tuple, CAMERA.tolist())), [460, 460, 320, 240], (460.0, 460.0, 320.0, 240.0)],
+)
+def test_intrinsics_may_be_lists_or_tuples(intrinsics):
+    """The depth predictor takes the same four numbers, or the same matrix."""
+    depth = np.full((480, 640), 1.0)
+    expected = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert Navigator.load().step(depth, list(GOAL), [0, 0, 0], intrinsics=intrinsics) == expected
+    assert (as_ranges(depth, intrinsics) == as_ranges(depth, CAMERA)).all()
+
+
+@pytest.mark.parametrize(("wrong", "line"), [
+    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \(fx, fy, cx, cy\) in pixels, or"),
+    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \(fx, fy, cx, cy\)"),
+    ({"intrinsics": [[460, 0, 320], [0, 460]]}, r"intrinsics=\[\[460, 0, 320\], \[0, 460\]\]: give"),
+    ({"intrinsics": "camera"}, r"intrinsics=camera: give"),
+    ({"goal": (5.0, 0.2, 0.0)}, r"goal=\(5.0, 0.2, 0.0\): give \(distance, bearing\), 2 numbers"),
+    ({"odometry": (1.0, 2.0)}, r"odometry=\(1.0, 2.0\): give \(x, y, heading\), 3 numbers"),
+    ({"scanned_from": 3.0}, r"scanned_from=3.0: give \(x, y, heading\), 3 numbers"),
+])  # fmt: skip
+def test_a_wrong_length_is_one_clear_line(wrong, line):
+    good = {"goal": GOAL, "odometry": (0.0, 0.0, 0.0), "intrinsics": CAMERA}
+    with pytest.raises(ValueError, match=line) as error:
+        Navigator.load().step(np.full((480, 640), 6.0), **(good | wrong))
+    assert "\n" not in str(error.value)
