@@ -87,6 +87,10 @@ def test_settings_of_earlier_versions_are_renamed():
     (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
+    (["arena.file=mine.yaml", "density=80", "arena.kind=rooms"],
+     "density, arena.kind: not read with arena.file=mine.yaml, which describes the whole arena; leave"),
+    (["course=triangle", "world=3", "split=val", "pedestrians=2"],
+     "world, split, pedestrians: not read with course=triangle"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(run_command, arguments, message):
