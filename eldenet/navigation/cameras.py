@@ -30,6 +30,7 @@ from eldenet.uncertainty import as_estimate
 
 CAUTION = 0.8  # of the interval whose low end is how near things may be
 FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
+MAX_LIGHT = 10.0  # relative to a normal day; frames of 3 are glaring
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
 #: Sizes of the objects in arenas (:func:`eldenet.simulation.arenas.draw_obstacles`); cars are small there.
@@ -69,8 +70,8 @@ class Camera:
         sources: name -> name and file of each network, for ``run.json``.
 
     Raises:
-        ValueError: a detector without a lifter, frames too narrow for the driver's columns, or artifacts of
-            a depth camera with a depth network.
+        ValueError: a detector without a lifter, frames too narrow for the driver's columns, light out of
+            range, or artifacts of a depth camera with a depth network.
     """
 
     def __init__(
@@ -89,6 +90,10 @@ class Camera:
             raise ValueError("artifacts are those of a depth camera: leave the depth network out")
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which turns its detections into boxes")
+        if not 0 < light <= MAX_LIGHT:
+            raise ValueError(
+                f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"
+            )
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
         check_view(width, intrinsics)

@@ -19,7 +19,7 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
-MAX_LATENCY = 1.0  # [s]
+MAX_LATENCY, LATENCY_STEP = 1.0, 0.1  # [s]
 BURST = 5  # scans in a row that are lost, in the mean
 
 
@@ -102,10 +102,13 @@ def check_latency(latency: float) -> float:
     """Return a latency [s].
 
     Raises:
-        ValueError: it is out of range.
+        ValueError: it is out of range, or no multiple of the step in which commands take effect.
     """
-    if not 0 <= latency <= MAX_LATENCY:
-        raise ValueError(f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s")
+    in_range = 0 <= latency <= MAX_LATENCY
+    if not (in_range and abs(latency / LATENCY_STEP - round(latency / LATENCY_STEP)) < 1e-6):
+        raise ValueError(
+            f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s in steps of {LATENCY_STEP}, as 0.2"
+        )
     return latency
 
 

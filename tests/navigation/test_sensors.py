@@ -18,6 +18,7 @@ from eldenet.navigation.cameras import (
     Camera,
     CameraInstance,
     camera,
+    depth_camera,
     near_faces,
     objects,
 )
@@ -200,6 +201,13 @@ def test_sensors_of_the_configs_scan(sensor):
     config = compose("navigate", [f"sensor={sensor}"])
     instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
+
+
+@pytest.mark.parametrize("light", [0.0, -1.0, np.nan, np.inf, 1000.0])
+def test_a_light_that_no_lamp_has_is_refused(light):
+    for make in (camera, objects, depth_camera):
+        with pytest.raises(ValueError, match=f"sensor.light={light}: give a factor above 0, up to 10"):
+            make(light=light)
 
 
 def test_the_environment_s_info_names_each_sector_s_source():
