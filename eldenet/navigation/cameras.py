@@ -212,7 +212,13 @@ def depth_camera(
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     latency: float = 0.0,
 ) -> Camera:
-    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`."""
+    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`.
+
+    Raises:
+        ValueError: a frame has not so many columns, or as :class:`Camera`.
+    """
+    if not 0 <= dead_columns <= size[1]:
+        raise ValueError(f"sensor.dead_columns={dead_columns}: give 0 to {size[1]} columns, as the frame has")
     artifacts = StereoArtifacts(dead_columns=dead_columns)
     return Camera(size=size, light=light, drift=drift, latency=latency, artifacts=artifacts)
 

@@ -6,6 +6,7 @@ Needs torch, NumPy and safetensors; imports neither MuJoCo nor Gymnasium.
 
 import copy
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -46,8 +47,8 @@ class Driver(Observer):
     """
 
     def __init__(self, robots: int = 1, *, slows_within: float = SLOWS_WITHIN, **options: Any) -> None:
-        if slows_within <= 0:
-            raise ValueError(f"slows_within={slows_within}: give a distance above 0 [m]")
+        if not 0 < slows_within < math.inf:
+            raise ValueError(f"slows_within={slows_within}: give a finite distance above 0 [m]")
         super().__init__(robots, **options)
         self.trained_with = dict(self.options)
         self.slows_within = float(slows_within)

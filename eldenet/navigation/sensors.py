@@ -94,8 +94,16 @@ EXACT = Drift(0.0, 0.0)
 
 
 def as_drift(drift: Drift | Mapping[str, float]) -> Drift:
-    """Return a drift from its two values by name, or as it is."""
-    return drift if isinstance(drift, Drift) else Drift(**drift)
+    """Return a drift from its two values by name, or as it is.
+
+    Raises:
+        ValueError: a value is no standard deviation.
+    """
+    drift = drift if isinstance(drift, Drift) else Drift(**drift)
+    for name, value in drift._asdict().items():
+        if not 0 <= value < math.inf:
+            raise ValueError(f"sensor.drift.{name}={value}: give a finite standard deviation of 0 or more")
+    return drift
 
 
 def check_latency(latency: float) -> float:
@@ -160,7 +168,7 @@ class Ranges:
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
-        if min(false_near, false_far) < 0 or false_near + false_far > 1:
+        if not (min(false_near, false_far) >= 0 and false_near + false_far <= 1):
             raise ValueError(
                 f"false_near={false_near}, false_far={false_far}: give shares of the columns, 0 to 1 together"
             )

@@ -34,6 +34,7 @@ from eldenet.navigation.range_errors import (
     segments,
 )
 from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter
@@ -208,6 +209,25 @@ def test_a_light_that_no_lamp_has_is_refused(light):
     for make in (camera, objects, depth_camera):
         with pytest.raises(ValueError, match=f"sensor.light={light}: give a factor above 0, up to 10"):
             make(light=light)
+
+
+@pytest.mark.parametrize("count", [-1, 129])
+def test_a_camera_has_not_so_many_dead_columns(count):
+    with pytest.raises(ValueError, match=f"sensor.dead_columns={count}: give 0 to 128 columns"):
+        depth_camera(dead_columns=count)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1])
+@pytest.mark.parametrize("make", [Ranges, NoisyRanges, camera])
+def test_errors_that_are_no_deviations_or_shares_are_refused(make, wrong):
+    for name in ("distance", "heading"):
+        with pytest.raises(
+            ValueError, match=f"sensor.drift.{name}={wrong}: give a finite standard deviation"
+        ):
+            make(drift={name: wrong})
+    for name in ("false_near", "false_far"):
+        with pytest.raises(ValueError, match=f"{name}={wrong}.*: give shares of the columns"):
+            Ranges(**{name: wrong})
 
 
 def test_the_environment_s_info_names_each_sector_s_source():
