@@ -177,14 +177,23 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
     """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None.
 
     One that predicts its sigma gives it too.
+
+    Raises:
+        ValueError: ``source`` is the name of a network, which would have random weights.
     """
     if source is None:
         return None
     import torch
 
+    import eldenet
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
 
+    if source in eldenet.list_models():
+        raise ValueError(
+            f"sensor.checkpoint={source} is a network without trained weights: give one of "
+            f"{', '.join(eldenet.list_weights())}, a run folder, a saved model, an exported file or a Hub id"
+        )
     network = runtimes.load(source, threads=torch.get_num_threads())
     return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 

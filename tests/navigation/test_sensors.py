@@ -174,6 +174,11 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
         np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
     with pytest.raises(ValueError, match="unknown model 'no-such-run'"):
         camera("no-such-run")
+    for make in (camera, objects):
+        with pytest.raises(
+            ValueError, match=r"=eldenet is a network without trained weights: give one of el"
+        ):
+            make("eldenet")  # random weights drove
 
 
 def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
