@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.cli.entry_point import entry_point
+from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.config import build_navigation
 from eldenet.renames import VALUES
 
@@ -24,6 +24,11 @@ def main() -> None:
 @entry_point("navigate")
 def run(config: "DictConfig", folder: Path) -> None:
     """Run the mode that the config was composed for; results go to ``folder``."""
+    file, course = config.get("arena", {}).get("file"), config.get("course")
+    if file is not None or course is not None:
+        given = f"course={course}" if file is None else f"arena.file={file}"
+        unread = ("density", "pedestrians", "world", "split", "arena.kind")
+        refuse_unread(unread, f"not read with {given}, which describes the whole arena; leave it out")
     setup = build_navigation(config, folder)
     from eldenet.navigation.modes import run_mode
 

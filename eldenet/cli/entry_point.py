@@ -166,6 +166,6 @@ def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
 
 def refuse_unread(names: Sequence[str], because: str) -> None:
     """Raise ``ValueError`` if the command line sets one of these settings, or a part of one."""
-    unread = [key for key in given_settings() if key.partition(".")[0] in names]
+    unread = [key for key in given_settings() if key in names or key.partition(".")[0] in names]
     if unread:
         raise ValueError(f"{', '.join(unread)}: {because}")

@@ -30,6 +30,7 @@ from eldenet.uncertainty import as_estimate
 
 CAUTION = 0.8  # of the interval whose low end is how near things may be
 FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
+MAX_LIGHT = 10.0  # relative to a normal day; frames of 3 are glaring
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
 #: Sizes of the objects in arenas (:func:`eldenet.simulation.arenas.draw_obstacles`); cars are small there.
@@ -69,8 +70,8 @@ class Camera:
         sources: name -> name and file of each network, for ``run.json``.
 
     Raises:
-        ValueError: a detector without a lifter, frames too narrow for the driver's columns, or artifacts of
-            a depth camera with a depth network.
+        ValueError: a detector without a lifter, frames too narrow for the driver's columns, light out of
+            range, or artifacts of a depth camera with a depth network.
     """
 
     def __init__(
@@ -89,6 +90,10 @@ class Camera:
             raise ValueError("artifacts are those of a depth camera: leave the depth network out")
         if detector is not None and lifter is None:
             raise ValueError("a detector needs a lifter, which turns its detections into boxes")
+        if not 0 < light <= MAX_LIGHT:
+            raise ValueError(
+                f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"
+            )
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
         check_view(width, intrinsics)
@@ -172,14 +177,23 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
     """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None.
 
     One that predicts its sigma gives it too.
+
+    Raises:
+        ValueError: ``source`` is the name of a network, which would have random weights.
     """
     if source is None:
         return None
     import torch
 
+    import eldenet
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
 
+    if source in eldenet.list_models():
+        raise ValueError(
+            f"sensor.checkpoint={source} is a network without trained weights: give one of "
+            f"{', '.join(eldenet.list_weights())}, a run folder, a saved model, an exported file or a Hub id"
+        )
     network = runtimes.load(source, threads=torch.get_num_threads())
     return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 
@@ -207,7 +221,13 @@ def depth_camera(
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     latency: float = 0.0,
 ) -> Camera:
-    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`."""
+    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`.
+
+    Raises:
+        ValueError: a frame has not so many columns, or as :class:`Camera`.
+    """
+    if not 0 <= dead_columns <= size[1]:
+        raise ValueError(f"sensor.dead_columns={dead_columns}: give 0 to {size[1]} columns, as the frame has")
     artifacts = StereoArtifacts(dead_columns=dead_columns)
     return Camera(size=size, light=light, drift=drift, latency=latency, artifacts=artifacts)
 

@@ -87,7 +87,7 @@ class ArenaNavVectorEnv(VectorEnv):
         settings = EpisodeSettings(physics, goal, time_limit)
         self.episodes = Episodes(num_envs, make_sensor(sensor), settings, randomization)
         check_arenas(arenas)
-        self._arenas = arenas or TrainingArenas()
+        self.arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
         self.single_observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
@@ -117,7 +117,7 @@ class ArenaNavVectorEnv(VectorEnv):
                 streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
             self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
             progress = float((options or {}).get("progress", 1.0))
-            self._tasks = [self._arenas.fresh(progress) for _ in range(self.num_envs)]
+            self._tasks = [self.arenas.fresh(progress) for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
         return self.observer.observe(self.episodes.sense()), {}

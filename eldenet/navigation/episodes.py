@@ -57,8 +57,8 @@ class EpisodeSettings:
         robot_friction: between its wheels and the floor, for physics="wheels"; no driver knows it.
 
     Raises:
-        ValueError: unknown physics or goal, a size, speed or friction out of range, or a friction without
-            wheels.
+        ValueError: unknown physics or goal, a time limit, seed, size, speed or friction out of range, or a
+            friction without wheels.
     """
 
     physics: str = "kinematic"
@@ -73,6 +73,10 @@ class EpisodeSettings:
     def __post_init__(self) -> None:
         one_of("physics", self.physics, PHYSICS)
         one_of("goal", self.goal, GOALS)
+        if not 0 < self.time_limit < math.inf:
+            raise ValueError(f"time_limit={self.time_limit}: give a finite number of seconds above 0")
+        if self.seed < 0:
+            raise ValueError(f"seed={self.seed}: give a whole number of 0 or more")
         for name, value in (("size", self.robot_size), ("speed", self.robot_speed)):
             if not 0.5 <= value <= 1.5:
                 raise ValueError(f"robot.{name}={value}: give a factor from 0.5 to 1.5")

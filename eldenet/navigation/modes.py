@@ -119,6 +119,11 @@ class EvaluationSetup(ArenasSetup):
     make_policy: Callable[[int], Policy]
     robots: int
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.robots < 1:
+            raise ValueError(f"robots={self.robots}: give at least 1 episode to run at once")
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSetup(ArenasSetup):
@@ -146,6 +151,10 @@ class TrainSetup(ModeSetup):
 
     make_learner: Callable[[Sensor], DQN]
     validate: int
+
+    def __post_init__(self) -> None:
+        if self.validate < 0:
+            raise ValueError(f"training.validate={self.validate}: give a number of arenas, or 0 for none")
 
 
 def run_mode(setup: ModeSetup) -> None:

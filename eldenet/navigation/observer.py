@@ -103,6 +103,10 @@ class Observer:
             raise ValueError(
                 f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
             )
+        if not np.isfinite((turn_rates, turn_factors)).all():
+            raise ValueError(
+                f"turn_rates={list(turn_rates)}, turn_factors={list(turn_factors)}: give finite numbers"
+            )
         if speed == "paper" and min(turn_factors) <= 0:
             raise ValueError(
                 f"turn_factors={list(turn_factors)}: speed=paper ignores them; choose speed=turn or prox for "

@@ -6,6 +6,7 @@ Needs torch, NumPy and safetensors; imports neither MuJoCo nor Gymnasium.
 
 import copy
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -17,17 +18,19 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import refuse_not_finite
+from eldenet.geometry import pinhole
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.range_filter import RangeFilter
-from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.ranges import check_meters, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
 from eldenet.system.files import parse_json, part_file
 from eldenet.system.reading import reading
 from eldenet.weights import check_packaged
 
+POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
 
@@ -44,8 +47,8 @@ class Driver(Observer):
     """
 
     def __init__(self, robots: int = 1, *, slows_within: float = SLOWS_WITHIN, **options: Any) -> None:
-        if slows_within <= 0:
-            raise ValueError(f"slows_within={slows_within}: give a distance above 0 [m]")
+        if not 0 < slows_within < math.inf:
+            raise ValueError(f"slows_within={slows_within}: give a finite distance above 0 [m]")
         super().__init__(robots, **options)
         self.trained_with = dict(self.options)
         self.slows_within = float(slows_within)
@@ -205,12 +208,12 @@ class Navigator:
     def step(
         self,
         depth: np.ndarray,
-        goal: tuple[float, float],
-        odometry: tuple[float, float, float],
+        goal: Sequence[float],
+        odometry: Sequence[float],
         *,
-        intrinsics: np.ndarray | None = None,
+        intrinsics: np.ndarray | Sequence[Any] | None = None,
         camera_height: float = ROBOT.camera_height,
-        scanned_from: tuple[float, float, float] | None = None,
+        scanned_from: Sequence[float] | None = None,
     ) -> tuple[float, float]:
         """Decide for one robot; call this every 0.2 s.
 
@@ -222,7 +225,7 @@ class Navigator:
                 [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
             odometry: x, y [m] and heading [rad] in any fixed frame.
-            intrinsics: ``(3, 3)`` of the depth map [px].
+            intrinsics: ``(3, 3)`` or ``(fx, fy, cx, cy)`` of the depth map [px].
             camera_height: of its optical center above the floor [m].
             scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
 
@@ -232,12 +235,15 @@ class Navigator:
             and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape, a depth map has no intrinsics, or its camera sees less
-                than the 69.4 degrees of the training.
+            ValueError: ``depth`` has another shape or is of whole numbers, a pose, goal or intrinsics have
+                another length, a depth map has no intrinsics, or its camera sees less than the 69.4 degrees
+                of the training.
         """
+        check_meters(np.asarray(depth))
         depth = np.asarray(depth, dtype=np.float64)
-        now, goal_row = np.array([odometry], np.float64), np.array([goal], np.float64)
-        then = None if scanned_from is None else np.array([scanned_from], np.float64)
+        now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
+        then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
+        intrinsics = None if intrinsics is None else _matrix(intrinsics)
         if intrinsics is not None and not np.isfinite(intrinsics).all():
             self.stop_reason = "intrinsics not finite"
         elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
@@ -255,6 +261,33 @@ class Navigator:
             ranges, _ = self.range_filter(ranges, (now if then is None else then)[0])
         speed, turn = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0].tolist()
         return speed, turn
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Return an array of numbers; an empty one if they are none, or rows of several lengths."""
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray:
+    """Return numbers as ``(1, len(parts))``."""
+    row = _numbers(values)
+    if row.shape != (len(parts),):
+        raise ValueError(f"{name}={values}: give ({', '.join(parts)}), {len(parts)} numbers")
+    return row[None]
+
+
+def _matrix(intrinsics: np.ndarray | Sequence[Any]) -> np.ndarray:
+    """Return intrinsics as ``(3, 3)``."""
+    matrix = _numbers(intrinsics)
+    if matrix.shape == (4,):
+        return pinhole(*matrix.tolist())
+    if matrix.shape != (3, 3):
+        given = np.asarray(intrinsics, dtype=object).tolist()  # in one line
+        raise ValueError(f"intrinsics={given}: give (fx, fy, cx, cy) in pixels, or the (3, 3) matrix")
+    return matrix
 
 
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
@@ -295,13 +328,16 @@ def _digest(notes: dict[str, Any], weights: dict[str, Tensor]) -> str:
 
 
 def as_ranges(
-    depth: np.ndarray, intrinsics: np.ndarray | None, camera_height: float = ROBOT.camera_height
+    depth: np.ndarray,
+    intrinsics: np.ndarray | Sequence[Any] | None,
+    camera_height: float = ROBOT.camera_height,
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    check_meters(depth)
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=..., the (3, 3) matrix of its camera [px]")
-        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
+        return depth_to_ranges(depth, _matrix(intrinsics), camera_height=camera_height)
     if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"

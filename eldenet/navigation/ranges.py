@@ -44,9 +44,10 @@ def depth_to_ranges(
         heights: low and high end of what the robot can touch, above the floor [m].
 
     Raises:
-        ValueError: the camera's field of view is too small, its pixels are too few for the columns, or its
-            intrinsics or height are no measures of a camera.
+        ValueError: ``depth`` is of whole numbers, the camera's field of view is too small, its pixels are too
+            few for the columns, or its intrinsics or height are no measures of a camera.
     """
+    check_meters(depth)
     height, width = depth.shape
     if not math.isfinite(camera_height):
         raise ValueError(f"camera_height={camera_height}: give meters above the floor")
@@ -74,6 +75,12 @@ def depth_to_ranges(
         if enough.size:
             out[number] = values[first + enough[0]]
     return np.clip(out, robot.near, robot.far)
+
+
+def check_meters(depth: np.ndarray) -> None:
+    """Raise ``ValueError`` for whole numbers: as meters, millimeters would let a robot see everything far."""
+    if depth.dtype.kind in "iub":
+        raise ValueError(f"depth is of type {depth.dtype}: give meters as floats; divide millimeters by 1000")
 
 
 def _rows_at(

@@ -19,7 +19,7 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
-MAX_LATENCY = 1.0  # [s]
+MAX_LATENCY, LATENCY_STEP = 1.0, 0.1  # [s]
 BURST = 5  # scans in a row that are lost, in the mean
 
 
@@ -94,18 +94,29 @@ EXACT = Drift(0.0, 0.0)
 
 
 def as_drift(drift: Drift | Mapping[str, float]) -> Drift:
-    """Return a drift from its two values by name, or as it is."""
-    return drift if isinstance(drift, Drift) else Drift(**drift)
+    """Return a drift from its two values by name, or as it is.
+
+    Raises:
+        ValueError: a value is no standard deviation.
+    """
+    drift = drift if isinstance(drift, Drift) else Drift(**drift)
+    for name, value in drift._asdict().items():
+        if not 0 <= value < math.inf:
+            raise ValueError(f"sensor.drift.{name}={value}: give a finite standard deviation of 0 or more")
+    return drift
 
 
 def check_latency(latency: float) -> float:
     """Return a latency [s].
 
     Raises:
-        ValueError: it is out of range.
+        ValueError: it is out of range, or no multiple of the step in which commands take effect.
     """
-    if not 0 <= latency <= MAX_LATENCY:
-        raise ValueError(f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s")
+    in_range = 0 <= latency <= MAX_LATENCY
+    if not (in_range and abs(latency / LATENCY_STEP - round(latency / LATENCY_STEP)) < 1e-6):
+        raise ValueError(
+            f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s in steps of {LATENCY_STEP}, as 0.2"
+        )
     return latency
 
 
@@ -157,7 +168,7 @@ class Ranges:
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
-        if min(false_near, false_far) < 0 or false_near + false_far > 1:
+        if not (min(false_near, false_far) >= 0 and false_near + false_far <= 1):
             raise ValueError(
                 f"false_near={false_near}, false_far={false_far}: give shares of the columns, 0 to 1 together"
             )

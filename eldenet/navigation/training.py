@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.navigation.dqn import CHECKPOINT, DQN
-from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import POLICY
@@ -42,8 +41,8 @@ def train(
     """Train in ``folder`` to the end; continue from its checkpoint if there is one with the same settings.
 
     A finished training is left unchanged: its record keeps the version that trained it. At each checkpoint
-    the driver is validated on dense arenas of the "val" split. The last policy is kept, whatever the
-    validation says.
+    the driver is validated on dense arenas of the "val" split, of the training's kind, with its greatest
+    number of pedestrians and its time limit. The last policy is kept, whatever the validation says.
 
     Args:
         learner: with its environment.
@@ -74,7 +73,11 @@ def train(
             log.say(f"{folder}: already finished")
             return note
         log.say(f"continuing at step {learner.num_timesteps:,} of {total:,}")
-    arenas = frozen_arenas(VALIDATION_DENSITY, validate, split="val")
+    tasks, settings = learner.env.arenas, learner.env.episodes.settings
+    arenas = frozen_arenas(
+        VALIDATION_DENSITY, validate, split="val", pedestrians=tasks.pedestrians, kind=tasks.kind
+    )
+    walking = f" and {tasks.pedestrians} pedestrians" if tasks.pedestrians else ""
     clocks = time.process_time(), time.perf_counter()
     spent = note["cpu_seconds"], note["wall_seconds"]
     with log.bar("training", total, learner.num_timesteps, "steps") as bar:
@@ -87,14 +90,13 @@ def train(
         def at_checkpoint(learner: DQN) -> None:
             leg: dict[str, Any] = {"steps": learner.num_timesteps}
             if arenas:
-                settings = EpisodeSettings(goal=learner.env.episodes.settings.goal)
                 rows = run_episodes(arenas, lambda robots: as_navigator(learner, robots), sensor, settings)
                 summary = summarize(rows)
                 leg |= {name: summary[name] for name in ("success", "collision", "timeout", "seconds")}
                 log.scalars(leg["steps"], {f"validation/{name}": value for name, value in leg.items()})
                 log.say(
                     f"step {leg['steps']:,}: success in {leg['success']:.1f} % of {len(arenas)} validation "
-                    f"arenas with {VALIDATION_DENSITY} obstacles"
+                    f"arenas ({tasks.kind}) with {VALIDATION_DENSITY} obstacles{walking}"
                 )
             note["legs"].append(leg)
             note["cpu_seconds"] = round(spent[0] + time.process_time() - clocks[0], 1)

@@ -134,6 +134,13 @@ def test_a_goal_by_odometry_drifts_with_the_odometry():
     assert np.abs(sensed["known"].goal - sensed["odometry"].goal).max() > 0.02
     with pytest.raises(ValueError, match="goal='gps': give one of known, fixes, odometry"):
         EpisodeSettings(goal="gps")
+    for seconds in (0, -1.0, math.nan, math.inf):
+        with pytest.raises(
+            ValueError, match=f"time_limit={seconds}: give a finite number of seconds above 0"
+        ):
+            EpisodeSettings(time_limit=seconds)
+    with pytest.raises(ValueError, match="seed=-1: give a whole number of 0 or more"):
+        EpisodeSettings(seed=-1)
 
 
 @pytest.mark.parametrize("walls", [0, 40, 400])

@@ -94,6 +94,11 @@ def test_points_are_remembered_from_where_they_were_seen_and_speed_falls_early()
 def test_a_latency_out_of_range_is_refused(make):
     with pytest.raises(ValueError, match=r"sensor\.latency=2\.0: give 0 to 1\.0 s"):
         make(latency=2.0)
+    with pytest.raises(ValueError, match=r"sensor\.latency=0\.15: .* in steps of 0\.1, as 0\.2"):
+        make(latency=0.15)
+    for step in range(11):
+        make(latency=step / 10)
+        make(latency=step * 0.1)
 
 
 def test_a_robot_may_be_larger_and_faster_than_its_driver_knows():

@@ -84,9 +84,17 @@ def test_settings_of_earlier_versions_are_renamed():
     (["density=[5,20]"], "records one arena"),
     (["video=avi"], "video='avi': give one of gif, webp, mp4"),
     (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
+    (["mode=evaluate", "robots=0"], "robots=0: give at least 1 episode to run at once"),
+    (["mode=train", "training.validate=-1"], "training.validate=-1: give a number of arenas, or 0 for none"),
+    (["time_limit=0"], "time_limit=0: give a finite number of seconds above 0"),
+    (["mode=train", "seed=-1"], "seed=-1: give a whole number of 0 or more"),
     (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
+    (["arena.file=mine.yaml", "density=80", "arena.kind=rooms"],
+     "density, arena.kind: not read with arena.file=mine.yaml, which describes the whole arena; leave"),
+    (["course=triangle", "world=3", "split=val", "pedestrians=2"],
+     "world, split, pedestrians: not read with course=triangle"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(run_command, arguments, message):

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy import Navigator, as_ranges
+from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
 GOAL = (5.0, 0.2)
+CAMERA = np.array([[460.0, 0, 320], [0, 460.0, 240], [0, 0, 1]])
 
 
 def ranges_with_a_pillar(away: float) -> np.ndarray:
@@ -46,3 +48,50 @@ def test_an_old_scan_is_remembered_from_where_it_was_taken():
     assert np.ptp(late.observer.memory.points(0), axis=0).max() < 1.0  # no second pillar beside the first
     assert late.step(ranges_with_a_pillar(2.0), GOAL, (0, 0, 0), scanned_from=(np.nan, 0, 0)) == (0.0, 0.0)
     assert late.stop_reason == "scanned_from not finite"
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, bool])
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_a_picture_of_millimeters_is_refused(kind, shape):
+    """A depth camera gives uint16: read as meters, a wall at 0.6 m would be out of range."""
+    depth, navigator = np.full(shape, 600, kind), Navigator.load()
+    line = rf"depth is of type {np.dtype(kind)}: give meters as floats; divide millimeters by 1000$"
+    calls = [
+        lambda: navigator.step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA),
+        lambda: as_ranges(depth, CAMERA),
+        lambda: depth_to_ranges(depth, CAMERA),
+    ]
+    for call in calls if len(shape) == 2 else calls[:2]:
+        with pytest.raises(ValueError, match=line):
+            call()
+    assert not navigator.observer.last.any()
+    meters = depth.astype(np.float32) / 1000
+    assert as_ranges(meters, CAMERA).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    "intrinsics",
+    [CAMERA.tolist(), tuple(map(tuple, CAMERA.tolist())), [460, 460, 320, 240], (460.0, 460.0, 320.0, 240.0)],
+)
+def test_intrinsics_may_be_lists_or_tuples(intrinsics):
+    """The depth predictor takes the same four numbers, or the same matrix."""
+    depth = np.full((480, 640), 1.0)
+    expected = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert Navigator.load().step(depth, list(GOAL), [0, 0, 0], intrinsics=intrinsics) == expected
+    assert (as_ranges(depth, intrinsics) == as_ranges(depth, CAMERA)).all()
+
+
+@pytest.mark.parametrize(("wrong", "line"), [
+    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \(fx, fy, cx, cy\) in pixels, or"),
+    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \(fx, fy, cx, cy\)"),
+    ({"intrinsics": [[460, 0, 320], [0, 460]]}, r"intrinsics=\[\[460, 0, 320\], \[0, 460\]\]: give"),
+    ({"intrinsics": "camera"}, r"intrinsics=camera: give"),
+    ({"goal": (5.0, 0.2, 0.0)}, r"goal=\(5.0, 0.2, 0.0\): give \(distance, bearing\), 2 numbers"),
+    ({"odometry": (1.0, 2.0)}, r"odometry=\(1.0, 2.0\): give \(x, y, heading\), 3 numbers"),
+    ({"scanned_from": 3.0}, r"scanned_from=3.0: give \(x, y, heading\), 3 numbers"),
+])  # fmt: skip
+def test_a_wrong_length_is_one_clear_line(wrong, line):
+    good = {"goal": GOAL, "odometry": (0.0, 0.0, 0.0), "intrinsics": CAMERA}
+    with pytest.raises(ValueError, match=line) as error:
+        Navigator.load().step(np.full((480, 640), 6.0), **(good | wrong))
+    assert "\n" not in str(error.value)

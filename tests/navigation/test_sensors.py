@@ -18,6 +18,7 @@ from eldenet.navigation.cameras import (
     Camera,
     CameraInstance,
     camera,
+    depth_camera,
     near_faces,
     objects,
 )
@@ -33,6 +34,7 @@ from eldenet.navigation.range_errors import (
     segments,
 )
 from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter
@@ -172,6 +174,11 @@ def test_any_trained_network_can_feed_a_camera(tmp_path):
         np.testing.assert_allclose(seen.ranges, depth_to_ranges(seen.depth, intrinsics))
     with pytest.raises(ValueError, match="unknown model 'no-such-run'"):
         camera("no-such-run")
+    for make in (camera, objects):
+        with pytest.raises(
+            ValueError, match=r"=eldenet is a network without trained weights: give one of el"
+        ):
+            make("eldenet")  # random weights drove
 
 
 def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
@@ -200,6 +207,32 @@ def test_sensors_of_the_configs_scan(sensor):
     config = compose("navigate", [f"sensor={sensor}"])
     instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
+
+
+@pytest.mark.parametrize("light", [0.0, -1.0, np.nan, np.inf, 1000.0])
+def test_a_light_that_no_lamp_has_is_refused(light):
+    for make in (camera, objects, depth_camera):
+        with pytest.raises(ValueError, match=f"sensor.light={light}: give a factor above 0, up to 10"):
+            make(light=light)
+
+
+@pytest.mark.parametrize("count", [-1, 129])
+def test_a_camera_has_not_so_many_dead_columns(count):
+    with pytest.raises(ValueError, match=f"sensor.dead_columns={count}: give 0 to 128 columns"):
+        depth_camera(dead_columns=count)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1])
+@pytest.mark.parametrize("make", [Ranges, NoisyRanges, camera])
+def test_errors_that_are_no_deviations_or_shares_are_refused(make, wrong):
+    for name in ("distance", "heading"):
+        with pytest.raises(
+            ValueError, match=f"sensor.drift.{name}={wrong}: give a finite standard deviation"
+        ):
+            make(drift={name: wrong})
+    for name in ("false_near", "false_far"):
+        with pytest.raises(ValueError, match=f"{name}={wrong}.*: give shares of the columns"):
+            Ranges(**{name: wrong})
 
 
 def test_the_environment_s_info_names_each_sector_s_source():

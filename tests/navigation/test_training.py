@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eldenet.navigation import training
 from eldenet.navigation.dqn import CHECKPOINT, DQN, DQNSettings
+from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.sensors import Ranges
@@ -21,7 +23,15 @@ class Stopped(Exception):
     """Like a kill."""
 
 
-def train(folder: Path, *, version: int = 1, stop_after: int | None = None, seed: int = 0) -> dict:
+def train(
+    folder: Path,
+    *,
+    version: int = 1,
+    stop_after: int | None = None,
+    seed: int = 0,
+    validate: int = 0,
+    **environment: Any,
+) -> dict:
     """600 steps with two checkpoints; ``stop_after`` ends the training after that many."""
 
     class Stopping(DQN):
@@ -34,11 +44,12 @@ def train(folder: Path, *, version: int = 1, stop_after: int | None = None, seed
         total_timesteps=600, checkpoint_interval=300, learning_starts=100, batch_size=16,
         buffer_size=1000, hidden=(16,), seed=seed,
     )  # fmt: skip
-    learner = Stopping(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), settings)
+    environment = {"arenas": TrainingArenas((0, 5))} | environment
+    learner = Stopping(ArenaNavVectorEnv(4, **environment), settings)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "TRAINING_VERSION", version)
         log = RunLog(folder, quiet=True)
-        return training.train(learner, Ranges(), folder, log, validate=0, config={"seed": seed})
+        return training.train(learner, Ranges(), folder, log, validate=validate, config={"seed": seed})
 
 
 def record(folder: Path) -> dict:
@@ -77,3 +88,23 @@ def test_a_training_that_lacks_only_its_record_keeps_its_version(tmp_path):
     assert not (tmp_path / training.RECORD).exists()
     train(tmp_path, version=2)
     assert record(tmp_path)["version"] == 1
+
+
+def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
+    """A driver for rooms with pedestrians was validated in open arenas without."""
+    seen = []
+    run = training.run_episodes
+
+    def spy(arenas, make_policy, sensor, settings):
+        seen.append((arenas, settings))
+        return run(arenas, make_policy, sensor, settings)
+
+    monkeypatch.setattr(training, "run_episodes", spy)
+    tasks = TrainingArenas((0, 5), kind="rooms", pedestrians=3)
+    train(tmp_path / "rooms", validate=2, arenas=tasks, time_limit=4.0, goal="fixes")
+    arenas, settings = seen.pop()
+    assert [arena.name for arena in arenas] == ["val-rooms-80+3-0", "val-rooms-80+3-1"]
+    assert (settings.time_limit, settings.goal, settings.physics) == (4.0, "fixes", "kinematic")
+    train(tmp_path / "open", validate=1)
+    arenas, settings = seen.pop()
+    assert (arenas[0].name, settings) == ("val-80-0", EpisodeSettings())
