@@ -8,9 +8,8 @@ from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
-OUTLIERS = (
-    0.08  # of the pixels that a surface would fill there: so few are wrong, such as a dead pixel column
-)
+OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
+HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
 _BEYOND = 100.0  # stands for infinite [m]
 
 
@@ -49,8 +48,10 @@ def depth_to_ranges(
     """
     check_meters(depth)
     height, width = depth.shape
-    if not math.isfinite(camera_height):
-        raise ValueError(f"camera_height={camera_height}: give meters above the floor")
+    if not 0 < camera_height <= HIGHEST_CAMERA:
+        raise ValueError(
+            f"camera_height={camera_height}: give meters above the floor, above 0 and up to {HIGHEST_CAMERA:g}"
+        )
     column = check_view(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
