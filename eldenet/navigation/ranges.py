@@ -50,7 +50,7 @@ def depth_to_ranges(
     height, width = depth.shape
     if not 0 < camera_height <= HIGHEST_CAMERA:
         raise ValueError(
-            f"camera_height={camera_height}: give meters above the floor, above 0 and up to {HIGHEST_CAMERA:g}"
+            f"camera_height={camera_height}: give meters above the floor, from 0 to {HIGHEST_CAMERA:g}"
         )
     column = check_view(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
