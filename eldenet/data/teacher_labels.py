@@ -20,6 +20,7 @@ from eldenet.types import Frame
 
 BATCH = 16
 LARGEST = 65.535  # [m], in 16-bit millimeters
+MILLIMETERS = depth_encoding({"scale": 1e-3, "dtype": "uint16"})  # "mm" refuses close-ups as probably meters
 FOLDER_TREE = """
 a.jpg, b.png, below/c.jpg ...       (pictures of any size)
 """
@@ -106,7 +107,7 @@ class TeacherLabels(FileDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its label."""
         picture, label = self.frame_files(index)
-        image, depth = read_image(picture), read_depth(label, depth_encoding("mm"))
+        image, depth = read_image(picture), read_depth(label, MILLIMETERS)
         check_pair(image.shape, picture, depth.shape, label)
         top, left, rows, cols = centered_box((depth.shape[0], depth.shape[1]), self.shape)
         part = (slice(top, top + rows), slice(left, left + cols))

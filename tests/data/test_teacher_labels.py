@@ -62,6 +62,18 @@ def test_labels_are_the_teachers_depth_of_the_part_it_saw(photos: Path) -> None:
     assert (stored[20:] == 0).all()
 
 
+def test_labels_of_close_ups_are_read(photos: Path) -> None:
+    """Nothing in these pictures is farther than 0.15 m."""
+
+    class Near(Brightness):
+        def __call__(self, image: torch.Tensor) -> torch.Tensor:
+            return 0.03 * super().__call__(image)
+
+    frame = TeacherLabels(photos, teacher=Near("near")).load_frame(1)
+    seen = 0.03 * (1 + 4 * frame.image[..., 0].astype(float) / 255)
+    assert np.abs(frame.depth - seen).max() < 0.005  # resized twice
+
+
 def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -> None:
     first = Brightness()
     frames = TeacherLabels(photos, teacher=first)
