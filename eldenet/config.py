@@ -450,7 +450,7 @@ def build_split(
             "%s: %d of %d frames left out, such as %s",
             split,
             len(dataset.skipped),
-            len(dataset.skipped) + len(dataset),
+            len(dataset.skipped) + len(dataset.names),
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset

@@ -127,15 +127,24 @@ class TeacherLabels(FileDataset):
             return
         write_json(self.folder / "teacher.json", self.note)
 
+        reasons: dict[int, str] = {}
         title = f"labeling pictures in {self.root.name}"
         with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
             for start in range(0, len(missing), BATCH):
-                indices = missing[start : start + BATCH]
-                pictures = [read_image(self.root / self.files[index][0]) for index in indices]
-                for index, label in zip(indices, label_pictures(teacher, pictures, mirror), strict=True):
+                pictures = {}
+                for index in missing[start : start + BATCH]:
+                    try:
+                        pictures[index] = read_image(self.root / self.files[index][0])
+                    except (ValueError, OSError) as error:
+                        if self.on_error != "skip":
+                            raise
+                        reasons[index] = str(error)
+                labels = label_pictures(teacher, list(pictures.values()), mirror) if pictures else []
+                for index, label in zip(pictures, labels, strict=True):
                     with part_file(self.label_file(index)) as unfinished:
                         cv2.imwrite(str(unfinished), label)
-                bar.advance(len(indices))
+                bar.advance(len(missing[start : start + BATCH]))
+        self.leave_out(reasons)
 
 
 def label_pictures(teacher: Labeler, pictures: Sequence[np.ndarray], mirror: bool) -> list[np.ndarray]:

@@ -136,3 +136,18 @@ def test_the_yaml_mixes_rendered_rooms_with_the_labeled_frames(tmp_path, monkeyp
     kinds = {name.split("/")[0] for name in frames.names}
     assert kinds == {"nyu", "rooms"}
     assert {tuple(frames[0, index]["image"].shape) for index in range(6)} == {(3, 24, 32)}
+
+
+def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch, caplog) -> None:
+    from support import layouts
+
+    folder = tmp_path / "nyu_depth_v2/labeled"
+    layouts.labeled(folder, layouts.content((480, 640)))
+    monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
+    overrides = ["data=mix", "data.frames=500", "data.sources.rooms.weight=0"]
+    config = compose("train", [*overrides, "data.sources.nyu.data.on_error=skip"])
+    whole = build_split(config, "train", build_protocol(config), augment=False)
+    whole.sources["nyu"].frames.frame_files(0)[0].write_bytes(b"no picture")
+    rest = build_split(config, "train", build_protocol(config), augment=False)
+    assert len(rest.names) == len(whole.names) - 1
+    assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text

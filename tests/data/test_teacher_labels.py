@@ -89,6 +89,18 @@ def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -
     assert note["mirror"] is True
 
 
+def test_damaged_pictures_are_left_out_if_asked(photos: Path) -> None:
+    (photos / "broken.jpg").write_bytes(b"no picture")
+    with pytest.raises(ValueError, match=r"broken\.jpg"):
+        TeacherLabels(photos, teacher=Brightness())
+    frames = TeacherLabels(photos, teacher=Brightness(), on_error="skip")
+    assert frames.names == ["more/tall.png", "wide.png"]
+    assert list(frames.skipped) == ["broken.jpg"]
+    assert frames.load_frame(1).image.shape == (16, 32, 3)
+    cv2.imwrite(str(photos / "broken.jpg"), np.zeros((8, 16, 3), np.uint8))
+    assert len(TeacherLabels(photos, teacher=Brightness())) == 3
+
+
 def test_a_teacher_of_metric_depth_lends_its_camera(photos: Path) -> None:
     assert TeacherLabels(photos, teacher=Brightness()).load_frame(1).intrinsics is None
     intrinsics = TeacherLabels(photos, teacher=Brightness(), focal=0.5).load_frame(0).intrinsics
