@@ -12,7 +12,7 @@ import torch
 
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_image
-from eldenet.data.paths import default_cache, find_root
+from eldenet.data.paths import default_cache
 from eldenet.geometry import pinhole, resize_image
 from eldenet.system.files import part_file, write_json
 from eldenet.system.progress import open_console, progress_bar
@@ -21,9 +21,6 @@ from eldenet.types import Frame
 BATCH = 16
 LARGEST = 65.535  # [m], in 16-bit millimeters
 MILLIMETERS = depth_encoding({"scale": 1e-3, "dtype": "uint16"})  # "mm" refuses close-ups as probably meters
-FOLDER_TREE = """
-a.jpg, b.png, below/c.jpg ...       (pictures of any size)
-"""
 
 
 class Labeler(Protocol):
@@ -47,7 +44,7 @@ class TeacherLabels(FileDataset):
     the cache, beside ``teacher.json``; another teacher gets another folder.
 
     Args:
-        root: folder of pictures.
+        root: folder of pictures of any size, also in folders below it. Hidden files and folders do not count.
         teacher: labels pictures that have no label yet.
         mirror: average with the mirrored label of the mirrored picture.
         focal: focal length of the teacher's training camera [widths of its input]. A network without a focal
@@ -65,19 +62,18 @@ class TeacherLabels(FileDataset):
 
     def __init__(
         self,
-        root: str | Path,
+        root: str | Path | None,
         *,
         teacher: Labeler,
         mirror: bool = True,
         focal: float | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        pictures_folder = find_root(root, None, [], FOLDER_TREE)
-        files = sorted(
-            path.relative_to(pictures_folder).as_posix()
-            for path in pictures_folder.rglob("*")
-            if path.suffix.lower() in IMAGE_ENDINGS and not path.name.startswith(".")
-        )
+        if root is None or not Path(root).expanduser().is_dir():
+            given = "null" if root is None else root
+            raise FileNotFoundError(f"data.photographs={given} is not a folder: give a folder of pictures")
+        pictures_folder = Path(root).expanduser()
+        files = find_pictures(pictures_folder)
         super().__init__(pictures_folder, files, [[file] for file in files], **options)
         if teacher.input_size is None:
             raise ValueError("teacher: give its input_size, [height, width] in pixels")
@@ -145,6 +141,22 @@ class TeacherLabels(FileDataset):
                         cv2.imwrite(str(unfinished), label)
                 bar.advance(len(missing[start : start + BATCH]))
         self.leave_out(reasons)
+
+
+def find_pictures(folder: Path) -> list[str]:
+    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count.
+
+    Raises:
+        ValueError: there are none.
+    """
+    inside = [path.relative_to(folder) for path in folder.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS]
+    files = sorted(path.as_posix() for path in inside if not any(part.startswith(".") for part in path.parts))
+    if not files:
+        raise ValueError(
+            f"data.photographs={folder} has no pictures: give a folder of {', '.join(IMAGE_ENDINGS)} files; "
+            "hidden files and folders do not count"
+        )
+    return files
 
 
 def label_pictures(teacher: Labeler, pictures: Sequence[np.ndarray], mirror: bool) -> list[np.ndarray]:

@@ -116,11 +116,20 @@ def test_the_largest_centered_part_of_a_shape(size: tuple[int, int], box: tuple[
     assert centered_box(size, (192, 256)) == box
 
 
+def test_hidden_files_and_folders_are_no_photographs(photos: Path) -> None:
+    """Such as macOS's ._a.jpg beside a.jpg, and thumbnails of a picture browser."""
+    (photos / ".thumbnails/small").mkdir(parents=True)
+    for hidden in (".thumbnails/small/wide.png", "more/._tall.png"):
+        cv2.imwrite(str(photos / hidden), np.zeros((8, 16, 3), np.uint8))
+    assert TeacherLabels(photos, teacher=Brightness()).names == ["more/tall.png", "wide.png"]
+
+
 def test_missing_pictures_and_sizes_are_named(photos: Path, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="is not a folder"):
-        TeacherLabels(tmp_path / "nothing", teacher=Brightness())
+    for root in (tmp_path / "nothing", None):
+        with pytest.raises(FileNotFoundError, match=r"data\.photographs=.* is not a folder"):
+            TeacherLabels(root, teacher=Brightness())
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="found no frames"):
+    with pytest.raises(ValueError, match=r"data\.photographs=.*empty has no pictures: give .*\.jpg"):
         TeacherLabels(tmp_path / "empty", teacher=Brightness())
     teacher = Brightness()
     teacher.input_size = None  # type: ignore[assignment]
