@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Unpack
 
@@ -14,7 +14,7 @@ from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_image
 from eldenet.data.paths import default_cache
 from eldenet.geometry import pinhole, resize_image
-from eldenet.system.files import part_file, write_json
+from eldenet.system.files import part_file, read_json, write_json
 from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
 
@@ -41,11 +41,12 @@ class TeacherLabels(FileDataset):
 
     The teacher sees the largest centered part of a picture that has the shape of its input, and that part is
     the frame. Labels are stored as 16-bit PNG [mm] of the picture's size, 0 around that part, in a folder of
-    the cache, beside ``teacher.json``; another teacher gets another folder.
+    the cache, beside ``teacher.json``; another teacher gets another folder. A picture that changes (size or
+    time) is labeled again.
 
     Args:
         root: folder of pictures of any size, also in folders below it. Hidden files and folders do not count.
-        teacher: labels pictures that have no label yet.
+        teacher: labels pictures that have no label yet, or changed since.
         mirror: average with the mirrored label of the mirrored picture.
         focal: focal length of the teacher's training camera [widths of its input]. A network without a focal
             length in its input sees every picture as its own camera's, so its meters are right for this
@@ -118,29 +119,66 @@ class TeacherLabels(FileDataset):
         return None if self.resize_on_load is not None else index
 
     def _label_missing(self, teacher: Labeler, mirror: bool) -> None:
-        missing = [index for index in range(len(self.names)) if not self.label_file(index).is_file()]
-        if not missing:
-            return
-        write_json(self.folder / "teacher.json", self.note)
-
+        record = self.folder / "pictures.json"  # file -> stamp of the picture that its label is of
+        try:
+            known: dict[str, str] = read_json(record)
+        except ValueError:  # there is none yet
+            known = {}
+        stamps = {file: _stamp(self.root / file) for (file,) in self.files}
+        missing = [i for i, (file,) in enumerate(self.files) if not self._is_labeled(i, stamps[file], known)]
+        unlabeled = {self.files[index][0] for index in missing}
+        labeled = known | {file: stamp for file, stamp in stamps.items() if file not in unlabeled}
         reasons: dict[int, str] = {}
-        title = f"labeling pictures in {self.root.name}"
-        with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
-            for start in range(0, len(missing), BATCH):
-                pictures = {}
-                for index in missing[start : start + BATCH]:
-                    try:
-                        pictures[index] = read_image(self.root / self.files[index][0])
-                    except (ValueError, OSError) as error:
-                        if self.on_error != "skip":
-                            raise
-                        reasons[index] = str(error)
-                labels = label_pictures(teacher, list(pictures.values()), mirror) if pictures else []
-                for index, label in zip(pictures, labels, strict=True):
-                    with part_file(self.label_file(index)) as unfinished:
-                        cv2.imwrite(str(unfinished), label)
-                bar.advance(len(missing[start : start + BATCH]))
+        try:
+            if missing:
+                write_json(self.folder / "teacher.json", self.note)
+                title = f"labeling pictures in {self.root.name}"
+                with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
+                    for start in range(0, len(missing), BATCH):
+                        indices = missing[start : start + BATCH]
+                        unreadable = self._label(indices, teacher, mirror)
+                        files = [self.files[index][0] for index in indices if index not in unreadable]
+                        labeled |= {file: stamps[file] for file in files}
+                        reasons |= unreadable
+                        bar.advance(len(indices))
+        finally:
+            if labeled != known:
+                write_json(record, labeled)
         self.leave_out(reasons)
+
+    def _is_labeled(self, index: int, stamp: str, known: Mapping[str, str]) -> bool:
+        label, file = self.label_file(index), self.files[index][0]
+        if not (stamp and label.is_file()):
+            return False
+        if file in known:
+            return known[file] == stamp
+        # labeled before there was a record, or by a run that was killed
+        return label.stat().st_mtime_ns > (self.root / file).stat().st_mtime_ns
+
+    def _label(self, indices: Sequence[int], teacher: Labeler, mirror: bool) -> dict[int, str]:
+        """Label these pictures and return why some cannot be read."""
+        pictures, unreadable = {}, {}
+        for index in indices:
+            try:
+                pictures[index] = read_image(self.root / self.files[index][0])
+            except (ValueError, OSError) as error:
+                if self.on_error != "skip":
+                    raise
+                unreadable[index] = str(error)
+        labels = label_pictures(teacher, list(pictures.values()), mirror) if pictures else []
+        for index, label in zip(pictures, labels, strict=True):
+            with part_file(self.label_file(index)) as unfinished:
+                cv2.imwrite(str(unfinished), label)
+        return unreadable
+
+
+def _stamp(picture: Path) -> str:
+    """Return a text that changes when a picture is replaced by another one of the same name."""
+    try:
+        found = picture.stat()
+    except OSError:  # reported when it is read
+        return ""
+    return f"{found.st_size} {found.st_mtime_ns}"
 
 
 def find_pictures(folder: Path) -> list[str]:

@@ -1,6 +1,7 @@
 """Photographs without depth: labeled once by a teacher, stored in millimeters, read like any data set."""
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -87,6 +88,36 @@ def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -
     note = json.loads((frames.folder / "teacher.json").read_text())
     assert note["teacher"] == {"source": "brightness"}
     assert note["mirror"] is True
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_replaced_picture_is_labeled_again(photos: Path, older: bool) -> None:
+    """Also by an older file, such as one that was moved there."""
+    TeacherLabels(photos, teacher=Brightness())
+    cv2.imwrite(str(photos / "wide.png"), np.full((16, 32, 3), 255, np.uint8))
+    if older:
+        os.utime(photos / "wide.png", (1e9, 1e9))
+    teacher = Brightness()
+    frames = TeacherLabels(photos, teacher=teacher, mirror=True)
+    assert teacher.calls == 2  # one batch and its mirror image
+    assert (frames.load_frame(1).depth == 5).all()
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+
+
+def test_labels_without_a_record_hold_while_the_picture_is_older(photos: Path) -> None:
+    """Labels of earlier versions, and of a run that was killed, are kept."""
+    frames = TeacherLabels(photos, teacher=Brightness())
+    (frames.folder / "pictures.json").unlink()
+    teacher = Brightness()
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 0
+    (frames.folder / "pictures.json").unlink()
+    os.utime(photos / "wide.png", (4e9, 4e9))
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
 
 
 def test_damaged_pictures_are_left_out_if_asked(photos: Path) -> None:
