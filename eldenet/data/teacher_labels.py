@@ -11,13 +11,15 @@ import numpy as np
 import torch
 
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
-from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_image
+from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, is_turned, read_depth, read_image
 from eldenet.data.paths import default_cache
 from eldenet.geometry import pinhole, resize_image
 from eldenet.system.files import part_file, read_json, write_json
 from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
 
+#: Version of the labels: raise it when the same teacher would label the same picture in another way.
+VERSION = 2
 BATCH = 16
 LARGEST = 65.535  # [m], in 16-bit millimeters
 MILLIMETERS = depth_encoding({"scale": 1e-3, "dtype": "uint16"})  # "mm" refuses close-ups as probably meters
@@ -39,10 +41,10 @@ class Labeler(Protocol):
 class TeacherLabels(FileDataset):
     """Pictures of a folder with the depth that a teacher sees in them.
 
-    The teacher sees the largest centered part of a picture that has the shape of its input, and that part is
-    the frame. Labels are stored as 16-bit PNG [mm] of the picture's size, 0 around that part, in a folder of
-    the cache, beside ``teacher.json``; another teacher gets another folder. A picture that changes (size or
-    time) is labeled again.
+    Photos are turned upright, as their EXIF tag says. The teacher sees the largest centered part of a picture
+    that has the shape of its input, and that part is the frame. Labels are stored as 16-bit PNG [mm] of the
+    picture's size, 0 around that part, in a folder of the cache, beside ``teacher.json``; another teacher
+    gets another folder. A picture that changes (size or time) is labeled again.
 
     Args:
         root: folder of pictures of any size, also in folders below it. Hidden files and folders do not count.
@@ -104,7 +106,7 @@ class TeacherLabels(FileDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its label."""
         picture, label = self.frame_files(index)
-        image, depth = read_image(picture), read_depth(label, MILLIMETERS)
+        image, depth = read_image(picture, upright=True), read_depth(label, MILLIMETERS)
         check_pair(image.shape, picture, depth.shape, label)
         top, left, rows, cols = centered_box((depth.shape[0], depth.shape[1]), self.shape)
         part = (slice(top, top + rows), slice(left, left + cols))
@@ -128,19 +130,21 @@ class TeacherLabels(FileDataset):
         missing = [i for i, (file,) in enumerate(self.files) if not self._is_labeled(i, stamps[file], known)]
         unlabeled = {self.files[index][0] for index in missing}
         labeled = known | {file: stamp for file, stamp in stamps.items() if file not in unlabeled}
+        if not missing and labeled == known:
+            return
+        write_json(self.folder / "teacher.json", {"version": VERSION, **self.note})
+
         reasons: dict[int, str] = {}
+        title = f"labeling pictures in {self.root.name}"
         try:
-            if missing:
-                write_json(self.folder / "teacher.json", self.note)
-                title = f"labeling pictures in {self.root.name}"
-                with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
-                    for start in range(0, len(missing), BATCH):
-                        indices = missing[start : start + BATCH]
-                        unreadable = self._label(indices, teacher, mirror)
-                        files = [self.files[index][0] for index in indices if index not in unreadable]
-                        labeled |= {file: stamps[file] for file in files}
-                        reasons |= unreadable
-                        bar.advance(len(indices))
+            with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
+                for start in range(0, len(missing), BATCH):
+                    indices = missing[start : start + BATCH]
+                    unreadable = self._label(indices, teacher, mirror)
+                    files = [self.files[index][0] for index in indices if index not in unreadable]
+                    labeled |= {file: stamps[file] for file in files}
+                    reasons |= unreadable
+                    bar.advance(len(indices))
         finally:
             if labeled != known:
                 write_json(record, labeled)
@@ -152,15 +156,16 @@ class TeacherLabels(FileDataset):
             return False
         if file in known:
             return known[file] == stamp
-        # labeled before there was a record, or by a run that was killed
-        return label.stat().st_mtime_ns > (self.root / file).stat().st_mtime_ns
+        # labeled by a run that was killed, or by version 1: without a record, and photos as they are stored
+        picture = self.root / file
+        return label.stat().st_mtime_ns > picture.stat().st_mtime_ns and not is_turned(picture)
 
     def _label(self, indices: Sequence[int], teacher: Labeler, mirror: bool) -> dict[int, str]:
         """Label these pictures and return why some cannot be read."""
         pictures, unreadable = {}, {}
         for index in indices:
             try:
-                pictures[index] = read_image(self.root / self.files[index][0])
+                pictures[index] = read_image(self.root / self.files[index][0], upright=True)
             except (ValueError, OSError) as error:
                 if self.on_error != "skip":
                     raise
@@ -178,7 +183,7 @@ def _stamp(picture: Path) -> str:
         found = picture.stat()
     except OSError:  # reported when it is read
         return ""
-    return f"{found.st_size} {found.st_mtime_ns}"
+    return f"version {VERSION}: {found.st_size} {found.st_mtime_ns}"
 
 
 def find_pictures(folder: Path) -> list[str]:
