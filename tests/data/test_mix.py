@@ -99,6 +99,17 @@ def test_wrong_settings_are_named() -> None:
         Mix({"one": {"data": partial(SyntheticDepth), "share": 2}}, 5)
 
 
+def test_a_subset_of_a_mix_is_refused(tmp_path, monkeypatch) -> None:
+    """It only shortened the list of names, and training still drew from all frames."""
+    monkeypatch.setenv("ELDENET_CACHE", str(tmp_path))
+    overrides = ["data=mix", "data.sources.nyu.weight=0", "data.sources.rooms.data.frames=4"]
+    with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
+        mix().draw_subset(3, seed=0)
+    config = compose("train", [*overrides, "data.sources.rooms.data.size=[16,24]", "+data.subset.train=3"])
+    with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
+        build_split(config, "train", build_protocol(config), augment=False)
+
+
 def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
     def terms() -> dict[str, WeightedTerm]:
         return {"ssi": WeightedTerm(ScaleShiftInvariantLoss(scales=1), space="log", applies_to="relative")}
