@@ -12,6 +12,7 @@ from support.training import Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
+from eldenet.data.inspection import ChannelSums, channel_statistics, check_split
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -72,6 +73,17 @@ def test_frames_are_found_by_their_place_in_names() -> None:
     ]
     assert frames.load_frame(4).name == "synthetic/4"
     assert frames.load_frame(5).name == "synthetic/0"
+
+
+@pytest.mark.parametrize("draws", [4, 40])
+def test_a_mix_is_checked_and_measured_frame_by_frame(draws: int) -> None:
+    """Neither the first draws alone, nor beyond the last frame where an epoch draws more often."""
+    frames = mix(draws)
+    assert check_split("train", frames).looked_at == 12
+    whole = ChannelSums()
+    for index in range(12):
+        whole.add(frames.load_frame(index).image)
+    assert channel_statistics(frames).mean == pytest.approx(whole.mean)
 
 
 def test_a_source_that_skips_leaves_out_what_cannot_be_read(tmp_path) -> None:
