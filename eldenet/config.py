@@ -444,13 +444,13 @@ def build_split(
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     if places is not None and frames is None:
-        dataset.draw_subset(plain(places), config.data.subset_seed)
+        dataset.draw_subset(plain(places), config.data.get("subset_seed", 0))
     if dataset.skipped:
         logging.getLogger("eldenet").warning(
             "%s: %d of %d frames left out, such as %s",
             split,
             len(dataset.skipped),
-            len(dataset.skipped) + len(dataset),
+            len(dataset.skipped) + len(dataset.names),
             "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
         )
     return dataset
@@ -508,7 +508,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         node = nodes[split]
         dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
         if subset.get(split) is not None:
-            dataset.draw_subset(subset[split], config.data.subset_seed)
+            dataset.draw_subset(subset[split], config.data.get("subset_seed", 0))
         return dataset
 
     return CheckDataSetup(

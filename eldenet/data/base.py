@@ -256,9 +256,12 @@ class FileDataset(DepthDataset):
 def check_pair(one: tuple[int, ...], file: Path, other: tuple[int, ...], other_file: Path) -> None:
     """Raise ``ValueError`` if two files of a frame, of shapes ``(height, width, ...)``, differ in size."""
     if one[:2] != other[:2]:
+        hint = ""
+        if one[:2] == other[1::-1]:  # a phone's portrait
+            hint = ", and EXIF does not turn pictures here: store them upright (mogrify -auto-orient)"
         raise ValueError(
             f"{file} is {one[0]}x{one[1]}, {other_file} is {other[0]}x{other[1]} (height x "
-            "width): the files of a frame must have one size"
+            f"width): the files of a frame must have one size{hint}"
         )
 
 

@@ -24,7 +24,7 @@ def files_of(datasets: Iterable[DepthDataset]) -> list[Path]:
         ValueError: the frames are rendered, not read.
     """
     return sorted(
-        {file for data in datasets for index in range(len(data)) for file in data.frame_files(index)}
+        {file for data in datasets for index in range(len(data.names)) for file in data.frame_files(index)}
     )
 
 

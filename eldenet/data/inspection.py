@@ -157,7 +157,7 @@ def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
             found.splits.append(SplitCheck(split, fault=str(error)))
             continue
         opened.append(dataset)
-        total = len(dataset) if setup.frames is None else min(setup.frames, len(dataset))
+        total = len(spread(len(dataset.names), setup.frames))
         with bar(f"checking {split}", total) as progress:
             check = check_split(split, dataset, frames=setup.frames, advance=progress.advance)
         found.splits.append(check)
@@ -251,7 +251,7 @@ def check_split(
     coarse = np.zeros(HISTOGRAM_BINS, np.int64)
     pixels = valid = outside = 0
     colors = ChannelSums()
-    for index in spread(len(dataset), frames):
+    for index in spread(len(dataset.names), frames):
         advance(1)
         found.looked_at += 1
         try:
@@ -373,12 +373,12 @@ def channel_statistics(dataset: DepthDataset, *, frames: int = 512, seed: int = 
     """
     if frames < 1:
         raise ValueError(f"frames={frames}: give at least 1")
-    found = ChannelSums()
-    for index in sorted(np.random.default_rng(seed).permutation(len(dataset))[:frames].tolist()):
+    found, count = ChannelSums(), len(dataset.names)
+    for index in sorted(np.random.default_rng(seed).permutation(count)[:frames].tolist()):
         found.add(dataset.load_frame(index).image)
     if not min(found.std) > 1e-4:  # constant but for rounding
         raise ValueError(
-            f"a color channel is constant over {min(frames, len(dataset))} frames (std {found.std}): check "
+            f"a color channel is constant over {min(frames, count)} frames (std {found.std}): check "
             "the pictures, or set normalization=imagenet"
         )
     return found

@@ -14,6 +14,7 @@ from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_
 from eldenet.data.file_checks import FORMATS, decode_picture, picture_size
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp")
+ORIENTATION = 0x112  # EXIF
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,17 @@ def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) ->
             raise ValueError(f"{path} is gray, this data set has color images: is it a depth map?")
         return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def is_turned(path: str | Path) -> bool:
+    """Return whether the EXIF tag of a photo says that it must be turned or mirrored to be upright."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as photo:
+            return photo.getexif().get(ORIENTATION, 1) != 1
+    except (UnidentifiedImageError, OSError, ValueError, TypeError, SyntaxError):
+        return False  # what is wrong with a picture is said where it is read
 
 
 def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:

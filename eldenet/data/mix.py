@@ -85,6 +85,17 @@ class Mix(DepthDataset):
         sample["relative"] = torch.tensor(source.relative)
         return sample
 
+    def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
+        """Refuse: an epoch draws from whole sources.
+
+        Raises:
+            ValueError: always; says what to set instead.
+        """
+        raise ValueError(
+            f"subset={places}: a mix has no subset, because it draws from whole sources: set data.frames for "
+            "fewer draws per epoch, or data.sources.<name>.weight for a source's share"
+        )
+
     def load_frame(self, index: int) -> Frame:
         """Read frame ``index`` of ``names``."""
         part, place = self._place(index)

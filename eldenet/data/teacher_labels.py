@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Unpack
 
@@ -11,18 +11,18 @@ import numpy as np
 import torch
 
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
-from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_image
-from eldenet.data.paths import default_cache, find_root
+from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, is_turned, read_depth, read_image
+from eldenet.data.paths import default_cache
 from eldenet.geometry import pinhole, resize_image
-from eldenet.system.files import part_file, write_json
+from eldenet.system.files import part_file, read_json, write_json
 from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
 
+#: Version of the labels: raise it when the same teacher would label the same picture in another way.
+VERSION = 2
 BATCH = 16
 LARGEST = 65.535  # [m], in 16-bit millimeters
-FOLDER_TREE = """
-a.jpg, b.png, below/c.jpg ...       (pictures of any size)
-"""
+MILLIMETERS = depth_encoding({"scale": 1e-3, "dtype": "uint16"})  # "mm" refuses close-ups as probably meters
 
 
 class Labeler(Protocol):
@@ -41,13 +41,14 @@ class Labeler(Protocol):
 class TeacherLabels(FileDataset):
     """Pictures of a folder with the depth that a teacher sees in them.
 
-    The teacher sees the largest centered part of a picture that has the shape of its input, and that part is
-    the frame. Labels are stored as 16-bit PNG [mm] of the picture's size, 0 around that part, in a folder of
-    the cache, beside ``teacher.json``; another teacher gets another folder.
+    Photos are turned upright, as their EXIF tag says. The teacher sees the largest centered part of a picture
+    that has the shape of its input, and that part is the frame. Labels are stored as 16-bit PNG [mm] of the
+    picture's size, 0 around that part, in a folder of the cache, beside ``teacher.json``; another teacher
+    gets another folder. A picture that changes (size or time) is labeled again.
 
     Args:
-        root: folder of pictures.
-        teacher: labels pictures that have no label yet.
+        root: folder of pictures of any size, also in folders below it. Hidden files and folders do not count.
+        teacher: labels pictures that have no label yet, or changed since.
         mirror: average with the mirrored label of the mirrored picture.
         focal: focal length of the teacher's training camera [widths of its input]. A network without a focal
             length in its input sees every picture as its own camera's, so its meters are right for this
@@ -64,19 +65,18 @@ class TeacherLabels(FileDataset):
 
     def __init__(
         self,
-        root: str | Path,
+        root: str | Path | None,
         *,
         teacher: Labeler,
         mirror: bool = True,
         focal: float | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        pictures_folder = find_root(root, None, [], FOLDER_TREE)
-        files = sorted(
-            path.relative_to(pictures_folder).as_posix()
-            for path in pictures_folder.rglob("*")
-            if path.suffix.lower() in IMAGE_ENDINGS and not path.name.startswith(".")
-        )
+        if root is None or not Path(root).expanduser().is_dir():
+            given = "null" if root is None else root
+            raise FileNotFoundError(f"data.photographs={given} is not a folder: give a folder of pictures")
+        pictures_folder = Path(root).expanduser()
+        files = find_pictures(pictures_folder)
         super().__init__(pictures_folder, files, [[file] for file in files], **options)
         if teacher.input_size is None:
             raise ValueError("teacher: give its input_size, [height, width] in pixels")
@@ -106,7 +106,7 @@ class TeacherLabels(FileDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one picture and its label."""
         picture, label = self.frame_files(index)
-        image, depth = read_image(picture), read_depth(label, depth_encoding("mm"))
+        image, depth = read_image(picture, upright=True), read_depth(label, MILLIMETERS)
         check_pair(image.shape, picture, depth.shape, label)
         top, left, rows, cols = centered_box((depth.shape[0], depth.shape[1]), self.shape)
         part = (slice(top, top + rows), slice(left, left + cols))
@@ -121,20 +121,85 @@ class TeacherLabels(FileDataset):
         return None if self.resize_on_load is not None else index
 
     def _label_missing(self, teacher: Labeler, mirror: bool) -> None:
-        missing = [index for index in range(len(self.names)) if not self.label_file(index).is_file()]
-        if not missing:
+        record = self.folder / "pictures.json"  # file -> stamp of the picture that its label is of
+        try:
+            known: dict[str, str] = read_json(record)
+        except ValueError:  # there is none yet
+            known = {}
+        stamps = {file: _stamp(self.root / file) for (file,) in self.files}
+        missing = [i for i, (file,) in enumerate(self.files) if not self._is_labeled(i, stamps[file], known)]
+        unlabeled = {self.files[index][0] for index in missing}
+        labeled = known | {file: stamp for file, stamp in stamps.items() if file not in unlabeled}
+        if not missing and labeled == known:
             return
-        write_json(self.folder / "teacher.json", self.note)
+        write_json(self.folder / "teacher.json", {"version": VERSION, **self.note})
 
+        reasons: dict[int, str] = {}
         title = f"labeling pictures in {self.root.name}"
-        with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
-            for start in range(0, len(missing), BATCH):
-                indices = missing[start : start + BATCH]
-                pictures = [read_image(self.root / self.files[index][0]) for index in indices]
-                for index, label in zip(indices, label_pictures(teacher, pictures, mirror), strict=True):
-                    with part_file(self.label_file(index)) as unfinished:
-                        cv2.imwrite(str(unfinished), label)
-                bar.advance(len(indices))
+        try:
+            with progress_bar(open_console(stderr=True), title, len(missing), unit="pictures") as bar:
+                for start in range(0, len(missing), BATCH):
+                    indices = missing[start : start + BATCH]
+                    unreadable = self._label(indices, teacher, mirror)
+                    files = [self.files[index][0] for index in indices if index not in unreadable]
+                    labeled |= {file: stamps[file] for file in files}
+                    reasons |= unreadable
+                    bar.advance(len(indices))
+        finally:
+            if labeled != known:
+                write_json(record, labeled)
+        self.leave_out(reasons)
+
+    def _is_labeled(self, index: int, stamp: str, known: Mapping[str, str]) -> bool:
+        label, file = self.label_file(index), self.files[index][0]
+        if not (stamp and label.is_file()):
+            return False
+        if file in known:
+            return known[file] == stamp
+        # labeled by a run that was killed, or by version 1: without a record, and photos as they are stored
+        picture = self.root / file
+        return label.stat().st_mtime_ns > picture.stat().st_mtime_ns and not is_turned(picture)
+
+    def _label(self, indices: Sequence[int], teacher: Labeler, mirror: bool) -> dict[int, str]:
+        """Label these pictures and return why some cannot be read."""
+        pictures, unreadable = {}, {}
+        for index in indices:
+            try:
+                pictures[index] = read_image(self.root / self.files[index][0], upright=True)
+            except (ValueError, OSError) as error:
+                if self.on_error != "skip":
+                    raise
+                unreadable[index] = str(error)
+        labels = label_pictures(teacher, list(pictures.values()), mirror) if pictures else []
+        for index, label in zip(pictures, labels, strict=True):
+            with part_file(self.label_file(index)) as unfinished:
+                cv2.imwrite(str(unfinished), label)
+        return unreadable
+
+
+def _stamp(picture: Path) -> str:
+    """Return a text that changes when a picture is replaced by another one of the same name."""
+    try:
+        found = picture.stat()
+    except OSError:  # reported when it is read
+        return ""
+    return f"version {VERSION}: {found.st_size} {found.st_mtime_ns}"
+
+
+def find_pictures(folder: Path) -> list[str]:
+    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count.
+
+    Raises:
+        ValueError: there are none.
+    """
+    inside = [path.relative_to(folder) for path in folder.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS]
+    files = sorted(path.as_posix() for path in inside if not any(part.startswith(".") for part in path.parts))
+    if not files:
+        raise ValueError(
+            f"data.photographs={folder} has no pictures: give a folder of {', '.join(IMAGE_ENDINGS)} files; "
+            "hidden files and folders do not count"
+        )
+    return files
 
 
 def label_pictures(teacher: Labeler, pictures: Sequence[np.ndarray], mirror: bool) -> list[np.ndarray]:

@@ -12,6 +12,7 @@ from support.training import Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
+from eldenet.data.inspection import ChannelSums, channel_statistics, check_split
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -74,6 +75,17 @@ def test_frames_are_found_by_their_place_in_names() -> None:
     assert frames.load_frame(5).name == "synthetic/0"
 
 
+@pytest.mark.parametrize("draws", [4, 40])
+def test_a_mix_is_checked_and_measured_frame_by_frame(draws: int) -> None:
+    """Neither the first draws alone, nor beyond the last frame where an epoch draws more often."""
+    frames = mix(draws)
+    assert check_split("train", frames).looked_at == 12
+    whole = ChannelSums()
+    for index in range(12):
+        whole.add(frames.load_frame(index).image)
+    assert channel_statistics(frames).mean == pytest.approx(whole.mean)
+
+
 def test_a_source_that_skips_leaves_out_what_cannot_be_read(tmp_path) -> None:
     """Else the training would end at the first draw of such a frame."""
     for folder, pixel in (("images", np.uint8(200)), ("depths", np.uint16(2000))):
@@ -97,6 +109,17 @@ def test_wrong_settings_are_named() -> None:
         mix(0)
     with pytest.raises(ValueError, match="give data, weight and relative"):
         Mix({"one": {"data": partial(SyntheticDepth), "share": 2}}, 5)
+
+
+def test_a_subset_of_a_mix_is_refused(tmp_path, monkeypatch) -> None:
+    """It only shortened the list of names, and training still drew from all frames."""
+    monkeypatch.setenv("ELDENET_CACHE", str(tmp_path))
+    overrides = ["data=mix", "data.sources.nyu.weight=0", "data.sources.rooms.data.frames=4"]
+    with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
+        mix().draw_subset(3, seed=0)
+    config = compose("train", [*overrides, "data.sources.rooms.data.size=[16,24]", "+data.subset.train=3"])
+    with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
+        build_split(config, "train", build_protocol(config), augment=False)
 
 
 def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
@@ -136,3 +159,18 @@ def test_the_yaml_mixes_rendered_rooms_with_the_labeled_frames(tmp_path, monkeyp
     kinds = {name.split("/")[0] for name in frames.names}
     assert kinds == {"nyu", "rooms"}
     assert {tuple(frames[0, index]["image"].shape) for index in range(6)} == {(3, 24, 32)}
+
+
+def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch, caplog) -> None:
+    from support import layouts
+
+    folder = tmp_path / "nyu_depth_v2/labeled"
+    layouts.labeled(folder, layouts.content((480, 640)))
+    monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
+    overrides = ["data=mix", "data.frames=500", "data.sources.rooms.weight=0"]
+    config = compose("train", [*overrides, "data.sources.nyu.data.on_error=skip"])
+    whole = build_split(config, "train", build_protocol(config), augment=False)
+    whole.sources["nyu"].frames.frame_files(0)[0].write_bytes(b"no picture")
+    rest = build_split(config, "train", build_protocol(config), augment=False)
+    assert len(rest.names) == len(whole.names) - 1
+    assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text

@@ -1,6 +1,7 @@
 """Photographs without depth: labeled once by a teacher, stored in millimeters, read like any data set."""
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 import torch
 from onnx import TensorProto, checker, helper, save
+from PIL import Image
 
+from eldenet.data import teacher_labels
 from eldenet.data.teacher_labels import TeacherLabels, centered_box
 from eldenet.deploy.onnx_teacher import OnnxTeacher
 
@@ -62,6 +65,18 @@ def test_labels_are_the_teachers_depth_of_the_part_it_saw(photos: Path) -> None:
     assert (stored[20:] == 0).all()
 
 
+def test_labels_of_close_ups_are_read(photos: Path) -> None:
+    """Nothing in these pictures is farther than 0.15 m."""
+
+    class Near(Brightness):
+        def __call__(self, image: torch.Tensor) -> torch.Tensor:
+            return 0.03 * super().__call__(image)
+
+    frame = TeacherLabels(photos, teacher=Near("near")).load_frame(1)
+    seen = 0.03 * (1 + 4 * frame.image[..., 0].astype(float) / 255)
+    assert np.abs(frame.depth - seen).max() < 0.005  # resized twice
+
+
 def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -> None:
     first = Brightness()
     frames = TeacherLabels(photos, teacher=first)
@@ -75,6 +90,94 @@ def test_pictures_are_labeled_once_and_again_for_another_teacher(photos: Path) -
     note = json.loads((frames.folder / "teacher.json").read_text())
     assert note["teacher"] == {"source": "brightness"}
     assert note["mirror"] is True
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_replaced_picture_is_labeled_again(photos: Path, older: bool) -> None:
+    """Also by an older file, such as one that was moved there."""
+    TeacherLabels(photos, teacher=Brightness())
+    cv2.imwrite(str(photos / "wide.png"), np.full((16, 32, 3), 255, np.uint8))
+    if older:
+        os.utime(photos / "wide.png", (1e9, 1e9))
+    teacher = Brightness()
+    frames = TeacherLabels(photos, teacher=teacher, mirror=True)
+    assert teacher.calls == 2  # one batch and its mirror image
+    assert (frames.load_frame(1).depth == 5).all()
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+
+
+def test_labels_without_a_record_hold_while_the_picture_is_older(photos: Path) -> None:
+    """Labels of earlier versions, and of a run that was killed, are kept."""
+    frames = TeacherLabels(photos, teacher=Brightness())
+    (frames.folder / "pictures.json").unlink()
+    (frames.folder / "teacher.json").write_text("{}")
+    teacher = Brightness()
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 0
+    assert "version" in json.loads((frames.folder / "teacher.json").read_text())
+    (frames.folder / "pictures.json").unlink()
+    os.utime(photos / "wide.png", (4e9, 4e9))
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+
+
+def sideways(path: Path) -> None:
+    """A photo of 8 x 16 pixels, red on its left, as a phone stores it that was held upright: 16 x 8."""
+    photo = np.zeros((8, 16, 3), np.uint8)
+    photo[:, :8, 0] = 255
+    tag = Image.Exif()
+    tag[0x112] = 6  # to be turned by 90 degrees clockwise
+    Image.fromarray(np.ascontiguousarray(np.rot90(photo))).save(path, exif=tag, quality=95)
+
+
+def test_photos_are_turned_upright(photos: Path) -> None:
+    sideways(photos / "phone.jpg")
+    frames = TeacherLabels(photos, teacher=Brightness())
+    frame = frames.load_frame(frames.names.index("phone.jpg"))
+    assert frame.image.shape == (8, 16, 3)
+    assert frame.image[:, :6, 0].min() > 200
+    assert frame.depth[:, :6].min() > 4
+    assert frame.depth[:, 10:].max() < 2
+
+
+def test_labels_of_version_1_hold_except_for_turned_photos(photos: Path) -> None:
+    """Version 1 labeled photos as they are stored, and kept no record."""
+    sideways(photos / "phone.jpg")
+    frames = TeacherLabels(photos, teacher=Brightness())
+    cv2.imwrite(str(frames.label_file(1)), np.full((16, 8), 1000, np.uint16))
+    (frames.folder / "pictures.json").unlink()
+    teacher = Brightness()
+    frames = TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2  # one batch and its mirror image
+    assert frames.load_frame(1).depth.shape == (8, 16)
+    TeacherLabels(photos, teacher=teacher)
+    assert teacher.calls == 2
+
+
+def test_the_version_of_labels_counts(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = TeacherLabels(photos, teacher=Brightness())
+    assert json.loads((frames.folder / "teacher.json").read_text())["version"] == teacher_labels.VERSION
+    monkeypatch.setattr(teacher_labels, "VERSION", teacher_labels.VERSION + 1)
+    teacher = Brightness()
+    assert TeacherLabels(photos, teacher=teacher).folder == frames.folder
+    assert teacher.calls == 2
+    note = json.loads((frames.folder / "teacher.json").read_text())
+    assert note["version"] == teacher_labels.VERSION
+
+
+def test_damaged_pictures_are_left_out_if_asked(photos: Path) -> None:
+    (photos / "broken.jpg").write_bytes(b"no picture")
+    with pytest.raises(ValueError, match=r"broken\.jpg"):
+        TeacherLabels(photos, teacher=Brightness())
+    frames = TeacherLabels(photos, teacher=Brightness(), on_error="skip")
+    assert frames.names == ["more/tall.png", "wide.png"]
+    assert list(frames.skipped) == ["broken.jpg"]
+    assert frames.load_frame(1).image.shape == (16, 32, 3)
+    cv2.imwrite(str(photos / "broken.jpg"), np.zeros((8, 16, 3), np.uint8))
+    assert len(TeacherLabels(photos, teacher=Brightness())) == 3
 
 
 def test_a_teacher_of_metric_depth_lends_its_camera(photos: Path) -> None:
@@ -92,11 +195,20 @@ def test_the_largest_centered_part_of_a_shape(size: tuple[int, int], box: tuple[
     assert centered_box(size, (192, 256)) == box
 
 
+def test_hidden_files_and_folders_are_no_photographs(photos: Path) -> None:
+    """Such as macOS's ._a.jpg beside a.jpg, and thumbnails of a picture browser."""
+    (photos / ".thumbnails/small").mkdir(parents=True)
+    for hidden in (".thumbnails/small/wide.png", "more/._tall.png"):
+        cv2.imwrite(str(photos / hidden), np.zeros((8, 16, 3), np.uint8))
+    assert TeacherLabels(photos, teacher=Brightness()).names == ["more/tall.png", "wide.png"]
+
+
 def test_missing_pictures_and_sizes_are_named(photos: Path, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="is not a folder"):
-        TeacherLabels(tmp_path / "nothing", teacher=Brightness())
+    for root in (tmp_path / "nothing", None):
+        with pytest.raises(FileNotFoundError, match=r"data\.photographs=.* is not a folder"):
+            TeacherLabels(root, teacher=Brightness())
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="found no frames"):
+    with pytest.raises(ValueError, match=r"data\.photographs=.*empty has no pictures: give .*\.jpg"):
         TeacherLabels(tmp_path / "empty", teacher=Brightness())
     teacher = Brightness()
     teacher.input_size = None  # type: ignore[assignment]
