@@ -290,6 +290,11 @@ def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
     return setup(**{name: plain(config[name]) for name in names}, **given)
 
 
+def _check_types(config: DictConfig, target: Any, *names: str) -> None:
+    """Raise ValueError for the first of these settings that is of another type than the class's field."""
+    check_arguments(target, {name: plain(config[name]) for name in names})
+
+
 def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
     """Return a setting such as ``[near, far] in meters`` as numbers, or None for null.
 
@@ -551,7 +556,7 @@ def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = 
         check_sources(config, "weights", "teacher")
     from eldenet.training.setup import TrainingSetup
 
-    check_arguments(TrainingSetup, {name: config[name] for name in ("seed", "process_timeout")})
+    _check_types(config, TrainingSetup, "seed", "process_timeout")
     settings = _settings_in(folder, config)
     return TrainingSetup(
         folder=folder,
@@ -809,8 +814,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     checkpoint, engine = str(config.checkpoint), str(config.engine)
     one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
     one_of("on_error", str(config.on_error), ("stop", "skip"))
-    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
-        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    _check_types(config, PredictionSetup, "frames", "focal", "fov", "max_side", "steady", "sharp")
+    _check_types(config, Results, "overwrite")
+    if type(config.boxes) is not bool:
+        raise ValueError(f"boxes={config.boxes}: give true or false")
     wait = config.camera_timeout
     if wait is not None and not (isinstance(wait, int | float) and 0 < wait <= threading.TIMEOUT_MAX):
         raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")
@@ -820,7 +827,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
     if len(given) > 1:
         raise ValueError(f"{' and '.join(given)} are given: give only one of them")
-    if config.focal is not None and not (isinstance(config.focal, int | float) and config.focal > 0):
+    if config.focal is not None and not config.focal > 0:
         raise ValueError(f"focal={config.focal}: give fx of the source's pictures in pixels, above 0")
     if config.fov is not None:
         focal_of_fov(config.fov, 1)
@@ -847,7 +854,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         output,
         tuple(formats),
         (span[0], span[1]) if span else None,
-        bool(config.overwrite),
+        config.overwrite,
         one_size=camera is not None,
     )
     recording = None
@@ -925,6 +932,9 @@ def build_export(config: DictConfig) -> "ExportSetup":
             f"precision={precision}: for format={kind} choose from {', '.join(PRECISIONS[kind])}"
             + ("; for bf16 give format=openvino" if precision == "bf16" else "")
         )
+    _check_types(
+        config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
+    )
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
@@ -946,7 +956,7 @@ def build_demo(config: DictConfig) -> "DemoSetup":
     from eldenet.data.paths import default_cache
     from eldenet.deploy.demo import DemoSetup
 
-    check_arguments(DemoSetup, {name: config[name] for name in ("serve", "browser")})
+    _check_types(config, DemoSetup, "serve", "browser")
     output = default_cache() / "demo" if config.output is None else Path(config.output).expanduser()
     trusted = tuple(listed(config.trusted_modules))
     return _filled(DemoSetup, config, size=_size(config, "size"), output=output, trusted_modules=trusted)
