@@ -314,8 +314,8 @@ def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] |
     return numbers
 
 
-def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
-    """Return a setting ``[height, width]`` [px], or None for null.
+def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, int] | None:
+    """Return a setting ``[height, width]`` [px], or None for null; ``otherwise``: what the error offers too.
 
     Raises:
         ValueError: it is not such a pair.
@@ -325,7 +325,7 @@ def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
         return None
     pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
     if not pair or min(given) < 1:
-        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or {otherwise}")
     return given[0], given[1]
 
 
@@ -620,6 +620,9 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     _split_node(config, config.split)
     from eldenet.deploy.scoring import EvaluationSetup
 
+    _check_types(config, EvaluationSetup, "batch_size")
+    if config.input_size not in ("model", "data"):
+        _size(config, "input_size", "model or data")
     settings = _settings_in(folder, config)
     return EvaluationSetup(
         folder=folder,
@@ -935,6 +938,8 @@ def build_export(config: DictConfig) -> "ExportSetup":
     _check_types(
         config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
     )
+    if config.calibration < 1:
+        raise ValueError(f"calibration={config.calibration}: give the number of pictures, 1 or more")
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")

@@ -89,6 +89,12 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
             "(data.val...)",
         ),
         ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
+        ("evaluate", ["checkpoint=eldenet_s", "batch_size=0"], "batch_size=0: give whole numbers of 1 or"),
+        (
+            "evaluate",
+            ["checkpoint=eldenet_s", "input_size=100"],
+            "input_size=100: give [height, width] in pixels, or model or data",
+        ),
         ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
     ],
 )
