@@ -26,8 +26,8 @@ MAX_SIDE = 640
 GRID = 16  # sides of frames are multiples of this [px]
 DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
-    "this network ignores focal lengths: the camera is not used, and meters are right for the lens of its "
-    "training only (to change that, train with canonical_focal)"
+    "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
+    "the lens of its training only (to change that, train with canonical_focal)"
 )
 
 

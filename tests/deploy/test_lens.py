@@ -145,6 +145,22 @@ def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
     assert Lens(None, focal=70.0).focal_of((48, 64), path) is None
 
 
+def test_given_beats_kittis_calibration_for_depth_and_points(tmp_path: Path) -> None:
+    path = save(tmp_path / "image_2/000001.png", photo(48, 64))
+    (tmp_path / "calib").mkdir()
+    (tmp_path / "calib/000001.txt").write_text("P2: 100 0 31 0 0 100 23 0 0 0 1 0\n")
+    for lens, focal in (
+        (Lens(50.0), 100.0),
+        (Lens(50.0, focal=70.0), 70.0),
+        (Lens(50.0, fov=90.0), 32.0),
+        (Lens(50.0, intrinsics=(60.0, 60.0, 30.0, 20.0)), 60.0),
+    ):
+        camera = lens.camera_of((48, 64), path)
+        assert camera is not None
+        assert camera.intrinsics[0, 0] == pytest.approx(focal)
+        assert lens.focal_of((48, 64), path) == pytest.approx(focal)
+
+
 def test_a_photo_whose_exif_knows_the_lens_becomes_points(lens_model: DepthNet, tmp_path: Path) -> None:
     lens_model.save_pretrained(tmp_path / "model")
     photo_with_exif(tmp_path / "in/a.jpg", (48, 64), 26)
