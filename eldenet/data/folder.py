@@ -141,6 +141,15 @@ def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dic
     """Pairs by their path below the folder, without the ending; a missing partner is named ``name.*``."""
     pictures = _files(root, images, IMAGE_ENDINGS)
     maps = _files(root, depths, DEPTH_ENDINGS)
+    for kind, setting, folder, found, endings in (
+        ("pictures", "images", images, pictures, IMAGE_ENDINGS),
+        ("depth maps", "depths", depths, maps, DEPTH_ENDINGS),
+    ):
+        if not found:
+            raise FileNotFoundError(
+                f"{root / folder} holds no {kind} ({', '.join(endings)}): put them there, or give another "
+                f"data.root or data.{setting}"
+            )
     lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
     lonely += [f"{maps[n]} (no picture in {images})" for n in sorted(set(maps) - set(pictures))]
     if lonely and strict:
