@@ -314,6 +314,18 @@ def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] |
     return numbers
 
 
+def _camera(config: DictConfig) -> tuple[float, ...] | None:
+    """Return the setting ``intrinsics``, ``(fx, fy, cx, cy)`` [px], or None for null.
+
+    Raises:
+        ValueError: it is not four numbers, or a focal length is not above 0.
+    """
+    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    if camera and not (camera[0] > 0 and camera[1] > 0):
+        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
+    return camera
+
+
 def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, int] | None:
     """Return a setting ``[height, width]`` [px], or None for null; ``otherwise``: what the error offers too.
 
@@ -709,7 +721,7 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
         raise ValueError(
             "give source=<folder of pictures, or video>: camera_height needs frames of your camera"
         )
-    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    camera = _camera(config)
     if camera is None:
         raise ValueError(
             "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
@@ -824,9 +836,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     wait = config.camera_timeout
     if wait is not None and not (isinstance(wait, int | float) and 0 < wait <= threading.TIMEOUT_MAX):
         raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")
-    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
-    if camera and not (camera[0] > 0 and camera[1] > 0):
-        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    camera = _camera(config)
     given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
     if len(given) > 1:
         raise ValueError(f"{' and '.join(given)} are given: give only one of them")

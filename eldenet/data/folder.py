@@ -1,5 +1,6 @@
 """Your own pictures with depth: two folders, or a CSV of pairs."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
@@ -75,10 +76,13 @@ class FolderDataset(FileDataset):
     ) -> None:
         one_of("split", split, ("train", "val", "all"))
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
-        if intrinsics is not None and len(intrinsics) != 4:
-            raise ValueError(f"intrinsics={list(intrinsics)}: give [fx, fy, cx, cy] in pixels")
+        numbers = None if intrinsics is None else [float(value) for value in intrinsics]
+        if numbers is not None and not (
+            len(numbers) == 4 and min(numbers[:2]) > 0 and all(map(math.isfinite, numbers))
+        ):
+            raise ValueError(f"intrinsics={numbers}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
         self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
-        self.intrinsics = None if intrinsics is None else pinhole(*(float(v) for v in intrinsics))
+        self.intrinsics = None if numbers is None else pinhole(*numbers)
 
         folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
         if csv:

@@ -186,7 +186,7 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
     [
         (["intrinsics=[500,500,320]"], r"intrinsics=\[500, 500, 320\]: give \[fx, fy, cx, cy\]"),
         (["intrinsics=[500,500,320,x]"], "4 numbers"),
-        (["intrinsics=[0,500,320,240]"], "focal lengths above 0"),
+        (["intrinsics=[0,500,320,240]"], "fx and fy above 0"),
         (["intrinsics=5"], "4 numbers"),
         (["formats=[ply]"], "a.png: a point cloud needs the lens, which this file does not say"),
         (["fov=60", "intrinsics=[500,500,32,24]"], "intrinsics and fov are given"),
