@@ -71,6 +71,7 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
     wide = predictor(frame, fov=90)
     np.testing.assert_array_equal(wide, predictor(frame, intrinsics=np.diag([focal, focal, 1.0])))
     np.testing.assert_array_equal(wide, predictor(frame, focal=focal))
+    np.testing.assert_array_equal(wide, predictor(frame, intrinsics=[focal, focal, 31.5, 23.5]))
     np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
     with pytest.raises(ValueError, match="give only one of them"):
         predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
@@ -80,6 +81,10 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
         predictor(frame, focal=32, fov=90)
     with pytest.raises(ValueError, match="focal=-1: give fx of the frame in pixels"):
         predictor(frame, focal=-1)
+    with pytest.raises(ValueError, match="fov='69': give the horizontal field of view as a number"):
+        predictor(frame, fov="69")
+    with pytest.raises(ValueError, match="focal='32': give fx of the frame in pixels, a number"):
+        predictor(frame, focal="32")
 
 
 def test_a_network_without_focal_lengths_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
