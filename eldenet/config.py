@@ -290,6 +290,11 @@ def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
     return setup(**{name: plain(config[name]) for name in names}, **given)
 
 
+def _check_types(config: DictConfig, target: Any, *names: str) -> None:
+    """Raise ValueError for the first of these settings that is of another type than the class's field."""
+    check_arguments(target, {name: plain(config[name]) for name in names})
+
+
 def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] | None:
     """Return a setting such as ``[near, far] in meters`` as numbers, or None for null.
 
@@ -309,8 +314,20 @@ def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] |
     return numbers
 
 
-def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
-    """Return a setting ``[height, width]`` [px], or None for null.
+def _camera(config: DictConfig) -> tuple[float, ...] | None:
+    """Return the setting ``intrinsics``, ``(fx, fy, cx, cy)`` [px], or None for null.
+
+    Raises:
+        ValueError: it is not four numbers, or a focal length is not above 0.
+    """
+    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    if camera and not (camera[0] > 0 and camera[1] > 0):
+        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
+    return camera
+
+
+def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, int] | None:
+    """Return a setting ``[height, width]`` [px], or None for null; ``otherwise``: what the error offers too.
 
     Raises:
         ValueError: it is not such a pair.
@@ -320,7 +337,7 @@ def _size(config: DictConfig, name: str) -> tuple[int, int] | None:
         return None
     pair = isinstance(given, list) and [type(side) for side in given] == [int, int]
     if not pair or min(given) < 1:
-        raise ValueError(f"{name}={given}: give [height, width] in pixels, or null")
+        raise ValueError(f"{name}={given}: give [height, width] in pixels, or {otherwise}")
     return given[0], given[1]
 
 
@@ -551,7 +568,7 @@ def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = 
         check_sources(config, "weights", "teacher")
     from eldenet.training.setup import TrainingSetup
 
-    check_arguments(TrainingSetup, {name: config[name] for name in ("seed", "process_timeout")})
+    _check_types(config, TrainingSetup, "seed", "process_timeout")
     settings = _settings_in(folder, config)
     return TrainingSetup(
         folder=folder,
@@ -615,6 +632,9 @@ def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
     _split_node(config, config.split)
     from eldenet.deploy.scoring import EvaluationSetup
 
+    _check_types(config, EvaluationSetup, "batch_size")
+    if config.input_size not in ("model", "data"):
+        _size(config, "input_size", "model or data")
     settings = _settings_in(folder, config)
     return EvaluationSetup(
         folder=folder,
@@ -701,7 +721,7 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
         raise ValueError(
             "give source=<folder of pictures, or video>: camera_height needs frames of your camera"
         )
-    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
+    camera = _camera(config)
     if camera is None:
         raise ValueError(
             "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
@@ -809,18 +829,18 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     checkpoint, engine = str(config.checkpoint), str(config.engine)
     one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
     one_of("on_error", str(config.on_error), ("stop", "skip"))
-    if config.frames is not None and not (isinstance(config.frames, int) and config.frames >= 1):
-        raise ValueError(f"frames={config.frames}: give a whole number above 0, or null for all")
+    _check_types(config, PredictionSetup, "frames", "focal", "fov", "max_side", "steady", "sharp")
+    _check_types(config, Results, "overwrite")
+    if type(config.boxes) is not bool:
+        raise ValueError(f"boxes={config.boxes}: give true or false")
     wait = config.camera_timeout
     if wait is not None and not (isinstance(wait, int | float) and 0 < wait <= threading.TIMEOUT_MAX):
         raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")
-    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
-    if camera and not (camera[0] > 0 and camera[1] > 0):
-        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, focal lengths above 0")
+    camera = _camera(config)
     given = [name for name in ("intrinsics", "focal", "fov") if config[name] is not None]
     if len(given) > 1:
         raise ValueError(f"{' and '.join(given)} are given: give only one of them")
-    if config.focal is not None and not (isinstance(config.focal, int | float) and config.focal > 0):
+    if config.focal is not None and not config.focal > 0:
         raise ValueError(f"focal={config.focal}: give fx of the source's pictures in pixels, above 0")
     if config.fov is not None:
         focal_of_fov(config.fov, 1)
@@ -847,7 +867,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         output,
         tuple(formats),
         (span[0], span[1]) if span else None,
-        bool(config.overwrite),
+        config.overwrite,
         one_size=camera is not None,
     )
     recording = None
@@ -925,6 +945,11 @@ def build_export(config: DictConfig) -> "ExportSetup":
             f"precision={precision}: for format={kind} choose from {', '.join(PRECISIONS[kind])}"
             + ("; for bf16 give format=openvino" if precision == "bf16" else "")
         )
+    _check_types(
+        config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
+    )
+    if config.calibration < 1:
+        raise ValueError(f"calibration={config.calibration}: give the number of pictures, 1 or more")
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
@@ -946,7 +971,7 @@ def build_demo(config: DictConfig) -> "DemoSetup":
     from eldenet.data.paths import default_cache
     from eldenet.deploy.demo import DemoSetup
 
-    check_arguments(DemoSetup, {name: config[name] for name in ("serve", "browser")})
+    _check_types(config, DemoSetup, "serve", "browser")
     output = default_cache() / "demo" if config.output is None else Path(config.output).expanduser()
     trusted = tuple(listed(config.trusted_modules))
     return _filled(DemoSetup, config, size=_size(config, "size"), output=output, trusted_modules=trusted)

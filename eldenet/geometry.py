@@ -40,9 +40,9 @@ def resize_intrinsics(
 
 def focal_of_fov(degrees: float, width: int) -> float:
     """Return fx [px] of a picture ``width`` pixels wide with a horizontal field of view in degrees."""
-    if not 0 < degrees < 180:
+    if isinstance(degrees, str) or not 0 < degrees < 180:
         raise ValueError(
-            f"fov={degrees}: give the horizontal field of view in degrees, above 0 and below 180"
+            f"fov={degrees!r}: give the horizontal field of view as a number of degrees above 0 and below 180"
         )
     return width / 2 / math.tan(math.radians(degrees) / 2)
 

@@ -3,6 +3,7 @@
 import functools
 import logging
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -23,6 +24,8 @@ from eldenet.config import USER_ERRORS, config_folder, resolver
 from eldenet.system.disk import disk_line, is_full
 
 QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
+#: How torch hands over an error in a worker that loads data: with its traceback inside.
+IN_A_WORKER = re.compile(r"Caught (\w+) in DataLoader worker process \d+\..*\n\1: (.*)", re.DOTALL)
 
 
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
@@ -139,7 +142,8 @@ def _line(error: BaseException) -> str:
     line = disk_line(error)
     if line is None and isinstance(error, OSError) and error.errno and error.filename:
         return f"{error.filename}: {error.strerror}"
-    return line or str(error)
+    in_a_worker = IN_A_WORKER.match(str(error))
+    return line or (in_a_worker[2].strip() if in_a_worker else str(error))
 
 
 def _thread_failed(failed: threading.ExceptHookArgs) -> None:

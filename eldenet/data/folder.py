@@ -1,5 +1,6 @@
 """Your own pictures with depth: two folders, or a CSV of pairs."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
@@ -75,10 +76,13 @@ class FolderDataset(FileDataset):
     ) -> None:
         one_of("split", split, ("train", "val", "all"))
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
-        if intrinsics is not None and len(intrinsics) != 4:
-            raise ValueError(f"intrinsics={list(intrinsics)}: give [fx, fy, cx, cy] in pixels")
+        numbers = None if intrinsics is None else [float(value) for value in intrinsics]
+        if numbers is not None and not (
+            len(numbers) == 4 and min(numbers[:2]) > 0 and all(map(math.isfinite, numbers))
+        ):
+            raise ValueError(f"intrinsics={numbers}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
         self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
-        self.intrinsics = None if intrinsics is None else pinhole(*(float(v) for v in intrinsics))
+        self.intrinsics = None if numbers is None else pinhole(*numbers)
 
         folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
         if csv:
@@ -141,6 +145,15 @@ def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dic
     """Pairs by their path below the folder, without the ending; a missing partner is named ``name.*``."""
     pictures = _files(root, images, IMAGE_ENDINGS)
     maps = _files(root, depths, DEPTH_ENDINGS)
+    for kind, setting, folder, found, endings in (
+        ("pictures", "images", images, pictures, IMAGE_ENDINGS),
+        ("depth maps", "depths", depths, maps, DEPTH_ENDINGS),
+    ):
+        if not found:
+            raise FileNotFoundError(
+                f"{root / folder} holds no {kind} ({', '.join(endings)}): put them there, or give another "
+                f"data.root or data.{setting}"
+            )
     lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
     lonely += [f"{maps[n]} (no picture in {images})" for n in sorted(set(maps) - set(pictures))]
     if lonely and strict:

@@ -37,6 +37,7 @@ class Lens:
     ) -> None:
         self.canonical_px, self.intrinsics, self.fov = canonical_px, intrinsics, fov
         self.focal = focal if intrinsics is None else float(intrinsics[0])
+        self.given = self.focal is not None or fov is not None
         self.origins: Counter[str] = Counter()
 
     def focal_of(self, size: Sequence[int], path: Path | None = None) -> float | None:
@@ -57,7 +58,7 @@ class Lens:
         """
         if self.intrinsics is not None:
             return PinholeCamera(pinhole(*self.intrinsics))
-        if path is not None and (camera := object_camera(path)) is not None:
+        if not self.given and path is not None and (camera := object_camera(path)) is not None:
             return camera
         focal, _ = self._find(size, path)
         if focal is None:
@@ -78,8 +79,7 @@ class Lens:
     def describe(self) -> str:
         """Return one line that says which cameras were assumed."""
         if self.canonical_px is None:
-            given = self.focal is not None or self.fov is not None
-            return f"note: {NO_FOCAL}" if given else ""
+            return f"note: {NO_FOCAL}" if self.given else ""
         often = self.origins.most_common(3)
         parts = [what + (f" ({count} pictures)" if len(self.origins) > 1 else "") for what, count in often]
         more = len(self.origins) - len(often)

@@ -14,7 +14,7 @@ import numpy as np
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import natural_order
 from eldenet.deploy.predictor import to_millimeters
-from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
+from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, resize_image
 from eldenet.system.disk import disk_errors
 from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply", "sigma": "_sigma.png"}
 SIGMA_PICTURE = "_sigma_color.png"
 UNFINISHED = ".unfinished.json"  # in the folder of results that are not complete
+LARGEST_SIDE = 8190  # of a video [px]: MPEG-4 has 13 bits for it
 BITS_PER_PIXEL = 4  # of a video: depth's colors stay as they are
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _PLY_NAMES = {"<f4": "float", "|u1": "uchar"}
@@ -238,7 +239,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the .mp4 file appears at the end.
 
     An error or Ctrl-C keeps the video up to there, as what a camera showed does not come again. A video
-    without frames leaves no file.
+    without frames leaves no file. Frames with a side above ``LARGEST_SIDE`` are made smaller.
 
     Raises:
         ValueError: a frame has another size than the first one.
@@ -249,9 +250,10 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     unfinished = part_path(path)
     container: Any = None
     stream: Any = None
+    first: tuple[int, ...] = ()
 
     def add(picture: np.ndarray) -> None:
-        nonlocal container, stream
+        nonlocal container, stream, first
         height, width = picture.shape[:2]
         if container is None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -259,12 +261,16 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             container = av.open(str(unfinished), "w")
             most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
             stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
-            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-            stream.bit_rate = round(BITS_PER_PIXEL * width * height * per_second)
-        if (width, height) != (stream.width, stream.height):
+            first, scale = picture.shape, LARGEST_SIDE / max(height, width)
+            sides = (round(side * scale / 2) * 2 if scale < 1 else side for side in (width, height))
+            stream.width, stream.height = sides
+            stream.pix_fmt = "yuv420p"
+            stream.bit_rate = round(BITS_PER_PIXEL * stream.width * stream.height * per_second)
+        if picture.shape != first:
             raise ValueError(
-                f"{path} shows {stream.width} x {stream.height} pixels, the next frame has {width} x {height}"
+                f"{path} shows {first[1]} x {first[0]} pixels, the next frame has {width} x {height}"
             )
+        picture = resize_image(picture, (stream.height, stream.width))
         container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")))
 
     def finish() -> None:

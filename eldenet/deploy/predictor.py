@@ -26,8 +26,8 @@ MAX_SIDE = 640
 GRID = 16  # sides of frames are multiples of this [px]
 DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
-    "this network ignores focal lengths: the camera is not used, and meters are right for the lens of its "
-    "training only (to change that, train with canonical_focal)"
+    "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
+    "the lens of its training only (to change that, train with canonical_focal)"
 )
 
 
@@ -91,7 +91,7 @@ class DepthPredictor:
             from eldenet.model import size_of_frames
 
             input_size = size_of_frames(model.info)
-        if input_size is not None and (len(input_size) != 2 or min(input_size) < 1):
+        if input_size is not None and (np.shape(input_size) != (2,) or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
         if max_side < 1:
             raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
@@ -240,8 +240,8 @@ def focal_length(
     if fov is not None:
         return focal_of_fov(fov, width)
     if focal is not None:
-        if not (focal > 0 and math.isfinite(focal)):
-            raise ValueError(f"focal={focal}: give fx of the frame in pixels, above 0")
+        if isinstance(focal, str) or not (focal > 0 and math.isfinite(focal)):
+            raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
         return float(focal)
     if intrinsics is None:
         return None

@@ -27,8 +27,8 @@ class EvaluationSetup:
         checkpoint: run folder, saved model, Hub id, packaged weights, or an exported file.
         data: name of the data set.
         split: "train", "val" or "test".
-        input_size: ``(height, width)`` [px] that the network sees; "model": what it was trained at; "data":
-            ``data_input_size``.
+        input_size: ``(height, width)`` [px] that the network sees; "model": what it was trained at; "data" or
+            None: ``data_input_size``.
         data_input_size: the data set's own.
         training_frames: of a rendered training split; None: the data set is not rendered.
         protocol: the rules.
@@ -154,11 +154,7 @@ def chosen_size(
 ) -> Sequence[int] | None:
     """``(height, width)`` [px] that the network sees; None: the data set's own."""
     wanted = trained_size(model, setup.protocol) if setup.input_size == "model" else setup.input_size
-    if wanted is None or wanted == "data":
-        return None
-    if isinstance(wanted, str) or len(wanted) != 2:
-        raise ValueError(f"input_size={wanted!r}: give [height, width], model or data")
-    if list(wanted) == setup.data_input_size:
+    if wanted is None or isinstance(wanted, str) or list(wanted) == setup.data_input_size:
         return None
     log.say(
         f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={setup.data_input_size} is "

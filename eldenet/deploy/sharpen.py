@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SHORT_SIDE = 240  # at which `sharpen` works [px]
+SHORT_SIDE, LONG_SIDE = 240, 960  # at which `sharpen` works, or less [px]
 WINDOW, STEP = 7, 3  # samples across its window, and pixels between them
 COLOR_SIGMA = 0.08  # difference of colors in [0, 1] at which weights fall off
 PASSES, HALVINGS = 2, 8  # a median is found by halving the range of depths in the window
@@ -20,12 +20,12 @@ def sharpen(depth: np.ndarray, image: np.ndarray) -> np.ndarray:
         image: ``(H, W, 3)`` uint8 RGB.
 
     Returns:
-        Depth ``(h', w')`` float32 [m], whose shorter side has at most 240 px.
+        Depth ``(h', w')`` float32 [m], whose sides have at most 240 and 960 px.
     """
     import cv2
 
     height, width = image.shape[:2]
-    scale = min(1.0, SHORT_SIDE / min(height, width))
+    scale = min(1.0, SHORT_SIDE / min(height, width), LONG_SIDE / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
     out = cv2.resize(depth.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)

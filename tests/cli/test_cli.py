@@ -89,6 +89,12 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
             "(data.val...)",
         ),
         ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
+        ("evaluate", ["checkpoint=eldenet_s", "batch_size=0"], "batch_size=0: give whole numbers of 1 or"),
+        (
+            "evaluate",
+            ["checkpoint=eldenet_s", "input_size=100"],
+            "input_size=100: give [height, width] in pixels, or model or data",
+        ),
         ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
     ],
 )
@@ -97,6 +103,18 @@ def test_a_mistake_ends_in_one_clear_line(run_command, command, arguments, messa
     assert finished.returncode == 1
     assert message in finished.stderr + finished.stdout
     assert "Traceback" not in finished.stderr + finished.stdout
+
+
+def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, tmp_path):
+    root = layouts.folder(tmp_path / "data")
+    damaged = next((root / "images").iterdir())
+    damaged.write_bytes(damaged.read_bytes()[:-30])
+    words = ("data=folder", f"data.root={root}", "data.max_depth=10", "split=train", "runtime.threads=1")
+    for workers in (0, 1):
+        finished = run_command("evaluate", "checkpoint=eldenet_s", *words, f"runtime.workers={workers}")
+        assert finished.returncode == 1
+        assert finished.stderr.splitlines()[-1].startswith(f"error: {damaged} is truncated or damaged")
+        assert "Traceback" not in finished.stderr
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,24 @@ def test_a_csv_pairs_files_of_any_name(tmp_path: Path) -> None:
         FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)
 
 
+def test_an_empty_folder_is_named_with_what_belongs_there(tmp_path: Path) -> None:
+    tree(tmp_path, 0)
+    (tmp_path / "images/a.heic").touch()
+    with pytest.raises(FileNotFoundError, match=r"/images holds no pictures \(\.jpg.* data\.images"):
+        FolderDataset(tmp_path, split="val", max_depth=10.0)
+    cv2.imwrite(str(tmp_path / "images/a.png"), RGB)
+    with pytest.raises(FileNotFoundError, match=r"/depths holds no depth maps \(\.png.* data\.depths"):
+        FolderDataset(tmp_path, split="val", max_depth=10.0, on_error="skip")
+
+
+@pytest.mark.parametrize("wrong", [[0, 90, 15, 10], [100, -90, 15, 10], [np.inf, 90, 15, 10], [100, 90, 15]])
+def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, wrong: list[float]) -> None:
+    with pytest.raises(
+        ValueError, match=r"intrinsics=\[.*: give \[fx, fy, cx, cy\] in pixels, fx and fy above"
+    ):
+        FolderDataset(tree(tmp_path), intrinsics=wrong, max_depth=8.0)
+
+
 def test_missing_partners_are_named(tmp_path: Path) -> None:
     tree(tmp_path, 30)
     for i in range(12):
@@ -104,10 +122,6 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
 
 def test_missing_folder_says_what_is_expected(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"has no images, depths.*\n.*images/a\.jpg"):
-        FolderDataset(tmp_path, max_depth=10.0)
-    for folder in ("images", "depths"):
-        (tmp_path / folder).mkdir()
-    with pytest.raises(ValueError, match="no frames"):
         FolderDataset(tmp_path, max_depth=10.0)
 
 

@@ -71,6 +71,7 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
     wide = predictor(frame, fov=90)
     np.testing.assert_array_equal(wide, predictor(frame, intrinsics=np.diag([focal, focal, 1.0])))
     np.testing.assert_array_equal(wide, predictor(frame, focal=focal))
+    np.testing.assert_array_equal(wide, predictor(frame, intrinsics=[focal, focal, 31.5, 23.5]))
     np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
     with pytest.raises(ValueError, match="give only one of them"):
         predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
@@ -80,6 +81,10 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
         predictor(frame, focal=32, fov=90)
     with pytest.raises(ValueError, match="focal=-1: give fx of the frame in pixels"):
         predictor(frame, focal=-1)
+    with pytest.raises(ValueError, match="fov='69': give the horizontal field of view as a number"):
+        predictor(frame, fov="69")
+    with pytest.raises(ValueError, match="focal='32': give fx of the frame in pixels, a number"):
+        predictor(frame, focal="32")
 
 
 def test_a_network_without_focal_lengths_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -143,6 +148,22 @@ def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
     assert Lens(50.0).focal_of((48, 64), path) == pytest.approx(26 * 80 / 43.27)
     assert Lens(50.0).focal_of((48, 64)) is None
     assert Lens(None, focal=70.0).focal_of((48, 64), path) is None
+
+
+def test_given_beats_kittis_calibration_for_depth_and_points(tmp_path: Path) -> None:
+    path = save(tmp_path / "image_2/000001.png", photo(48, 64))
+    (tmp_path / "calib").mkdir()
+    (tmp_path / "calib/000001.txt").write_text("P2: 100 0 31 0 0 100 23 0 0 0 1 0\n")
+    for lens, focal in (
+        (Lens(50.0), 100.0),
+        (Lens(50.0, focal=70.0), 70.0),
+        (Lens(50.0, fov=90.0), 32.0),
+        (Lens(50.0, intrinsics=(60.0, 60.0, 30.0, 20.0)), 60.0),
+    ):
+        camera = lens.camera_of((48, 64), path)
+        assert camera is not None
+        assert camera.intrinsics[0, 0] == pytest.approx(focal)
+        assert lens.focal_of((48, 64), path) == pytest.approx(focal)
 
 
 def test_a_photo_whose_exif_knows_the_lens_becomes_points(lens_model: DepthNet, tmp_path: Path) -> None:

@@ -64,6 +64,8 @@ def test_names_in_place_of_networks_and_pictures_are_refused(model: DepthNet) ->
 def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> None:
     with pytest.raises(ValueError, match="input_size"):
         DepthPredictor(model, (0, 32))
+    with pytest.raises(ValueError, match=r"input_size=128: give \[height, width\] in pixels"):
+        DepthPredictor(model, 128)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="max_side"):
         DepthPredictor(model, max_side=0)
 

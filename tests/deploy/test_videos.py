@@ -160,6 +160,16 @@ def test_an_error_keeps_the_video_up_to_it(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
+def test_a_video_wider_than_its_format_allows_is_made_smaller(tmp_path: Path) -> None:
+    """A frame of 4K and its depth side by side are 8626 pixels wide."""
+    picture = np.zeros((200, 8626, 3), np.uint8)
+    picture[:, 4313:] = 200
+    video_of(tmp_path / "a.mp4", [picture] * 2)
+    frames = read_video(tmp_path / "a.mp4")[0]
+    assert [frame.shape for frame in frames] == [(190, 8190, 3)] * 2
+    assert frames[1][:, 4110:].mean() - frames[1][:, :4080].mean() > 180
+
+
 def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (20, 96, 128, 3), np.uint8)
     limits, ignored = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -128,6 +128,7 @@ def test_the_scale_is_stored_with_the_weights_and_held_out_frames_decide(walk, c
         (["camera_height=-1"], "camera_height=-1"),
         (["camera_height=0.8", "camera_pitch=95"], "camera_pitch=95"),
         (["camera_height=0.8", "intrinsics=null"], "give intrinsics="),
+        (["camera_height=0.8", "intrinsics=[50,0,32,24]"], r"intrinsics=.*: give .*fx and fy above 0"),
         (["camera_height=0.8", "source=null"], "give source="),
         (["camera_height=0.8", "source=camera:0"], "not a camera"),
         (["camera_height=0.8", "weights=eldenet"], "without trained weights"),
