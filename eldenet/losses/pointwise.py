@@ -6,7 +6,10 @@ from eldenet.losses.base import Loss, fill_masked, masked_mean
 
 
 class L1Loss(Loss):
-    """Mean absolute error [m] (ELDE-Net, eq. 6)."""
+    """Mean absolute error [m].
+
+    The paper's prose says sum. A mean keeps the weights of the loss right for any size of image.
+    """
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar [m]."""

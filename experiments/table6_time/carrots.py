@@ -145,8 +145,8 @@ def val_lines(rows: Rows) -> list[str]:
             chosen = " (chosen)" if len(of) == len(CARROTS) and carrot == tuned(rows, method) else ""
             rate = f"{s['success']:.1f} ({s['success_low']:.0f} to {s['success_high']:.0f})"
             out.append(f"| `{method}` | {carrot}{chosen} | {len(of[carrot])} | {rate} | {seconds:.1f} |")
-    note = "Times are means over the arenas that the planner solved with every carrot. The choice compares the carrots "
-    note += "that lose at most one arena to the best, on the arenas that all of these solved."
+    note = "Times are means over the arenas that the planner solved with every carrot. The choice compares "
+    note += "the carrots that lose at most one arena to the best, on the arenas that all of these solved."
     return [*out, "", note]
 
 
