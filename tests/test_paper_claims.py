@@ -12,10 +12,16 @@ PAGES = sorted(
     for pattern in (
         "*.md",
         "docs/*.md",
-        "experiments/*/*.md",
+        "docs/notebooks/*.ipynb",
+        "experiments/**/*.md",
         "experiments/**/*.py",
+        "experiments/**/*.yaml",
         "eldenet/**/*.py",
+        "eldenet/**/*.md",
         "configs/**/*.yaml",
+        "ros2/**/*.md",
+        "ros2/**/*.py",
+        "web/*.md",
     )
     for path in REPOSITORY.glob(pattern)
 )
@@ -42,6 +48,7 @@ WRONG = (
     r"\beqs?\. [45]\b.*(ELDE-Net|the paper)|(ELDE-Net|paper)[^.]*\beqs?\. ?[45]",
     r"the paper gives (the terms|no numbers)",
     r"equations? 1( to 3)? literally",
+    r"last command[^.]{0,40}(of|as|in) the paper's state",
 )
 
 
@@ -59,7 +66,8 @@ def claims(text: str) -> list[str]:
     """What a page puts into the paper's mouth."""
     text = re.sub(r"\s*\n[#\s]*", " ", text)
     credited = re.findall(
-        r"[Tt]he (?:ELDE-Net )?paper (?:says|reports|gives|states|has|describes)([^.;|]*(?:\.\d[^.;|]*)*)",
+        r"[Tt]he (?:ELDE-Net )?paper(?:'s (?:text|prose))? (?:says|reports|gives|states|has|describes)"
+        r"([^.;|]*(?:\.\d[^.;|]*)*)",
         text,
     )
     return credited + re.findall(r"[Tt]he paper's (?:own )?((?:[\w-]+ ){0,3}\d[\d.,]*)", text)
