@@ -14,7 +14,7 @@ from eldenet.config import build_benchmark, compose
 from eldenet.deploy.benchmarking import measure
 from eldenet.deploy.benchmarking.measure import COLUMNS, Case
 from eldenet.deploy.benchmarking.rows import read_rows
-from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark
+from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark, load_models
 from eldenet.deploy.benchmarking.tables import draw, read_accuracies
 from eldenet.deploy.fold import fold
 from eldenet.evaluation.cost import count_macs, count_params
@@ -230,6 +230,11 @@ def test_wrong_settings_are_refused(tmp_path: Path, overrides: list[str], messag
     with pytest.raises(ValueError, match=message):
         run(tmp_path / "none", *overrides)
     assert not (tmp_path / "none").exists()
+
+
+def test_packaged_weights_keep_their_names() -> None:
+    setup = build_benchmark(compose("benchmark", ["models=[eldenet_rooms,eldenet_indoor]"]))
+    assert list(load_models(setup).models) == ["eldenet_rooms", "eldenet_indoor"]
 
 
 def test_timed_calls_take_turns() -> None:

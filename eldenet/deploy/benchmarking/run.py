@@ -205,7 +205,8 @@ def load_models(setup: BenchmarkSetup) -> Networks:
         torch.manual_seed(0)
         trusted = () if source in eldenet.list_models() else setup.trusted_modules
         model = eldenet.load(source, trusted_modules=trusted)
-        name = str(model.info.get("model_name", Path(source).name))
+        packaged = source in eldenet.list_weights()
+        name = source if packaged else str(model.info.get("model_name", Path(source).name))
         if name in models:
             raise ValueError(
                 f"two models are called {name!r}, but rows need distinct names: give one of them another "
