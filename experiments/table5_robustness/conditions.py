@@ -83,16 +83,20 @@ CONDITIONS: Mapping[str, Condition] = {
 }
 # distance to the planner's target [m], chosen by the driver's rule: ../table6_time/carrots.md
 TUNED = 1.6
+# trained with training.randomize, see README.md
+VARIED = HERE / "varied_dqn.safetensors"
 METHODS: Mapping[str, Callable[[int], Any]] = {
     "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
     "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
     "astar_online_dwa, tuned": lambda robots: AStarOnlineDWA(carrot=TUNED, robots=robots),
+    "varied_dqn": lambda robots: Navigator.load(VARIED, slows_within=1.0, robots=robots),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
 }
 VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
+    "varied_dqn": str(EPISODE_VERSION),
     "astar_online_dwa, tuned": f"{EPISODE_VERSION}.{DWA_VERSION}.{TUNED}",
     "astar_online_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
     "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
@@ -106,7 +110,7 @@ Rows = dict[tuple[str, str], list[Episode]]
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=60, help="test arenas")
-    parser.add_argument("--methods", default=";".join(list(METHODS)[:3]), help="separated by semicolons")
+    parser.add_argument("--methods", default=";".join(list(METHODS)[:4]), help="separated by semicolons")
     parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)

@@ -21,6 +21,7 @@ METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned", "astar
 HEAD = (
     "what differs from 80 obstacles and true ranges",
     "packaged driver alone",
+    "`varied_dqn` alone",
     "packaged driver",
     "`astar_online_dqn`",
     "`astar_online_dwa`, tuned",
@@ -47,7 +48,8 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         "# What an arena, a delay or a fault costs",
         "",
         "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last four columns "
-        "know the latency, and get filtered ranges where single columns are wrong; the first one does not.",
+        "know the latency, and get filtered ranges where single columns are wrong; the first two do not. "
+        "`varied_dqn` was trained with other sizes, speeds, latencies and a drifting odometry.",
         "",
         f"| {' | '.join(HEAD)} |",
         f"|---|{'---:|' * (len(HEAD) - 1)}",
@@ -65,17 +67,18 @@ def condition_line(name: str, rows: conditions.Rows) -> str | None:
         return None
     known = f"{name}, predicted"
     helped = known if known in conditions.CONDITIONS else name
-    return line(name, rows.get(("dqn_ensemble", name)), [rows.get((method, helped)) for method in METHODS])
+    alone = [rows.get((method, name)) for method in ("dqn_ensemble", "varied_dqn")]
+    return line(name, [*alone, *(rows.get((method, helped)) for method in METHODS)])
 
 
 def fault_line(name: str, rows: faults.Rows) -> str:
     """Return a line of the table: without the range filter, then with it."""
-    alone = rows.get(("dqn_ensemble", name, False))
-    return line(name, alone, [rows.get((method, name, True)) for method in METHODS])
+    alone = [rows.get(("dqn_ensemble", name, False)), None]
+    return line(name, [*alone, *(rows.get((method, name, True)) for method in METHODS)])
 
 
-def line(name: str, alone: Sequence[Episode] | None, helped: Sequence[Sequence[Episode] | None]) -> str:
-    return f"| {' | '.join([name, *map(cell, (alone, *helped))])} |"
+def line(name: str, episodes: Sequence[Sequence[Episode] | None]) -> str:
+    return f"| {' | '.join([name, *map(cell, episodes)])} |"
 
 
 def cell(episodes: Sequence[Episode] | None) -> str:
