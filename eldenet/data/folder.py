@@ -10,7 +10,7 @@ import numpy as np
 from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root, natural_order
+from eldenet.data.paths import csv_pairs, find_root, natural_order, visible_files
 from eldenet.geometry import pinhole
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
@@ -168,10 +168,7 @@ def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dic
 
 def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
-    for path in sorted((root / folder).rglob("*")):
-        hidden = any(part.startswith(".") for part in path.relative_to(root / folder).parts)
-        if hidden or path.suffix.lower() not in endings:  # such as macOS's ._a.jpg beside a.jpg
-            continue
+    for path in sorted(visible_files(root / folder, endings)):
         name = path.relative_to(root / folder).with_suffix("").as_posix()
         file = path.relative_to(root).as_posix()
         if name in found:

@@ -21,6 +21,16 @@ def natural_order(name: str) -> tuple[list[str | int], str]:
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
 
 
+def visible_files(folder: Path, endings: Sequence[str]) -> list[Path]:
+    """Return the files with these endings in a folder and below, but no hidden ones (``._a.jpg``)."""
+    return [
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in endings
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    ]
+
+
 def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:
     """Find the folder of a data set.
 

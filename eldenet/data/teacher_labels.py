@@ -12,7 +12,7 @@ import torch
 
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, is_turned, read_depth, read_image
-from eldenet.data.paths import default_cache
+from eldenet.data.paths import default_cache, visible_files
 from eldenet.geometry import pinhole, resize_image
 from eldenet.system.files import part_file, read_json, write_json
 from eldenet.system.progress import open_console, progress_bar
@@ -192,8 +192,7 @@ def find_pictures(folder: Path) -> list[str]:
     Raises:
         ValueError: there are none.
     """
-    inside = [path.relative_to(folder) for path in folder.rglob("*") if path.suffix.lower() in IMAGE_ENDINGS]
-    files = sorted(path.as_posix() for path in inside if not any(part.startswith(".") for part in path.parts))
+    files = sorted(path.relative_to(folder).as_posix() for path in visible_files(folder, IMAGE_ENDINGS))
     if not files:
         raise ValueError(
             f"data.photographs={folder} has no pictures: give a folder of {', '.join(IMAGE_ENDINGS)} files; "

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
-from eldenet.data.paths import natural_order
+from eldenet.data.paths import natural_order, visible_files
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, resize_image
 from eldenet.system.disk import disk_errors
@@ -335,10 +335,10 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     own = output.resolve()
     paths = [
         path
-        for path in sorted(source.rglob("*"), key=lambda path: natural_order(path.as_posix()))
-        if path.suffix.lower() in IMAGE_ENDINGS
-        and path.is_file()
-        and not any(part.startswith(".") for part in path.relative_to(source).parts)
+        for path in sorted(
+            visible_files(source, IMAGE_ENDINGS), key=lambda path: natural_order(path.as_posix())
+        )
+        if path.is_file()
         and (own == source.resolve() or own not in path.resolve().parents)  # earlier results
     ]
     if not paths:
