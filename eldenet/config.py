@@ -1027,7 +1027,7 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
     from eldenet.navigation.episodes import EpisodeSettings
     from eldenet.navigation.latency import Predictive
 
-    names = ("physics", "goal", "time_limit", "seed", "range_filter")
+    names = ("physics", "goal", "time_limit", "seed", "range_filter", "range_scale")
     episode = {name: settings[name] for name in names if name in settings}
     episode |= {f"robot_{name}": value for name, value in settings.get("robot", {}).items()}
     check_arguments(EpisodeSettings, episode)

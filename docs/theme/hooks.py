@@ -114,6 +114,7 @@ REFERENCE = {
             "eldenet.navigation.policy.Navigator",
             "eldenet.navigation.observer.Senses",
             "eldenet.navigation.range_filter.RangeFilter",
+            "eldenet.navigation.range_scale.RangeScale",
             "eldenet.navigation.localization.Localizer",
             "eldenet.navigation.env.ArenaNavEnv",
             "eldenet.navigation.env.ArenaNavVectorEnv",

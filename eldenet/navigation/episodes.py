@@ -14,6 +14,7 @@ import numpy as np
 from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
+from eldenet.navigation.range_scale import RangeScale
 from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
 from eldenet.simulation.arena_mjcf import FRICTION
 from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
@@ -52,6 +53,8 @@ class EpisodeSettings:
         seed: of the sensors' errors; those in arena ``k`` come from ``(seed, k)``.
         range_filter: pass all ranges through a :class:`~eldenet.navigation.range_filter.RangeFilter`; None:
             if single columns of the sensor may be wrong.
+        range_scale: correct ranges that are all too long or too short, with a
+            :class:`~eldenet.navigation.range_scale.RangeScale`.
         robot_size: of its footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`; no driver knows it.
         robot_speed: speed and turn rate that it reaches, relative to the commands; no driver knows it.
         robot_friction: between its wheels and the floor, for physics="wheels"; no driver knows it.
@@ -66,6 +69,7 @@ class EpisodeSettings:
     time_limit: float = TIME_LIMIT
     seed: int = 0
     range_filter: bool | None = False
+    range_scale: bool = False
     robot_size: float = 1.0
     robot_speed: float = 1.0
     robot_friction: float = FRICTION
@@ -154,6 +158,7 @@ class Episodes:
         self._odometry: list[Odometry | None] = [None] * count
         self._filtered = settings.filters(sensor)
         self._filters = [RangeFilter() for _ in range(count)]
+        self._scales = [RangeScale() for _ in range(count)]
         self._localizers: list[Localizer | None] = [None] * count  # for goal="fixes" only
         self._rngs: list[np.random.Generator | None] = [None] * count
         self.poses = np.zeros((count, 3))  # true ones
@@ -183,6 +188,7 @@ class Episodes:
         rng = np.random.Generator(np.random.PCG64(stream))
         self._sensors[slot] = self.sensor.begin(world, rng)
         self._filters[slot].reset()
+        self._scales[slot].reset()
         drift = self.sensor.drift
         self._odometry[slot] = Odometry(drift, rng, world.pose)
         if self.settings.goal == "fixes":
@@ -226,10 +232,14 @@ class Episodes:
         """Take a new scan in some slots."""
         for slot in slots:
             scan = self._sensors[slot].scan()  # type: ignore[union-attr]
-            if self._filtered:
-                odometry = np.array(self._odometry[slot].pose)  # type: ignore[union-attr]
-                ranges, cautious = self._filters[slot](scan.ranges, odometry, scan.cautious)
-                scan = scan._replace(ranges=ranges, cautious=cautious)
+            odometry = np.array(self._odometry[slot].pose)  # type: ignore[union-attr]
+            for used, part in (
+                (self._filtered, self._filters[slot]),
+                (self.settings.range_scale, self._scales[slot]),
+            ):
+                if used:
+                    ranges, cautious = part(scan.ranges, odometry, scan.cautious)
+                    scan = scan._replace(ranges=ranges, cautious=cautious)
             self.observations[slot] = scan
 
     def senses(self) -> Senses:

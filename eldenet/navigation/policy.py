@@ -23,6 +23,7 @@ from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.range_filter import RangeFilter
+from eldenet.navigation.range_scale import RangeScale
 from eldenet.navigation.ranges import check_meters, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
@@ -92,6 +93,8 @@ class Navigator:
     Attributes:
         files: that it was loaded from.
         range_filter: that :meth:`step` passes its ranges through; None: none.
+        range_scale: that :meth:`step` then corrects them with, for a camera that measures all ranges too long
+            or too short; None (default): nothing.
         stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
 
     Raises:
@@ -119,6 +122,7 @@ class Navigator:
         self.info = info or {}
         self.files: list[Path] = []
         self.range_filter: RangeFilter | None = RangeFilter()
+        self.range_scale: RangeScale | None = None
         self.stop_reason: str | None = None
         self._origin: np.ndarray | None = None  # of step's poses (1, 3)
 
@@ -193,8 +197,9 @@ class Navigator:
         """Forget what a robot saw; call this at every new start."""
         self.observer.reset(robot)
         self._origin = None
-        if self.range_filter is not None:
-            self.range_filter.reset()
+        for part in (self.range_filter, self.range_scale):
+            if part is not None:
+                part.reset()
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -257,8 +262,9 @@ class Navigator:
         # the memory has float32, which does not suffice for positions such as UTM's
         self._origin = now * (1, 1, 0) if self._origin is None else self._origin
         now, then = now - self._origin, None if then is None else then - self._origin
-        if self.range_filter is not None:
-            ranges, _ = self.range_filter(ranges, (now if then is None else then)[0])
+        for part in (self.range_filter, self.range_scale):
+            if part is not None:
+                ranges, _ = part(ranges, (now if then is None else then)[0])
         speed, turn = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0].tolist()
         return speed, turn
 

@@ -73,13 +73,23 @@ CONDITIONS: Mapping[str, Condition] = {
     "latency 0.4 s, predicted": Condition(sensor={"latency": 0.4}, predicted=True),
     "heading drift 4 degrees/m": Condition(sensor={"drift": {"distance": 0.0, "heading": math.radians(4)}}),
     "ranges 15 % too short": Condition(sensor={"factor": 0.85}),
+    "ranges 15 % too short, corrected": Condition(sensor={"factor": 0.85}, robot={"range_scale": True}),
     "ranges 15 % too long": Condition(sensor={"factor": 1.15}),
+    "ranges 15 % too long, corrected": Condition(sensor={"factor": 1.15}, robot={"range_scale": True}),
+    "true ranges, corrected": Condition(robot={"range_scale": True}),
     "5 % of the scans lost": Condition(sensor={"lost": 0.05}),
     "slippery floor": Condition(robot={"robot_friction": 0.15}),
     "speed x 0.8": Condition(robot={"robot_speed": 0.8}),
     "speed x 1.2": Condition(robot={"robot_speed": 1.2}),
     "size x 0.85": Condition(robot={"robot_size": 0.85}),
     "size x 1.15": Condition(robot={"robot_size": 1.15}),
+}
+# condition -> the same with its remedy
+REMEDIES: Mapping[str, str] = {
+    name: f"{name}, {remedy}"
+    for name in CONDITIONS
+    for remedy in ("predicted", "corrected")
+    if f"{name}, {remedy}" in CONDITIONS
 }
 # distance to the planner's target [m], chosen by the driver's rule: ../table6_time/carrots.md
 TUNED = 1.6

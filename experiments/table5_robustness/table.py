@@ -48,7 +48,8 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         "# What an arena, a delay or a fault costs",
         "",
         "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last four columns "
-        "know the latency, and get filtered ranges where single columns are wrong; the first two do not. "
+        "know the latency, get filtered ranges where single columns are wrong, and corrected ranges where "
+        "all are too short or too long; the first two do not. "
         "`varied_dqn` was trained with other sizes, speeds, latencies and a drifting odometry.",
         "",
         f"| {' | '.join(HEAD)} |",
@@ -62,11 +63,10 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
 
 
 def condition_line(name: str, rows: conditions.Rows) -> str | None:
-    """Return a line of the table; None for a known latency, which stands in the line of the latency."""
-    if conditions.CONDITIONS[name].predicted:
+    """Return a line of the table; None for a remedy, which stands in the line of what it helps against."""
+    if name in conditions.REMEDIES.values():
         return None
-    known = f"{name}, predicted"
-    helped = known if known in conditions.CONDITIONS else name
+    helped = conditions.REMEDIES.get(name, name)
     alone = [rows.get((method, name)) for method in ("dqn_ensemble", "varied_dqn")]
     return line(name, [*alone, *(rows.get((method, helped)) for method in METHODS)])
 
