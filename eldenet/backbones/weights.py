@@ -181,11 +181,16 @@ def load_torchvision_weights(
         )
     weights = {key: value for key, value in weights.items() if not key.startswith(("fc.", "classifier."))}
     if by_order and weights.keys() != module.state_dict().keys():
-        weights = _rename_by_order(weights, module.state_dict(), source)
+        weights = rename_by_order(weights, module.state_dict(), source)
     load_weights(module, weights, source)
 
 
-def _rename_by_order(weights: Weights, expected: Weights, source: str) -> Weights:
+def rename_by_order(weights: Weights, expected: Weights, source: str) -> Weights:
+    """Return weights under the names of ``expected``, matched by order.
+
+    Raises:
+        ValueError: the numbers or the shapes of the tensors differ; the message names ``source``.
+    """
     if len(weights) != len(expected):
         raise ValueError(
             f"the names in {source} differ from this network's, and it has {len(weights)} tensors instead of "

