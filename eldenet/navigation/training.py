@@ -18,7 +18,7 @@ from eldenet.results.run_record import environment, read_record
 from eldenet.system.files import write_json
 
 PROGRESS, RECORD = "progress.json", "training.json"
-VALIDATION_DENSITY = 80
+VALIDATION_DENSITY = 80  # or the greatest number of obstacles in training, if that is less
 #: Settings that a checkpoint and the training that continues it have in common.
 COMPARED = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
 #: Settings, with the values that change nothing: trainings of earlier versions have none of them.
@@ -74,9 +74,8 @@ def train(
             return note
         log.say(f"continuing at step {learner.num_timesteps:,} of {total:,}")
     tasks, settings = learner.env.arenas, learner.env.episodes.settings
-    arenas = frozen_arenas(
-        VALIDATION_DENSITY, validate, split="val", pedestrians=tasks.pedestrians, kind=tasks.kind
-    )
+    density = min(VALIDATION_DENSITY, tasks.densities[1])
+    arenas = frozen_arenas(density, validate, split="val", pedestrians=tasks.pedestrians, kind=tasks.kind)
     walking = f" and {tasks.pedestrians} pedestrians" if tasks.pedestrians else ""
     clocks = time.process_time(), time.perf_counter()
     spent = note["cpu_seconds"], note["wall_seconds"]
@@ -96,7 +95,7 @@ def train(
                 log.scalars(leg["steps"], {f"validation/{name}": value for name, value in leg.items()})
                 log.say(
                     f"step {leg['steps']:,}: success in {leg['success']:.1f} % of {len(arenas)} validation "
-                    f"arenas ({tasks.kind}) with {VALIDATION_DENSITY} obstacles{walking}"
+                    f"arenas ({tasks.kind}) with {density} obstacles{walking}"
                 )
             note["legs"].append(leg)
             note["cpu_seconds"] = round(spent[0] + time.process_time() - clocks[0], 1)

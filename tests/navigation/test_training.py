@@ -103,7 +103,7 @@ def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
     tasks = TrainingArenas((0, 5), kind="rooms", pedestrians=3)
     train(tmp_path / "rooms", validate=2, arenas=tasks, time_limit=4.0, goal="fixes")
     arenas, settings = seen.pop()
-    assert [arena.name for arena in arenas] == ["val-rooms-80+3-0", "val-rooms-80+3-1"]
+    assert [arena.name for arena in arenas] == ["val-rooms-5+3-0", "val-rooms-5+3-1"]
     assert (settings.time_limit, settings.goal, settings.physics) == (4.0, "fixes", "kinematic")
     train(tmp_path / "open", validate=1)
     arenas, settings = seen.pop()
