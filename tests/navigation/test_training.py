@@ -105,6 +105,6 @@ def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
     arenas, settings = seen.pop()
     assert [arena.name for arena in arenas] == ["val-rooms-5+3-0", "val-rooms-5+3-1"]
     assert (settings.time_limit, settings.goal, settings.physics) == (4.0, "fixes", "kinematic")
-    train(tmp_path / "open", validate=1)
+    train(tmp_path / "open", validate=1, arenas=TrainingArenas((0, 120)))
     arenas, settings = seen.pop()
     assert (arenas[0].name, settings) == ("val-80-0", EpisodeSettings())
