@@ -1,11 +1,13 @@
 """Measure how steady the depth of a video is, with the filter and without.
 
-python experiments/steady_video/run.py
+python experiments/steady_video/run.py [weights ...]
 
 Walks through rendered rooms have known depth and poses. So each still point of a frame is found in the next
 one, and whatever changes between its predicted and its true depth is flicker.
 """
 
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +28,7 @@ from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 
 HERE = Path(__file__).parent
 WALKS = 24  # rooms of the split "test"; the filter's constants were chosen on 16 walks of "val"
-MODEL = "eldenet_rooms"
+MODELS = ("eldenet_rooms", "eldenet_indoor", "eldenet_l_indoor")
 SAME_SURFACE = 0.02  # relative difference in depth up to which a point is the one that was seen before
 
 
@@ -81,16 +83,16 @@ def follow(views: Views, before: int, now: int) -> tuple[np.ndarray, np.ndarray,
     return places, z, inside & (np.abs(found - z) < SAME_SURFACE * z)
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
-    predictor = eldenet.DepthPredictor(eldenet.load(MODEL), steady=False)
+def compare(model: str) -> list[str]:
+    """Return the lines of the table of a network, and the sentence below them."""
+    predictor = eldenet.DepthPredictor(eldenet.load(model), steady=False)
     alone, steady = [], []
     for index in range(WALKS):
         views = render_walk("test", index)
-        raw = np.stack([predictor(frame) for frame in views.image])
+        raw = np.stack([predict(predictor, frame, views) for frame in views.image])
         smooth = eldenet.DepthPredictor(predictor.model)
         alone.append(measure(views, raw))
-        steady.append(measure(views, np.stack([smooth(frame) for frame in views.image])))
+        steady.append(measure(views, np.stack([predict(smooth, frame, views) for frame in views.image])))
     flicker = np.array([[a.flicker, s.flicker] for a, s in zip(alone, steady, strict=True)])
     abs_rel = np.array([[a.abs_rel, s.abs_rel] for a, s in zip(alone, steady, strict=True)])
     approach = np.concatenate([walk.approach for walk in alone])
@@ -103,28 +105,46 @@ def main() -> None:
         {"network": lambda: predictor(frame), "filter": lambda: keep_steady(frame, depth)}, rounds=15
     )
     network_ms, filter_ms = (median_ms(times[name]) for name in ("network", "filter"))
-    where = environment()
     height, width = frame.shape[:2]
     before, after = flicker.mean(axis=0)
     ratios, gains = flicker[:, 1] / flicker[:, 0] - 1, abs_rel[:, 1] - abs_rel[:, 0]
+    name = f"`{model}`, {height} x {width}"
+    print(f"{model}: flicker {before:.4f} -> {after:.4f}", flush=True)
+    return [
+        f"| {name}, each frame alone | {before:.4f} | {abs_rel[:, 0].mean():.4f} | 0 | {network_ms:.2f} |",
+        f"| {name}, steady | {after:.4f} | {abs_rel[:, 1].mean():.4f} | {lag:.2f} | + {filter_ms:.2f} |",
+        f"- `{model}`: the filter changes flicker by {100 * (after / before - 1):.0f} % (in single walks by "
+        f"{100 * ratios.min():.0f} to {100 * ratios.max():.0f} %). AbsRel falls in "
+        f"{int((gains < 0).sum())} of {WALKS} walks; in the worst it changes by {gains.max():+.4f}.",
+    ]
+
+
+def predict(predictor: eldenet.DepthPredictor, frame: np.ndarray, views: Views) -> np.ndarray:
+    """Depth ``(H, W)`` [m] of a frame; a network with a canonical camera is told the walk's lens."""
+    if predictor.model.canonical_px is None:
+        return predictor(frame)
+    return predictor(frame, intrinsics=views.intrinsics[0])
+
+
+def main(models: Sequence[str]) -> None:
+    cv2.setNumThreads(1)
+    tables = [compare(model) for model in models]
+    where = environment()
     lines = [
         f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}, {where['date']}; "
-        f"{MODEL} at {height} x {width}; {WALKS} walks of {len(views.image)} frames through test rooms.",
+        f"{WALKS} walks of 45 frames through test rooms.",
         "",
         "| depth of a video | flicker | AbsRel | lag [frames] | ms/frame |",
         "|---|---:|---:|---:|---:|",
-        f"| each frame alone | {before:.4f} | {abs_rel[:, 0].mean():.4f} | 0 | {network_ms:.2f} |",
-        f"| steady | {after:.4f} | {abs_rel[:, 1].mean():.4f} | {lag:.2f} | + {filter_ms:.2f} |",
+        *(line for table in tables for line in table[:2]),
         "",
-        f"The filter changes flicker by {100 * (after / before - 1):.0f} % (in single walks by "
-        f"{100 * ratios.min():.0f} to {100 * ratios.max():.0f} %). AbsRel falls in "
-        f"{int((gains < 0).sum())} of {WALKS} walks; in the worst it rises by {gains.max():.4f}.",
+        *(table[2] for table in tables),
         "",
-        "Made by `python experiments/steady_video/run.py`.",
+        f"Made by `python experiments/steady_video/run.py {' '.join(models)}`.",
     ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
     print("\n".join(lines))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:] or MODELS)
