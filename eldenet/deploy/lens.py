@@ -7,9 +7,11 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
-from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, pinhole
+from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, intrinsic_matrix, pinhole
 
 EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
 
@@ -19,7 +21,7 @@ class Lens:
 
     Args:
         canonical_px: of the network; None: it ignores focal lengths.
-        intrinsics: ``(fx, fy, cx, cy)`` of all pictures [px], or None.
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
 
@@ -31,12 +33,13 @@ class Lens:
         self,
         canonical_px: float | None,
         *,
-        intrinsics: Sequence[float] | None = None,
+        intrinsics: Sequence[float] | np.ndarray | None = None,
         focal: float | None = None,
         fov: float | None = None,
     ) -> None:
-        self.canonical_px, self.intrinsics, self.fov = canonical_px, intrinsics, fov
-        self.focal = focal if intrinsics is None else float(intrinsics[0])
+        self.canonical_px, self.fov = canonical_px, fov
+        self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
+        self.focal = focal if self.intrinsics is None else float(self.intrinsics[0, 0])
         self.given = self.focal is not None or fov is not None
         self.origins: Counter[str] = Counter()
 
@@ -57,7 +60,7 @@ class Lens:
         Only intrinsics and KITTI's calibration have a principal point; else it is the picture's center.
         """
         if self.intrinsics is not None:
-            return PinholeCamera(pinhole(*self.intrinsics))
+            return PinholeCamera(self.intrinsics)
         if not self.given and path is not None and (camera := object_camera(path)) is not None:
             return camera
         focal, _ = self._find(size, path)

@@ -1,9 +1,12 @@
 """Ranges per column from a depth map or from boxes on the floor. Needs NumPy only."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from eldenet.geometry import intrinsic_matrix
 from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
@@ -15,7 +18,7 @@ _BEYOND = 100.0  # stands for infinite [m]
 
 def depth_to_ranges(
     depth: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: np.ndarray | Sequence[Any],
     *,
     camera_height: float = ROBOT.camera_height,
     low: np.ndarray | None = None,
@@ -35,7 +38,7 @@ def depth_to_ranges(
 
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
-        intrinsics: ``(3, 3)`` of the depth map [px].
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the depth map [px].
         camera_height: of the optical center above the floor [m].
         low: ``(H, W)`` [m], for how near things may be: ``depth`` decides which pixels are obstacles, ``low``
             how far they are.
@@ -52,6 +55,7 @@ def depth_to_ranges(
         raise ValueError(
             f"camera_height={camera_height}: give meters above the floor, from 0 to {HIGHEST_CAMERA:g}"
         )
+    intrinsics = intrinsic_matrix(intrinsics)
     column = check_view(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
@@ -117,13 +121,8 @@ def check_view(width: int, intrinsics: np.ndarray, robot: Robot = ROBOT) -> np.n
     """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
     Raises:
-        ValueError: a column has no pixels, so it would always read as near, and the robot would not move; or
-            the intrinsics are not those of a camera, so the robot would see nothing.
+        ValueError: a column has no pixels, so it would always read as near, and the robot would not move.
     """
-    if not (np.isfinite(intrinsics).all() and intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0):
-        raise ValueError(
-            f"intrinsics={np.asarray(intrinsics).tolist()}: give the (3, 3) matrix of a calibrated camera"
-        )
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
     step = robot.field_of_view / robot.columns

@@ -79,11 +79,12 @@ def test_intrinsics_may_be_lists_or_tuples(intrinsics):
     expected = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
     assert Navigator.load().step(depth, list(GOAL), [0, 0, 0], intrinsics=intrinsics) == expected
     assert (as_ranges(depth, intrinsics) == as_ranges(depth, CAMERA)).all()
+    assert (depth_to_ranges(depth, intrinsics) == depth_to_ranges(depth, CAMERA)).all()
 
 
 @pytest.mark.parametrize(("wrong", "line"), [
-    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \(fx, fy, cx, cy\) in pixels, or"),
-    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \(fx, fy, cx, cy\)"),
+    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \[fx, fy, cx, cy\] of"),
+    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \[fx, fy, cx, cy\]"),
     ({"intrinsics": [[460, 0, 320], [0, 460]]}, r"intrinsics=\[\[460, 0, 320\], \[0, 460\]\]: give"),
     ({"intrinsics": "camera"}, r"intrinsics=camera: give"),
     ({"goal": (5.0, 0.2, 0.0)}, r"goal=\(5.0, 0.2, 0.0\): give \(distance, bearing\), 2 numbers"),
