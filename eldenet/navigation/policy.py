@@ -244,8 +244,7 @@ class Navigator:
                 another length, a depth map has no intrinsics, or its camera sees less than the 69.4 degrees
                 of the training.
         """
-        check_meters(np.asarray(depth))
-        depth = np.asarray(depth, dtype=np.float64)
+        depth = np.asarray(depth)  # its own type, which as_ranges checks
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
@@ -323,7 +322,6 @@ def as_ranges(
     camera_height: float = ROBOT.camera_height,
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
-    check_meters(depth)
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
@@ -332,9 +330,10 @@ def as_ranges(
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
         )
+    check_meters(depth)
     # unknown (0, nan) counts as near: the robot must stop where its camera is blind; inf is free
     known = depth > 0
-    ranges = np.where(known, np.clip(depth, ROBOT.near, ROBOT.far), ROBOT.near)
+    ranges = np.where(known, np.clip(depth.astype(np.float64), ROBOT.near, ROBOT.far), ROBOT.near)
     return np.repeat(ranges, ROBOT.columns // depth.size)
 
 

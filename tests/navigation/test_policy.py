@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from eldenet.navigation import policy
+from eldenet.navigation import ranges as ranges_module
 from eldenet.navigation.policy import Navigator, as_ranges
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
@@ -67,6 +69,15 @@ def test_a_picture_of_millimeters_is_refused(kind, shape):
     assert not navigator.observer.last.any()
     meters = depth.astype(np.float32) / 1000
     assert as_ranges(meters, CAMERA).max() < 1.0
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_a_step_checks_the_units_of_its_depth_once(shape, monkeypatch):
+    checked = []
+    for module in (policy, ranges_module):
+        monkeypatch.setattr(module, "check_meters", checked.append)
+    Navigator.load().step(np.full(shape, 6.0), GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert len(checked) == 1
 
 
 @pytest.mark.parametrize(
