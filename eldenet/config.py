@@ -950,8 +950,9 @@ def build_export(config: DictConfig) -> "ExportSetup":
     _check_types(
         config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
     )
-    if config.calibration < 1:
-        raise ValueError(f"calibration={config.calibration}: give the number of pictures, 1 or more")
+    for name in ("calibration", "checks"):
+        if config[name] < 1:
+            raise ValueError(f"{name}={config[name]}: give the number of pictures, 1 or more")
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")

@@ -100,8 +100,8 @@ class DepthPredictor:
             input_size = size_of_frames(model.info)
         if input_size is not None and (np.shape(input_size) != (2,) or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
-        if max_side < 1:
-            raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
+        if max_side is None or isinstance(max_side, str) or not max_side >= 1:
+            raise ValueError(f"max_side={max_side!r}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
         self.steady, self.sharp = steady, sharp
