@@ -10,7 +10,7 @@ from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.paths import csv_pairs, find_root, natural_order, visible_files
-from eldenet.geometry import intrinsic_matrix
+from eldenet.geometry import check_intrinsics, intrinsic_matrix
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
@@ -37,7 +37,7 @@ class FolderDataset(FileDataset):
         encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
         intrinsics: ``[fx, fy, cx, cy]`` or ``(3, 3)`` of the pictures on disk [px], which must then have one
-            size; None if unknown.
+            size, with the principal point inside; None if unknown.
         split: "train", "val" or "all".
         val_fraction: share of the blocks for validation.
         blocks: how many blocks the frames are cut into.
@@ -91,9 +91,11 @@ class FolderDataset(FileDataset):
             chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
             names = [names[i] for i in chosen]
         super().__init__(folder, names, [pairs[name] for name in names], **options)
-        self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # the picture that sets the size
+        self.calibrated: tuple[Path, tuple[int, int]] | None = None  # the picture that sets the size
         if self.intrinsics is not None:  # the folder's first one: the same for all splits
             self.calibrated = _first_size([folder / pairs[name][0] for name in every])
+            if self.calibrated is not None:
+                check_intrinsics(self.intrinsics, self.calibrated[1])
 
     def frame_settings(self) -> dict[str, object]:
         """Return encoding and camera."""
@@ -117,11 +119,12 @@ class FolderDataset(FileDataset):
         return Frame(image, depth, self.intrinsics, self.names[index])
 
 
-def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, ...]] | None:
+def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, int]] | None:
     """Return the first picture that can be read, and its ``(height, width)`` [px]."""
     for picture in pictures:
         try:
-            return picture, read_image(picture).shape[:2]
+            height, width = read_image(picture).shape[:2]
+            return picture, (height, width)
         except (ValueError, OSError):  # reported when its frame is read
             continue
     return None
