@@ -240,7 +240,7 @@ class Navigator:
             and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape or is of whole numbers, a pose, goal or intrinsics have
+            ValueError: ``depth`` has another shape or is in millimeters, a pose, goal or intrinsics have
                 another length, a depth map has no intrinsics, or its camera sees less than the 69.4 degrees
                 of the training.
         """

@@ -13,6 +13,7 @@ LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin 
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
+LARGEST = 100.0  # of depth in meters: a camera also sees something near
 _BEYOND = 100.0  # stands for infinite [m]
 
 
@@ -46,7 +47,7 @@ def depth_to_ranges(
         heights: low and high end of what the robot can touch, above the floor [m].
 
     Raises:
-        ValueError: ``depth`` is of whole numbers, the camera's field of view is too small, its pixels are too
+        ValueError: ``depth`` is in millimeters, the camera's field of view is too small, its pixels are too
             few for the columns, or its intrinsics or height are no measures of a camera.
     """
     check_meters(depth)
@@ -83,9 +84,20 @@ def depth_to_ranges(
 
 
 def check_meters(depth: np.ndarray) -> None:
-    """Raise ``ValueError`` for whole numbers: as meters, millimeters would let a robot see everything far."""
+    """Raise ``ValueError`` for millimeters, which as meters would let a robot see everything far.
+
+    These are whole numbers, and floats of which nearly all known ones are above ``LARGEST``. Infinite depth,
+    which means nothing in range, does not count.
+    """
     if depth.dtype.kind in "iub":
         raise ValueError(f"depth is of type {depth.dtype}: give meters as floats; divide millimeters by 1000")
+    known = np.count_nonzero((depth > 0) & (depth < np.inf))
+    large = np.count_nonzero((depth > LARGEST) & (depth < np.inf))
+    if known and large >= (1 - QUANTILE) * known:
+        raise ValueError(
+            f"{large / known:.0%} of the known depth is above {LARGEST:g}: give meters, inf where nothing "
+            "is in range; divide millimeters by 1000"
+        )
 
 
 def _rows_at(

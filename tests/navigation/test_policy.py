@@ -72,6 +72,37 @@ def test_a_picture_of_millimeters_is_refused(kind, shape):
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_millimeters_as_floats_are_refused(shape):
+    """Code that converts a depth camera's uint16 to float, but does not divide."""
+    millimeters = np.random.default_rng(0).uniform(300.0, 6000.0, shape).astype(np.float32)
+    millimeters.flat[::3] = 0.0  # unknown
+    for depth in (millimeters, millimeters.astype(np.float64)):
+        with pytest.raises(
+            ValueError, match=r"^100% of the known depth is above 100: give meters, .* by 1000$"
+        ):
+            Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+
+
+@pytest.mark.parametrize("far", [np.inf, 65.535, 1000.0])
+@pytest.mark.parametrize("shape", [(480, 640), (40,)])
+def test_much_that_is_out_of_range_is_no_millimeters(shape, far):
+    """Some cameras write inf there, some a number; the floor or a wall is nearer somewhere."""
+    depth = np.full(shape, far)
+    depth[int(0.8 * shape[0]) :] = 2.0
+    expected = np.where(np.isfinite(depth), np.minimum(depth, 50.0), 50.0)
+    odometry = (0.0, 0.0, 0.0)
+    assert Navigator.load().step(depth, GOAL, odometry, intrinsics=CAMERA) == Navigator.load().step(
+        expected, GOAL, odometry, intrinsics=CAMERA
+    )
+
+
+@pytest.mark.parametrize("depth", [np.full((480, 640), np.inf), np.full(40, np.inf), np.full(40, 80.0)])
+def test_nothing_in_range_stays_legal(depth):
+    speed, _ = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert speed > 0
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
 def test_a_step_checks_the_units_of_its_depth_once(shape, monkeypatch):
     checked = []
     for module in (policy, ranges_module):
