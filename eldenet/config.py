@@ -861,8 +861,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")
-    if "ply" in formats and not given:
-        needs_lens(list(source.names), is_video=source.is_video)
+    if not given and (config.boxes or "ply" in formats):
+        needs_lens("boxes" if config.boxes else "point clouds", list(source.names), is_video=source.is_video)
     results = Results(
         output,
         tuple(formats),
@@ -882,15 +882,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
-    by_calib = not given and not source.is_video
-    if config.boxes and not (
-        camera is not None or (by_calib and all(map(object_camera, map(Path, source.names))))
-    ):
-        raise ValueError(
-            "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or KITTI's "
-            "image_2/000001.png with calib/000001.txt"
-        )
-    boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
+    boxes = None
+    if config.boxes:
+        of_kitti = not given and not source.is_video and all(map(object_camera, map(Path, source.names)))
+        boxes = _build_boxes(config, of_kitti=of_kitti, is_video=source.is_video)
     by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
     return _filled(
         PredictionSetup,
@@ -906,14 +901,15 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     )
 
 
-def _build_boxes(config: DictConfig, camera: "np.ndarray | None", *, is_video: bool) -> Callable[..., Any]:
+def _build_boxes(config: DictConfig, *, of_kitti: bool, is_video: bool) -> Callable[..., Any]:
     """Return what adds 3D boxes to the results of ``predict``: detector, lifter and, for a video, tracker.
+
+    ``of_kitti``: all pictures have KITTI's calibration, so their camera's height is known.
 
     Raises:
         ValueError: no detector was given.
     """
     from eldenet.data.kitti_calibration import CAMERA_HEIGHT
-    from eldenet.geometry import PinholeCamera
     from eldenet.perception.box_results import box_results
     from eldenet.perception.scene import Perception
 
@@ -924,10 +920,9 @@ def _build_boxes(config: DictConfig, camera: "np.ndarray | None", *, is_video: b
     detector = instantiate(config.perception.detector)
     lifter = instantiate(config.perception.lifter)
     tracker = instantiate(config.perception.tracker) if is_video else None
-    known = None if camera is None else PinholeCamera(camera)
-    if known is None and lifter.camera_height is None:  # KITTI's pictures, each with its own calibration
+    if of_kitti and lifter.camera_height is None:
         lifter.camera_height = CAMERA_HEIGHT
-    perception = Perception(None, detector, lifter, known, tracker=tracker)
+    perception = Perception(None, detector, lifter, None, tracker=tracker)
     by_depth = config.perception.lifter.get("method") != "no_depth"
     return functools.partial(box_results, perception, is_video=is_video, check_sizes=by_depth)
 

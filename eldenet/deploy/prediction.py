@@ -116,7 +116,8 @@ def predict(setup: PredictionSetup) -> Results:
             )
         else:
             predict_pictures(setup, predictor, log, stop, done)
-    if results.images and (line := lens.describe()):
+    points = setup.boxes is not None or setup.recording is not None or "ply" in results.formats
+    if results.images and (line := lens.describe(points=points)):
         log.say(line)
     if results.images and setup.recording is not None:
         log.say(f"recording: rerun {setup.recording}")
