@@ -36,6 +36,8 @@ from hydra.types import RunMode  # noqa: E402
 from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from eldenet.data.inspection import CheckDataSetup
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.demo import DemoSetup
@@ -314,16 +316,15 @@ def _numbers(config: DictConfig, name: str, meaning: str) -> tuple[float, ...] |
     return numbers
 
 
-def _camera(config: DictConfig) -> tuple[float, ...] | None:
-    """Return the setting ``intrinsics``, ``(fx, fy, cx, cy)`` [px], or None for null.
+def _camera(config: DictConfig) -> "np.ndarray | None":
+    """Return the setting ``intrinsics`` as ``(3, 3)`` [px], or None for null.
 
     Raises:
-        ValueError: it is not four numbers, or a focal length is not above 0.
+        ValueError: it does not describe a camera.
     """
-    camera = _numbers(config, "intrinsics", "[fx, fy, cx, cy] in pixels")
-    if camera and not (camera[0] > 0 and camera[1] > 0):
-        raise ValueError(f"intrinsics={list(camera)}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
-    return camera
+    from eldenet.geometry import intrinsic_matrix
+
+    return None if config.intrinsics is None else intrinsic_matrix(plain(config.intrinsics))
 
 
 def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, int] | None:
@@ -850,9 +851,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     size = _size(config, "input_size")
     output = Path(config.output).expanduser()
     source = find_source(str(config.source), output, config.frames)
-    formats = (
-        ["color"] if source.is_video else ["depth", "color", *["ply"] * bool(camera and not config.boxes)]
-    )
+    with_points = camera is not None and not config.boxes
+    formats = ["color"] if source.is_video else ["depth", "color", *["ply"] * with_points]
     if config.formats is not None:
         formats = [str(name) for name in listed(config.formats)]
     for name in formats:
@@ -861,8 +861,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")
-    if "ply" in formats and not given:
-        needs_lens(list(source.names), is_video=source.is_video)
+    if not given and (config.boxes or "ply" in formats):
+        needs_lens("boxes" if config.boxes else "point clouds", list(source.names), is_video=source.is_video)
     results = Results(
         output,
         tuple(formats),
@@ -882,13 +882,10 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
         results.settings |= {"formats": formats, "weights": fingerprint(checkpoint)}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)
-    by_calib = not given and not source.is_video
-    if config.boxes and not (camera or (by_calib and all(map(object_camera, map(Path, source.names))))):
-        raise ValueError(
-            "boxes need intrinsics=[fx,fy,cx,cy] of the source's pictures [px], or KITTI's "
-            "image_2/000001.png with calib/000001.txt"
-        )
-    boxes = _build_boxes(config, camera, is_video=source.is_video) if config.boxes else None
+    boxes = None
+    if config.boxes:
+        of_kitti = not given and not source.is_video and all(map(object_camera, map(Path, source.names)))
+        boxes = _build_boxes(config, of_kitti=of_kitti, is_video=source.is_video)
     by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
     return _filled(
         PredictionSetup,
@@ -904,14 +901,15 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     )
 
 
-def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video: bool) -> Callable[..., Any]:
+def _build_boxes(config: DictConfig, *, of_kitti: bool, is_video: bool) -> Callable[..., Any]:
     """Return what adds 3D boxes to the results of ``predict``: detector, lifter and, for a video, tracker.
+
+    ``of_kitti``: all pictures have KITTI's calibration, so their camera's height is known.
 
     Raises:
         ValueError: no detector was given.
     """
     from eldenet.data.kitti_calibration import CAMERA_HEIGHT
-    from eldenet.geometry import PinholeCamera, pinhole
     from eldenet.perception.box_results import box_results
     from eldenet.perception.scene import Perception
 
@@ -922,10 +920,9 @@ def _build_boxes(config: DictConfig, camera: Sequence[float] | None, *, is_video
     detector = instantiate(config.perception.detector)
     lifter = instantiate(config.perception.lifter)
     tracker = instantiate(config.perception.tracker) if is_video else None
-    known = None if camera is None else PinholeCamera(pinhole(*camera))
-    if known is None and lifter.camera_height is None:  # KITTI's pictures, each with its own calibration
+    if of_kitti and lifter.camera_height is None:
         lifter.camera_height = CAMERA_HEIGHT
-    perception = Perception(None, detector, lifter, known, tracker=tracker)
+    perception = Perception(None, detector, lifter, None, tracker=tracker)
     by_depth = config.perception.lifter.get("method") != "no_depth"
     return functools.partial(box_results, perception, is_video=is_video, check_sizes=by_depth)
 
@@ -948,8 +945,9 @@ def build_export(config: DictConfig) -> "ExportSetup":
     _check_types(
         config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
     )
-    if config.calibration < 1:
-        raise ValueError(f"calibration={config.calibration}: give the number of pictures, 1 or more")
+    for name in ("calibration", "checks"):
+        if config[name] < 1:
+            raise ValueError(f"{name}={config[name]}: give the number of pictures, 1 or more")
     output = None if config.output is None else Path(config.output).expanduser()
     if output is not None and output.suffix != ENDINGS[kind]:
         raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")

@@ -5,7 +5,9 @@ z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,34 @@ FILM_DIAGONAL = 43.27  # of 35 mm film [mm]
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     """Intrinsic matrix ``(3, 3)`` [px]."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def intrinsic_matrix(intrinsics: Sequence[Any] | np.ndarray, *, check: bool = True) -> np.ndarray:
+    """Return intrinsics given as ``(fx, fy, cx, cy)`` or ``(3, 3)`` [px] as the matrix ``(3, 3)`` float64.
+
+    Args:
+        intrinsics: either of the two, as array, list or tuple.
+        check: False takes any numbers, for callers that deal with them themselves.
+
+    Raises:
+        ValueError: they are neither; or, with ``check``, not finite, or a focal length is not above 0.
+    """
+    try:
+        matrix = np.asarray(intrinsics, np.float64)
+    except (TypeError, ValueError):  # no numbers, or rows of several lengths
+        matrix = np.empty(0)
+    if matrix.shape == (4,):
+        matrix = pinhole(*matrix.tolist())
+    is_camera = matrix.shape == (3, 3) and (
+        not check or (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0)
+    )
+    if not is_camera:
+        given = np.asarray(intrinsics, dtype=object).tolist()  # in one line
+        raise ValueError(
+            f"intrinsics={given}: give [fx, fy, cx, cy] of a calibrated camera in pixels, fx and fy above 0, "
+            "or the (3, 3) matrix"
+        )
+    return matrix
 
 
 def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> None:

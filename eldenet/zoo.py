@@ -75,7 +75,7 @@ def build_teacher(
     input_size: Sequence[int] | None = None,
     trusted_modules: Sequence[str] = (),
 ) -> "Teacher":
-    """Return a frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term.
+    """Return a frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term or photographs.
 
     Args:
         source: run folder, saved model, Hub id or name, as in :func:`load`.
@@ -90,8 +90,13 @@ def build_teacher(
     from eldenet.losses.distillation import Teacher
 
     if source is None:
-        raise ValueError("this loss learns from a teacher: give teacher=<run folder, saved model or Hub id>")
+        raise ValueError(
+            "a teacher is missing: give a run folder, saved model or Hub id, for a loss as teacher=..., for "
+            "photographs as data.sources.photographs.data.teacher.source=..."
+        )
     if source in list_models() and not overrides:
-        raise ValueError(f"teacher={source} is a network without trained weights: give a run folder of it")
+        raise ValueError(
+            f"the teacher {source} is a network without trained weights: give a run folder of it"
+        )
     network = load(source, overrides=overrides, trusted_modules=trusted_modules)
     return Teacher(network, source=str(source), input_size=input_size)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kornia.geometry.depth import depth_to_3d
 
-from eldenet.geometry import back_project, crop_intrinsics, pinhole, resize_intrinsics
+from eldenet.geometry import back_project, crop_intrinsics, intrinsic_matrix, pinhole, resize_intrinsics
 
 K = pinhole(518.9, 519.5, 325.6, 253.7)
 
@@ -50,3 +50,48 @@ def test_back_projection_equals_kornia() -> None:
     intrinsics = pinhole(20.0, 22.0, 7.7, 6.1)
     theirs = depth_to_3d(torch.from_numpy(depth)[None, None], torch.from_numpy(intrinsics)[None])
     np.testing.assert_allclose(back_project(depth, intrinsics), theirs[0].permute(1, 2, 0).numpy())
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [20, 22, 7, 6.5],
+        (20.0, 22.0, 7.0, 6.5),
+        np.array([20, 22, 7, 6.5]),
+        [[20, 0, 7], [0, 22, 6.5], [0, 0, 1]],
+    ],
+)
+def test_intrinsics_are_four_numbers_or_a_matrix(given) -> None:
+    matrix = intrinsic_matrix(given)
+    assert matrix.dtype == np.float64
+    np.testing.assert_array_equal(matrix, pinhole(20, 22, 7, 6.5))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "shown"),
+    [
+        ((20, 22, 7), "[20, 22, 7]"),
+        ([[20, 0, 7], [0, 22]], "[[20, 0, 7], [0, 22]]"),
+        (np.eye(2), "[[1.0, 0.0], [0.0, 1.0]]"),
+        ("lens", "lens"),
+        (None, "None"),
+        ((20, 0, 7, 6), "[20, 0, 7, 6]"),
+        ((-20, 22, 7, 6), "[-20, 22, 7, 6]"),
+        ((20, 22, np.nan, 6), "[20, 22, nan, 6]"),
+        (np.zeros((3, 3)), str(np.zeros((3, 3)).tolist())),  # of an uncalibrated camera in ROS
+    ],
+)
+def test_what_is_no_camera_is_refused_in_one_line(wrong, shown: str) -> None:
+    with pytest.raises(ValueError, match=r"^intrinsics=") as error:
+        intrinsic_matrix(wrong)
+    assert str(error.value) == (
+        f"intrinsics={shown}: give [fx, fy, cx, cy] of a calibrated camera in pixels, fx and fy above 0, "
+        "or the (3, 3) matrix"
+    )
+
+
+def test_unchecked_intrinsics_keep_their_numbers() -> None:
+    """The driver stops the robot itself where they are not finite."""
+    assert np.isnan(intrinsic_matrix((np.nan, 22, 7, 6), check=False)[0, 0])
+    with pytest.raises(ValueError, match=r"give \[fx, fy, cx, cy\]"):
+        intrinsic_matrix((np.nan, 22), check=False)

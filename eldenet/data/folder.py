@@ -1,9 +1,8 @@
 """Your own pictures with depth: two folders, or a CSV of pairs."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.paths import csv_pairs, find_root, natural_order, visible_files
-from eldenet.geometry import pinhole
+from eldenet.geometry import check_intrinsics, intrinsic_matrix
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
 
@@ -37,8 +36,8 @@ class FolderDataset(FileDataset):
         allow_outside: let the CSV name files outside ``root`` (``../`` or absolute paths).
         encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
-        intrinsics: ``[fx, fy, cx, cy]`` of the pictures on disk [px], which must then have one size; None if
-            unknown.
+        intrinsics: ``[fx, fy, cx, cy]`` or ``(3, 3)`` of the pictures on disk [px], which must then have one
+            size, with the principal point inside; None if unknown.
         split: "train", "val" or "all".
         val_fraction: share of the blocks for validation.
         blocks: how many blocks the frames are cut into.
@@ -64,7 +63,7 @@ class FolderDataset(FileDataset):
         csv: str | None = None,
         allow_outside: bool = False,
         encoding: Encoding = "mm",
-        intrinsics: Sequence[float] | None = None,
+        intrinsics: Sequence[Any] | None = None,
         split: str = "all",
         val_fraction: float = 0.1,
         blocks: int = 10,
@@ -76,13 +75,8 @@ class FolderDataset(FileDataset):
     ) -> None:
         one_of("split", split, ("train", "val", "all"))
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
-        numbers = None if intrinsics is None else [float(value) for value in intrinsics]
-        if numbers is not None and not (
-            len(numbers) == 4 and min(numbers[:2]) > 0 and all(map(math.isfinite, numbers))
-        ):
-            raise ValueError(f"intrinsics={numbers}: give [fx, fy, cx, cy] in pixels, fx and fy above 0")
         self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
-        self.intrinsics = None if numbers is None else pinhole(*numbers)
+        self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
 
         folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
         if csv:
@@ -97,9 +91,11 @@ class FolderDataset(FileDataset):
             chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
             names = [names[i] for i in chosen]
         super().__init__(folder, names, [pairs[name] for name in names], **options)
-        self.calibrated: tuple[Path, tuple[int, ...]] | None = None  # the picture that sets the size
+        self.calibrated: tuple[Path, tuple[int, int]] | None = None  # the picture that sets the size
         if self.intrinsics is not None:  # the folder's first one: the same for all splits
             self.calibrated = _first_size([folder / pairs[name][0] for name in every])
+            if self.calibrated is not None:
+                check_intrinsics(self.intrinsics, self.calibrated[1])
 
     def frame_settings(self) -> dict[str, object]:
         """Return encoding and camera."""
@@ -123,11 +119,12 @@ class FolderDataset(FileDataset):
         return Frame(image, depth, self.intrinsics, self.names[index])
 
 
-def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, ...]] | None:
+def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, int]] | None:
     """Return the first picture that can be read, and its ``(height, width)`` [px]."""
     for picture in pictures:
         try:
-            return picture, read_image(picture).shape[:2]
+            height, width = read_image(picture).shape[:2]
+            return picture, (height, width)
         except (ValueError, OSError):  # reported when its frame is read
             continue
     return None

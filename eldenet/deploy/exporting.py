@@ -73,7 +73,7 @@ def export(setup: ExportSetup) -> Path:
         log.say(untrained_note(setup.checkpoint))
     if setup.pictures is None:
         log.say("pictures for the check: rendered rooms (yours: pictures=folder)")
-    pictures = read_pictures(setup.pictures, max(setup.checks, 1), "test")
+    pictures = read_pictures(setup.pictures, setup.checks, "test")
     metadata = describe(model, target.name, size, camera_size=setup.camera, license=setup.license)
     metadata["precision"] = setup.precision
     with tempfile.TemporaryDirectory() as temporary:

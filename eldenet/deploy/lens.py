@@ -7,9 +7,11 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
-from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, pinhole
+from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, intrinsic_matrix, pinhole
 
 EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
 
@@ -19,26 +21,29 @@ class Lens:
 
     Args:
         canonical_px: of the network; None: it ignores focal lengths.
-        intrinsics: ``(fx, fy, cx, cy)`` of all pictures [px], or None.
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
 
     Attributes:
         origins: number of pictures by where their focal length comes from.
+        centered: whether :meth:`camera_of` had to assume square pixels and a principal point in the center.
     """
 
     def __init__(
         self,
         canonical_px: float | None,
         *,
-        intrinsics: Sequence[float] | None = None,
+        intrinsics: Sequence[float] | np.ndarray | None = None,
         focal: float | None = None,
         fov: float | None = None,
     ) -> None:
-        self.canonical_px, self.intrinsics, self.fov = canonical_px, intrinsics, fov
-        self.focal = focal if intrinsics is None else float(intrinsics[0])
+        self.canonical_px, self.fov = canonical_px, fov
+        self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
+        self.focal = focal if self.intrinsics is None else float(self.intrinsics[0, 0])
         self.given = self.focal is not None or fov is not None
         self.origins: Counter[str] = Counter()
+        self.centered = False
 
     def focal_of(self, size: Sequence[int], path: Path | None = None) -> float | None:
         """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's."""
@@ -52,17 +57,18 @@ class Lens:
         return focal
 
     def camera_of(self, size: Sequence[int], path: Path | None = None) -> PinholeCamera | None:
-        """Camera of a picture of ``(height, width, ...)``, for its points; None: not known.
+        """Camera of a picture of ``(height, width, ...)``, for points and boxes; None: not known.
 
         Only intrinsics and KITTI's calibration have a principal point; else it is the picture's center.
         """
         if self.intrinsics is not None:
-            return PinholeCamera(pinhole(*self.intrinsics))
+            return PinholeCamera(self.intrinsics)
         if not self.given and path is not None and (camera := object_camera(path)) is not None:
             return camera
         focal, _ = self._find(size, path)
         if focal is None:
             return None
+        self.centered = True
         return PinholeCamera(pinhole(focal, focal, (size[1] - 1) / 2, (size[0] - 1) / 2))
 
     def _find(self, size: Sequence[int], path: Path | None) -> tuple[float | None, str]:
@@ -76,24 +82,34 @@ class Lens:
             focal, origin = exif_focal(path, (size[0], size[1])), "from EXIF"
         return focal, origin
 
-    def describe(self) -> str:
-        """Return one line that says which cameras were assumed."""
-        if self.canonical_px is None:
-            return f"note: {NO_FOCAL}" if self.given else ""
-        often = self.origins.most_common(3)
-        parts = [what + (f" ({count} pictures)" if len(self.origins) > 1 else "") for what, count in often]
-        more = len(self.origins) - len(often)
-        return f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else "")
+    def describe(self, *, points: bool = False) -> str:
+        """Return one line that says which cameras were assumed, with ``points`` also for points and boxes."""
+        lines = []
+        if self.canonical_px is not None:
+            often = self.origins.most_common(3)
+            counted = len(self.origins) > 1
+            parts = [what + (f" ({count} pictures)" if counted else "") for what, count in often]
+            more = len(self.origins) - len(often)
+            lines.append(f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else ""))
+        elif self.given:
+            lines.append(f"note: {NO_FOCAL}")
+        if points and self.centered:
+            assumed = "points and boxes assume fy = fx and the principal point in the picture's center"
+            lines.append(assumed if lines else f"camera: {assumed}")
+        return "; ".join(lines)
 
 
-def needs_lens(sources: Sequence[Path | str], *, is_video: bool) -> None:
-    """Raise ValueError for the first picture, or the video, that does not say its lens itself."""
+def needs_lens(what: str, sources: Sequence[Path | str], *, is_video: bool) -> None:
+    """Raise ValueError for the first picture, or the video, that does not say its lens itself.
+
+    ``what`` needs it: "boxes" or "point clouds".
+    """
     for path in sources:
         known = not is_video and (object_camera(Path(path)) or exif_focal(Path(path), (1, 1)))
         if not known:
             raise ValueError(
-                f"{path}: a point cloud needs the lens, which this file does not say: give fov=degrees or "
-                "intrinsics=[fx,fy,cx,cy]"
+                f"{path}: {what} need the lens, which this file does not say: give fov=degrees, focal=pixels "
+                "or intrinsics=[fx,fy,cx,cy], or KITTI's image_2/000001.png with calib/000001.txt"
             )
 
 

@@ -56,7 +56,7 @@ class PredictionSetup:
         results: writes the results.
         resources: threads and device.
         skip_unreadable: list pictures that cannot be read instead of stopping.
-        intrinsics: ``(fx, fy, cx, cy)`` of the pictures [px], or None.
+        intrinsics: ``(3, 3)`` of the pictures [px], or None.
         recording: ``.rrd`` file for the Rerun viewer, or None.
         boxes: ``boxes(results, names, log, seconds, max_depth)`` is entered before the pictures are
             predicted, and gives what :attr:`Results.also` calls; None: no 3D boxes.
@@ -68,7 +68,7 @@ class PredictionSetup:
     skip_unreadable: bool
     recording: Path | None
     boxes: Callable[..., AbstractContextManager[Any]] | None
-    intrinsics: Sequence[float] | None
+    intrinsics: np.ndarray | None
     focal: float | None
     fov: float | None
     checkpoint: str
@@ -116,7 +116,8 @@ def predict(setup: PredictionSetup) -> Results:
             )
         else:
             predict_pictures(setup, predictor, log, stop, done)
-    if results.images and (line := lens.describe()):
+    points = setup.boxes is not None or setup.recording is not None or "ply" in results.formats
+    if results.images and (line := lens.describe(points=points)):
         log.say(line)
     if results.images and setup.recording is not None:
         log.say(f"recording: rerun {setup.recording}")
@@ -148,9 +149,8 @@ class Timed:
         ``path`` is of the photo, whose EXIF may know the lens.
         """
         focal = self.lens.focal_of(frame.shape, path)
-        camera = None if focal is None else (focal, focal, 0.0, 0.0)  # the network uses fx alone
         start = time.perf_counter()
-        depth = self.predictor(frame, intrinsics=camera)
+        depth = self.predictor(frame, focal=focal)
         self.seconds.append(time.perf_counter() - start)
         return depth
 

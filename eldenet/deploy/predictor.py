@@ -13,7 +13,14 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import BORDER_COLOR, fit_into, focal_of_fov, resize_image, size_of_aspect
+from eldenet.geometry import (
+    BORDER_COLOR,
+    fit_into,
+    focal_of_fov,
+    intrinsic_matrix,
+    resize_image,
+    size_of_aspect,
+)
 from eldenet.system.resources import full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -93,8 +100,8 @@ class DepthPredictor:
             input_size = size_of_frames(model.info)
         if input_size is not None and (np.shape(input_size) != (2,) or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
-        if max_side < 1:
-            raise ValueError(f"max_side={max_side}: give a number of pixels above 0")
+        if max_side is None or isinstance(max_side, str) or not max_side >= 1:
+            raise ValueError(f"max_side={max_side!r}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
         self.steady, self.sharp = steady, sharp
@@ -243,14 +250,7 @@ def focal_length(
         if isinstance(focal, str) or not (focal > 0 and math.isfinite(focal)):
             raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
         return float(focal)
-    if intrinsics is None:
-        return None
-    numbers = np.asarray(intrinsics, dtype=np.float64)
-    if numbers.shape not in ((4,), (3, 3)) or not (numbers.flat[0] > 0 and math.isfinite(numbers.flat[0])):
-        raise ValueError(
-            f"intrinsics={intrinsics}: give (fx, fy, cx, cy) in pixels, or the (3, 3) matrix; fx above 0"
-        )
-    return float(numbers.flat[0])
+    return None if intrinsics is None else float(intrinsic_matrix(intrinsics)[0, 0])
 
 
 def for_camera(

@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import refuse_not_finite
-from eldenet.geometry import pinhole
+from eldenet.geometry import intrinsic_matrix
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
@@ -240,15 +240,14 @@ class Navigator:
             and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape or is of whole numbers, a pose, goal or intrinsics have
+            ValueError: ``depth`` has another shape or is in millimeters, a pose, goal or intrinsics have
                 another length, a depth map has no intrinsics, or its camera sees less than the 69.4 degrees
                 of the training.
         """
-        check_meters(np.asarray(depth))
-        depth = np.asarray(depth, dtype=np.float64)
+        depth = np.asarray(depth)  # its own type, which as_ranges checks
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
-        intrinsics = None if intrinsics is None else _matrix(intrinsics)
+        intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
         if intrinsics is not None and not np.isfinite(intrinsics).all():
             self.stop_reason = "intrinsics not finite"
         elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
@@ -269,31 +268,15 @@ class Navigator:
         return speed, turn
 
 
-def _numbers(values: Any) -> np.ndarray:
-    """Return an array of numbers; an empty one if they are none, or rows of several lengths."""
-    try:
-        return np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        return np.empty(0)
-
-
 def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray:
     """Return numbers as ``(1, len(parts))``."""
-    row = _numbers(values)
+    try:
+        row = np.asarray(values, np.float64)
+    except (TypeError, ValueError):  # no numbers, or rows of several lengths
+        row = np.empty(0)
     if row.shape != (len(parts),):
         raise ValueError(f"{name}={values}: give ({', '.join(parts)}), {len(parts)} numbers")
     return row[None]
-
-
-def _matrix(intrinsics: np.ndarray | Sequence[Any]) -> np.ndarray:
-    """Return intrinsics as ``(3, 3)``."""
-    matrix = _numbers(intrinsics)
-    if matrix.shape == (4,):
-        return pinhole(*matrix.tolist())
-    if matrix.shape != (3, 3):
-        given = np.asarray(intrinsics, dtype=object).tolist()  # in one line
-        raise ValueError(f"intrinsics={given}: give (fx, fy, cx, cy) in pixels, or the (3, 3) matrix")
-    return matrix
 
 
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
@@ -339,18 +322,18 @@ def as_ranges(
     camera_height: float = ROBOT.camera_height,
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
-    check_meters(depth)
     if depth.ndim == 2:
         if intrinsics is None:
-            raise ValueError("a depth map needs intrinsics=..., the (3, 3) matrix of its camera [px]")
-        return depth_to_ranges(depth, _matrix(intrinsics), camera_height=camera_height)
+            raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
+        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
     if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
         )
+    check_meters(depth)
     # unknown (0, nan) counts as near: the robot must stop where its camera is blind; inf is free
     known = depth > 0
-    ranges = np.where(known, np.clip(depth, ROBOT.near, ROBOT.far), ROBOT.near)
+    ranges = np.where(known, np.clip(depth.astype(np.float64), ROBOT.near, ROBOT.far), ROBOT.near)
     return np.repeat(ranges, ROBOT.columns // depth.size)
 
 

@@ -1,21 +1,25 @@
 """Ranges per column from a depth map or from boxes on the floor. Needs NumPy only."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from eldenet.geometry import intrinsic_matrix
 from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
+LARGEST = 100.0  # of depth in meters: a camera also sees something near
 _BEYOND = 100.0  # stands for infinite [m]
 
 
 def depth_to_ranges(
     depth: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: np.ndarray | Sequence[Any],
     *,
     camera_height: float = ROBOT.camera_height,
     low: np.ndarray | None = None,
@@ -35,7 +39,7 @@ def depth_to_ranges(
 
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
-        intrinsics: ``(3, 3)`` of the depth map [px].
+        intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the depth map [px].
         camera_height: of the optical center above the floor [m].
         low: ``(H, W)`` [m], for how near things may be: ``depth`` decides which pixels are obstacles, ``low``
             how far they are.
@@ -43,7 +47,7 @@ def depth_to_ranges(
         heights: low and high end of what the robot can touch, above the floor [m].
 
     Raises:
-        ValueError: ``depth`` is of whole numbers, the camera's field of view is too small, its pixels are too
+        ValueError: ``depth`` is in millimeters, the camera's field of view is too small, its pixels are too
             few for the columns, or its intrinsics or height are no measures of a camera.
     """
     check_meters(depth)
@@ -52,6 +56,7 @@ def depth_to_ranges(
         raise ValueError(
             f"camera_height={camera_height}: give meters above the floor, from 0 to {HIGHEST_CAMERA:g}"
         )
+    intrinsics = intrinsic_matrix(intrinsics)
     column = check_view(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
@@ -79,9 +84,20 @@ def depth_to_ranges(
 
 
 def check_meters(depth: np.ndarray) -> None:
-    """Raise ``ValueError`` for whole numbers: as meters, millimeters would let a robot see everything far."""
+    """Raise ``ValueError`` for millimeters, which as meters would let a robot see everything far.
+
+    These are whole numbers, and floats of which nearly all known ones are above ``LARGEST``. Infinite depth,
+    which means nothing in range, does not count.
+    """
     if depth.dtype.kind in "iub":
         raise ValueError(f"depth is of type {depth.dtype}: give meters as floats; divide millimeters by 1000")
+    known = np.count_nonzero((depth > 0) & (depth < np.inf))
+    large = np.count_nonzero((depth > LARGEST) & (depth < np.inf))
+    if known and large >= (1 - QUANTILE) * known:
+        raise ValueError(
+            f"{large / known:.0%} of the known depth is above {LARGEST:g}: give meters, inf where nothing "
+            "is in range; divide millimeters by 1000"
+        )
 
 
 def _rows_at(
@@ -117,13 +133,8 @@ def check_view(width: int, intrinsics: np.ndarray, robot: Robot = ROBOT) -> np.n
     """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
     Raises:
-        ValueError: a column has no pixels, so it would always read as near, and the robot would not move; or
-            the intrinsics are not those of a camera, so the robot would see nothing.
+        ValueError: a column has no pixels, so it would always read as near, and the robot would not move.
     """
-    if not (np.isfinite(intrinsics).all() and intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0):
-        raise ValueError(
-            f"intrinsics={np.asarray(intrinsics).tolist()}: give the (3, 3) matrix of a calibrated camera"
-        )
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
     step = robot.field_of_view / robot.columns

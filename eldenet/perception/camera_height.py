@@ -14,7 +14,7 @@ from eldenet.data.io import read_image
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
-from eldenet.geometry import PinholeCamera, check_intrinsics, pinhole, resize_image
+from eldenet.geometry import PinholeCamera, check_intrinsics, intrinsic_matrix, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
 from eldenet.results.before_after import compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
@@ -47,7 +47,7 @@ class CalibrationSetup:
         folder: of the run.
         weights: to start from.
         source: pictures in the order of time, or a video.
-        intrinsics: ``(fx, fy, cx, cy)`` of its pictures [px].
+        intrinsics: ``(3, 3)`` of its pictures [px].
         camera_height: of the optical center above the floor [m].
         camera_pitch: below the horizon [rad]; None: fitted in each frame.
         frames: used at most, evenly chosen.
@@ -60,7 +60,7 @@ class CalibrationSetup:
     folder: Path
     weights: str
     source: Source
-    intrinsics: Sequence[float]
+    intrinsics: np.ndarray
     camera_height: float
     camera_pitch: float | None
     frames: int
@@ -154,9 +154,9 @@ def _even(count: int, most: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
 
 
-def level_camera(intrinsics: Sequence[float], pitch: float | None) -> PinholeCamera:
+def level_camera(intrinsics: Sequence[float] | np.ndarray, pitch: float | None) -> PinholeCamera:
     """Return the camera, in a level frame if its ``pitch`` below the horizon [rad] is known."""
-    matrix = pinhole(*intrinsics)
+    matrix = intrinsic_matrix(intrinsics)
     if pitch is None:
         return PinholeCamera(matrix)
     c, s = np.cos(pitch), np.sin(pitch)

@@ -108,6 +108,7 @@ METHODS: Mapping[str, Callable[[int], Any]] = {
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
 }
+DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned", "varied_dqn")
 VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
@@ -125,7 +126,7 @@ Rows = dict[tuple[str, str], list[Episode]]
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=60, help="test arenas")
-    parser.add_argument("--methods", default=";".join(list(METHODS)[:4]), help="separated by semicolons")
+    parser.add_argument("--methods", default=";".join(DEFAULT_METHODS), help="separated by semicolons")
     parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)

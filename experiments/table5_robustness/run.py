@@ -45,6 +45,7 @@ FAULTS: Mapping[str, Mapping[str, float]] = {
     "5 % of each": {"false_near": 0.05, "false_far": 0.05},
     "one stuck column": {"stuck": 1},
 }
+DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned")
 LABELS = ("method", "faults", "filter", "version")
 
 # (method, faults, whether there is the filter) -> episodes by arena
@@ -54,7 +55,7 @@ Rows = dict[tuple[str, str, bool], list[Episode]]
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=40, help="test arenas")
-    parser.add_argument("--methods", default=";".join(list(METHODS)[:3]), help="separated by semicolons")
+    parser.add_argument("--methods", default=";".join(DEFAULT_METHODS), help="separated by semicolons")
     parser.add_argument("--faults", default=",".join(FAULTS))
     parser.add_argument(
         "--filter", default="both", choices=("both", "with"), help="rows without it too, or not"

@@ -84,10 +84,17 @@ def test_an_empty_folder_is_named_with_what_belongs_there(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("wrong", [[0, 90, 15, 10], [100, -90, 15, 10], [np.inf, 90, 15, 10], [100, 90, 15]])
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, wrong: list[float]) -> None:
-    with pytest.raises(
-        ValueError, match=r"intrinsics=\[.*: give \[fx, fy, cx, cy\] in pixels, fx and fy above"
-    ):
+    with pytest.raises(ValueError, match=r"intrinsics=\[.*: give \[fx, fy, cx, cy\] .*, fx and fy above"):
         FolderDataset(tree(tmp_path), intrinsics=wrong, max_depth=8.0)
+
+
+def test_a_camera_of_other_pictures_is_refused(tmp_path: Path) -> None:
+    """Intrinsics of 640 x 480 px do not fit pictures that were resized since."""
+    for split in ("train", "val"):
+        with pytest.raises(
+            ValueError, match=r"the principal point \(320, 240\) lies outside the picture, .*30 x 20"
+        ):
+            FolderDataset(tree(tmp_path), intrinsics=[525, 525, 320, 240], split=split, max_depth=8.0)
 
 
 def test_missing_partners_are_named(tmp_path: Path) -> None:

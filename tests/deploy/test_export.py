@@ -170,6 +170,8 @@ def test_a_costly_int8_file_is_warned_of(
         (["overwrite=no"], "overwrite=no: give true or false"),
         (["pictures=[a.jpg,b.jpg]"], r"pictures=\['a.jpg', 'b.jpg'\]: give a text or null"),
         (["calibration=0"], "calibration=0: give the number of pictures, 1 or more"),
+        (["checks=-1"], "checks=-1: give the number of pictures, 1 or more"),
+        (["checks=0"], "checks=0: give the number of pictures, 1 or more"),
         (["checks=many"], "checks=many: give a whole number"),
         (["opset=5"], "opset=5: choose 11 to 18"),
         (["pictures=/nowhere/*.jpg"], "holds no pictures: give a folder, or a pattern"),

@@ -75,7 +75,7 @@ def test_field_of_view_and_intrinsics_say_the_same(lens_model: DepthNet) -> None
     np.testing.assert_allclose(wide, canonical * (0.5 / 0.8), rtol=1e-5)
     with pytest.raises(ValueError, match="give only one of them"):
         predictor(frame, fov=90, intrinsics=(32, 32, 31.5, 23.5))
-    with pytest.raises(ValueError, match="fx above 0"):
+    with pytest.raises(ValueError, match="fx and fy above 0"):
         predictor(frame, intrinsics=(0, 32, 31.5, 23.5))
     with pytest.raises(ValueError, match="focal and fov are given: give only one of them"):
         predictor(frame, focal=32, fov=90)

@@ -66,8 +66,10 @@ def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> No
         DepthPredictor(model, (0, 32))
     with pytest.raises(ValueError, match=r"input_size=128: give \[height, width\] in pixels"):
         DepthPredictor(model, 128)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="max_side"):
-        DepthPredictor(model, max_side=0)
+    for side in (0, "640", None, float("nan")):
+        with pytest.raises(ValueError, match=f"max_side={side!r}: give a number of pixels above 0"):
+            DepthPredictor(model, max_side=side)  # type: ignore[arg-type]
+    assert DepthPredictor(model, max_side=np.int64(640)).max_side == 640  # type: ignore[arg-type]
 
     class Broken(torch.nn.Module):
         info: dict = {}  # noqa: RUF012

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from eldenet.navigation import policy
+from eldenet.navigation import ranges as ranges_module
 from eldenet.navigation.policy import Navigator, as_ranges
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
@@ -69,6 +71,46 @@ def test_a_picture_of_millimeters_is_refused(kind, shape):
     assert as_ranges(meters, CAMERA).max() < 1.0
 
 
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_millimeters_as_floats_are_refused(shape):
+    """Code that converts a depth camera's uint16 to float, but does not divide."""
+    millimeters = np.random.default_rng(0).uniform(300.0, 6000.0, shape).astype(np.float32)
+    millimeters.flat[::3] = 0.0  # unknown
+    for depth in (millimeters, millimeters.astype(np.float64)):
+        with pytest.raises(
+            ValueError, match=r"^100% of the known depth is above 100: give meters, .* by 1000$"
+        ):
+            Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+
+
+@pytest.mark.parametrize("far", [np.inf, 65.535, 1000.0])
+@pytest.mark.parametrize("shape", [(480, 640), (40,)])
+def test_much_that_is_out_of_range_is_no_millimeters(shape, far):
+    """Some cameras write inf there, some a number; the floor or a wall is nearer somewhere."""
+    depth = np.full(shape, far)
+    depth[int(0.8 * shape[0]) :] = 2.0
+    expected = np.where(np.isfinite(depth), np.minimum(depth, 50.0), 50.0)
+    odometry = (0.0, 0.0, 0.0)
+    assert Navigator.load().step(depth, GOAL, odometry, intrinsics=CAMERA) == Navigator.load().step(
+        expected, GOAL, odometry, intrinsics=CAMERA
+    )
+
+
+@pytest.mark.parametrize("depth", [np.full((480, 640), np.inf), np.full(40, np.inf), np.full(40, 80.0)])
+def test_nothing_in_range_stays_legal(depth):
+    speed, _ = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert speed > 0
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
+def test_a_step_checks_the_units_of_its_depth_once(shape, monkeypatch):
+    checked = []
+    for module in (policy, ranges_module):
+        monkeypatch.setattr(module, "check_meters", checked.append)
+    Navigator.load().step(np.full(shape, 6.0), GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert len(checked) == 1
+
+
 @pytest.mark.parametrize(
     "intrinsics",
     [CAMERA.tolist(), tuple(map(tuple, CAMERA.tolist())), [460, 460, 320, 240], (460.0, 460.0, 320.0, 240.0)],
@@ -79,11 +121,12 @@ def test_intrinsics_may_be_lists_or_tuples(intrinsics):
     expected = Navigator.load().step(depth, GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
     assert Navigator.load().step(depth, list(GOAL), [0, 0, 0], intrinsics=intrinsics) == expected
     assert (as_ranges(depth, intrinsics) == as_ranges(depth, CAMERA)).all()
+    assert (depth_to_ranges(depth, intrinsics) == depth_to_ranges(depth, CAMERA)).all()
 
 
 @pytest.mark.parametrize(("wrong", "line"), [
-    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \(fx, fy, cx, cy\) in pixels, or"),
-    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \(fx, fy, cx, cy\)"),
+    ({"intrinsics": [460.0, 320.0]}, r"intrinsics=\[460.0, 320.0\]: give \[fx, fy, cx, cy\] of"),
+    ({"intrinsics": np.eye(2)}, r"intrinsics=\[\[1.0, 0.0\], \[0.0, 1.0\]\]: give \[fx, fy, cx, cy\]"),
     ({"intrinsics": [[460, 0, 320], [0, 460]]}, r"intrinsics=\[\[460, 0, 320\], \[0, 460\]\]: give"),
     ({"intrinsics": "camera"}, r"intrinsics=camera: give"),
     ({"goal": (5.0, 0.2, 0.0)}, r"goal=\(5.0, 0.2, 0.0\): give \(distance, bearing\), 2 numbers"),

@@ -6,11 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from support.detector_files import FILES, save
 from support.standing_boxes import BLANK, CAMERA, boxes
 
 from eldenet.boxes import Detections2D
 from eldenet.config import build_prediction, compose
+from eldenet.deploy.outputs import open_video
 from eldenet.deploy.prediction import predict
 from eldenet.perception.box_results import box_results
 from eldenet.perception.kitti_object import read_labels
@@ -119,10 +121,42 @@ def test_speeds_follow_from_the_times_of_frames_that_a_live_camera_dropped(tmp_p
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 14 * 3 + 1  # as long as the recording
 
 
+ASSUMED = "points and boxes assume fy = fx and the principal point in the picture's center"
+
+
+@pytest.mark.parametrize("given", ["focal=200", f"fov={2 * np.degrees(np.arctan(128 / 200))}", "exif"])
+def test_without_intrinsics_the_principal_point_is_the_center(given, run, tmp_path, capsys):
+    source = tmp_path / "photo.jpg"
+    exif = Image.Exif()
+    if given == "exif":
+        exif.get_ifd(0x8769)[0xA405] = round(200 * 43.27 / np.hypot(128, 256))
+    Image.fromarray(np.full((128, 256, 3), 90, np.uint8)).save(source, exif=exif)
+    fx = 30 * np.hypot(128, 256) / 43.27 if given == "exif" else 200
+    run(source, f"intrinsics=[{fx},{fx},127.5,63.5]")
+    assert ASSUMED not in capsys.readouterr().out
+    expected = (tmp_path / "out/photo_boxes.txt").read_text()
+    run(source, "intrinsics=null", *[given] * (given != "exif"), "overwrite=true")
+    assert (tmp_path / "out/photo_boxes.txt").read_text() == expected
+    assert expected.count("dog") == 1
+    assert ASSUMED in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_field_of_view_suffices_for_the_boxes_of_a_video(run, tmp_path):
+    source = tmp_path / "walk.mp4"
+    with open_video(source, 10) as add:
+        for _ in range(2):
+            add(np.full((128, 256, 3), 90, np.uint8))
+    run(source, "intrinsics=null", "fov=66")
+    assert len(read_labels(tmp_path / "out/walk/000001_boxes.txt").types) == 2
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("intrinsics=null", "intrinsics"),
+        (
+            "intrinsics=null",
+            r"photo\.png: boxes need the lens, .*: give fov=degrees, focal=pixels or intrinsics=",
+        ),
         ("perception.detector.path=null", r"perception\.detector\.path"),
         ("perception.detector.path='{folder}/odd.onnx'", "cannot load"),
         ("perception.lifter.method=magic", "method"),

@@ -53,9 +53,11 @@ def video(folder: Path) -> None:
 
 def tensorboard(folder: Path) -> None:
     log = RunLog(folder)
-    for step in range(50):
-        log.picture("validation", step, NOISE)
-    log.close()
+    try:
+        for step in range(50):
+            log.picture("validation", step, NOISE)
+    finally:
+        log.close()  # its thread ends here, not when the disk is gone
 
 
 WRITERS: dict[str, Callable[[Path], object]] = {
@@ -98,6 +100,8 @@ def test_a_run_whose_log_met_a_full_disk_goes_on(small_disk: Path) -> None:
 
     with pytest.raises(DiskError, match="no space left"):
         log_on()
+    with suppress(DiskError):
+        log.close()  # its thread ends here, not when the disk is gone
     ballast.unlink()
     resumed = RunLog(small_disk, first_step=2)
     resumed.scalars(2, {"loss": 2.0})

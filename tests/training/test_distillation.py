@@ -130,7 +130,14 @@ def test_a_teacher_describes_its_image_sizes(networks):
             lambda _, teacher: DistilledTerm(L1Loss(), teacher)(*[torch.ones(SHAPE)] * 2, ~NOTHING_KNOWN),
             "needs the images",
         ),
-        (lambda *_: instantiate(compose("train", ["loss=ssim_l1_distill"]).loss), "give teacher="),
+        (
+            lambda *_: instantiate(compose("train", ["loss=ssim_l1_distill"]).loss),
+            r"for a loss as teacher=\.\.\.",
+        ),
+        (
+            lambda *_: instantiate(compose("train", ["data=mix_photographs"]).data.sources.photographs.data),
+            r"for photographs as data\.sources\.photographs\.data\.teacher\.source=\.\.\.",
+        ),
         (lambda *_: zoo.build_teacher("eldenet"), "without trained weights"),
     ],
 )
