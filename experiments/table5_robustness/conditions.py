@@ -100,11 +100,15 @@ REMEDIES: Mapping[str, str] = {
 TUNED = 1.6
 # trained with training.randomize, see README.md
 VARIED = HERE / "varied_dqn.safetensors"
+# one training in rooms, see README.md
+IN_ROOMS = HERE / "rooms_dqn.safetensors"
 METHODS: Mapping[str, Callable[[int], Any]] = {
     "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
     "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
     "astar_online_dwa, tuned": lambda robots: AStarOnlineDWA(carrot=TUNED, robots=robots),
     "varied_dqn": lambda robots: Navigator.load(VARIED, slows_within=1.0, robots=robots),
+    "rooms_dqn": lambda robots: Navigator.load(IN_ROOMS, slows_within=1.0, robots=robots),
+    "astar_online_dqn, rooms_dqn": lambda robots: PlanAndSteer(IN_ROOMS, slows_within=1.0, robots=robots),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
 }
@@ -113,6 +117,8 @@ VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
     "varied_dqn": str(EPISODE_VERSION),
+    "rooms_dqn": str(EPISODE_VERSION),
+    "astar_online_dqn, rooms_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
     "astar_online_dwa, tuned": f"{EPISODE_VERSION}.{DWA_VERSION}.{TUNED}",
     "astar_online_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
     "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
