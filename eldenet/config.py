@@ -907,12 +907,16 @@ def _build_boxes(config: DictConfig, *, of_kitti: bool, is_video: bool) -> Calla
     ``of_kitti``: all pictures have KITTI's calibration, so their camera's height is known.
 
     Raises:
-        ValueError: no detector was given.
+        ValueError: no detector was given, or not as a file's path.
     """
     from eldenet.data.kitti_calibration import CAMERA_HEIGHT
     from eldenet.perception.box_results import box_results
     from eldenet.perception.scene import Perception
 
+    if isinstance(config.perception.detector, str):
+        raise ValueError(
+            f"perception.detector={config.perception.detector}: give the file as perception.detector.path"
+        )
     if config.perception.detector.get("path", "") is None:
         raise ValueError(
             "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"

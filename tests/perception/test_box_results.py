@@ -55,6 +55,15 @@ def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
         run(source, "formats=[color]")
 
 
+def test_a_detector_in_the_place_of_its_path_is_refused_in_one_line(model_folder, tmp_path):
+    source = write_image(tmp_path / "photo.png")
+    options = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true"]
+    with pytest.raises(
+        ValueError, match=r"^perception\.detector=d\.onnx: give the file as perception\.dete.*$"
+    ):
+        build_prediction(compose("predict", [*options, "perception.detector=d.onnx", INTRINSICS]))
+
+
 def test_depth_that_contradicts_known_sizes_is_said_and_boxes_are_recorded(run, tmp_path, capsys):
     chunk = pytest.importorskip("rerun.chunk", reason="pip install 'eldenet[viewer]'")
     source = write_image(tmp_path / "photo.png")
