@@ -94,7 +94,7 @@ class RangeFilter:
         """Mask of the readings that the last scan shows too ``(columns,)``; nobody doubts the first scan."""
         if self._before is None:
             return np.full(ROBOT.columns, True)
-        bearing, away = _from(self._before, pose)
+        bearing, away = seen_from(pose, *self._before)
         angles = np.array(ROBOT.column_angles)
         with np.errstate(invalid="ignore"):
             beside = np.abs(bearing[None, :] - angles[:, None]) < 1.5 * _STEP
@@ -167,9 +167,15 @@ def _agreeing(ranges: np.ndarray) -> np.ndarray:
     return count
 
 
-def _from(before: tuple[np.ndarray, np.ndarray], pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bearing [rad] and distance [m] of the last scan's points from the camera now ``(columns,)`` each."""
-    ranges, (x, y, yaw) = before
+def seen_from(pose: np.ndarray, ranges: np.ndarray, scanned_at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bearing [rad] and distance [m] of an earlier scan's points from the camera now; each as ``ranges``.
+
+    Args:
+        pose: ``(3,)`` of the robot now.
+        ranges: of the scan ``(..., columns)`` [m].
+        scanned_at: ``(3,)`` pose of the robot then.
+    """
+    x, y, yaw = scanned_at
     angles = yaw + np.array(ROBOT.column_angles)
     ahead = ROBOT.camera_ahead
     dx = x - pose[0] + ahead * (math.cos(yaw) - math.cos(pose[2])) + ranges * np.cos(angles)

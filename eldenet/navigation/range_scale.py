@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from eldenet.navigation.range_filter import seen_from
 from eldenet.simulation.robot import ROBOT
 
 _LOGS = np.arange(-18, 19) * 0.02  # of the factors tried: 0.70 to 1.43
@@ -111,20 +112,10 @@ def _disagreement(before: np.ndarray, then: np.ndarray, ranges: np.ndarray, pose
     steps = np.abs(np.diff(np.log(before))) > EDGE
     flat = ~(np.append(steps, False) | np.append(False, steps))
     used = flat & (before > ROBOT.near) & (before < REACH)
-    bearing = then[2] + np.array(ROBOT.column_angles)[used]
-    moved = (then[:2] - pose[:2]) + ROBOT.camera_ahead * (_ahead(then[2]) - _ahead(pose[2]))
-    x, y = (
-        moved[axis] + FACTORS[:, None] * before[used] * part(bearing)
-        for axis, part in enumerate((np.cos, np.sin))
-    )
-    angle = np.remainder(np.arctan2(y, x) - pose[2] + math.pi, 2 * math.pi) - math.pi
+    angle, away = (part[:, used] for part in seen_from(pose, FACTORS[:, None] * before, then))
     column = np.floor((angle / ROBOT.field_of_view + 0.5) * ROBOT.columns).astype(np.intp)
     in_view = ((column >= 0) & (column < ROBOT.columns)).all(axis=0)  # with any factor, or it favors some
-    x, y, column = x[:, in_view], y[:, in_view], column[:, in_view]
+    away, column = away[:, in_view], column[:, in_view]
     seen = ranges[column]
-    apart = np.log(np.hypot(x, y) / (FACTORS[:, None] * seen)) / AGREE
+    apart = np.log(away / (FACTORS[:, None] * seen)) / AGREE
     return np.where((seen > ROBOT.near) & (seen < ROBOT.far), np.minimum(apart**2, 1), 1.0)
-
-
-def _ahead(heading: float) -> np.ndarray:
-    return np.array([math.cos(heading), math.sin(heading)])
