@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone
-from eldenet.backbones.weights import load_weights, read_weights
+from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.heads import Head, add_channels, in_meters
@@ -23,8 +23,6 @@ from eldenet.types import FeatureInfo
 from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
 
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
 CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
 LARGEST_VALUE = 10.0  # of an image in [0, 1], with room for normalized ones and noise; bytes go to 255
 

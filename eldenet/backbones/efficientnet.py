@@ -8,7 +8,14 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone, five_stages
-from eldenet.backbones.weights import Weights, load_weights, read_weights, rename_by_order
+from eldenet.backbones.weights import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    Weights,
+    load_weights,
+    read_weights,
+    rename_by_order,
+)
 from eldenet.layers import ConvNormAct, init_kaiming
 
 #: Blocks, kernel, stride, expansion and channels of the stages of Lite0 (EfficientNet-B0's).
@@ -18,7 +25,6 @@ _FEATURES = (0, 1, 2, 4, 6)  # stages whose last maps are at strides 2, 4, 8, 16
 #: Size -> width and depth relative to Lite0.
 SIZES = {0: (1.0, 1.0), 1: (1.0, 1.1), 2: (1.1, 1.2), 3: (1.2, 1.4), 4: (1.4, 1.8)}
 _EPS = 1e-3  # of batch normalization, as in the published weights
-_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class _InvertedResidual(nn.Module):
@@ -107,7 +113,7 @@ class EfficientNetLite(Backbone):
             return weights
         weights = rename_by_order(dict(list(weights.items())[: len(own)]), own, str(path))
         # they were trained on pictures normalized by mean and standard deviation 0.5
-        mean, std = map(torch.tensor, _IMAGENET)
+        mean, std = torch.tensor(IMAGENET_MEAN), torch.tensor(IMAGENET_STD)
         kernel = weights["stem.conv.weight"]
         weights["stem.conv.weight"] = kernel * (std / 0.5)[:, None, None]
         offset = (kernel * ((mean - 0.5) / 0.5)[:, None, None]).sum((1, 2, 3))

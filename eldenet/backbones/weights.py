@@ -14,6 +14,10 @@ from eldenet.system.reading import reading
 
 Weights = dict[str, Tensor]
 
+#: Of RGB in [0, 1]; pictures for ImageNet weights are normalized by them, unless the weights say otherwise.
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
 # timm's names inside a depthwise separable block -> ours.
 _TIMM_LAYERS = {
     "conv_dw": "depthwise.conv",
