@@ -28,6 +28,7 @@ from eldenet.simulation.furnished_rooms.walks import render_walk  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 
 HERE = Path(__file__).parent
+FRAMES = 45
 WALKS = 24  # rooms of the split "test"; the filter's constants were chosen on 16 walks of "val"
 MODELS = ("eldenet_rooms", "eldenet_indoor", "eldenet_l_indoor")
 SAME_SURFACE = 0.02  # relative difference in depth up to which a point is the one that was seen before
@@ -89,7 +90,7 @@ def compare(model: str) -> list[str]:
     predictor = eldenet.DepthPredictor(eldenet.load(model), steady=False)
     alone, steady = [], []
     for index in range(WALKS):
-        views = render_walk("test", index)
+        views = render_walk("test", index, frames=FRAMES)
         raw = np.stack([predict(predictor, frame, views) for frame in views.image])
         smooth = eldenet.DepthPredictor(predictor.model)
         alone.append(measure(views, raw))
@@ -101,9 +102,8 @@ def compare(model: str) -> list[str]:
     lag = -float(approach @ behind) / float(approach @ approach)
     size = predictor.size_for(*views.image.shape[1:3])
     frames = [resize_image(image, size) for image in views.image]
-    film = itertools.cycle(
-        [(frame, predictor(frame)) for frame in frames]
-    )  # the filter skips repeated frames
+    # the filter skips a frame that is repeated
+    film = itertools.cycle([(frame, predictor(frame)) for frame in frames])
     frame, keep_steady = frames[0], SteadyFilter()
     times = time_interleaved(
         {"network": lambda: predictor(frame), "filter": lambda: keep_steady(*next(film))}, rounds=15
@@ -136,7 +136,7 @@ def main(models: Sequence[str]) -> None:
     where = environment()
     lines = [
         f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}, {where['date']}; "
-        f"{WALKS} walks of 45 frames through test rooms.",
+        f"{WALKS} walks of {FRAMES} frames through test rooms.",
         "",
         "| depth of a video | flicker | AbsRel | lag [frames] | ms/frame |",
         "|---|---:|---:|---:|---:|",

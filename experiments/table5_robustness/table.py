@@ -67,8 +67,8 @@ def condition_line(name: str, rows: conditions.Rows) -> str | None:
     if name in conditions.REMEDIES.values():
         return None
     helped = conditions.REMEDIES.get(name, name)
-    helps = name.endswith(", corrected")  # what the correction may break
-    alone = [None if helps else rows.get((method, name)) for method in ("dqn_ensemble", "varied_dqn")]
+    corrected = "range_scale" in conditions.CONDITIONS[name].robot  # what the correction may break
+    alone = [None if corrected else rows.get((method, name)) for method in ("dqn_ensemble", "varied_dqn")]
     return line(name, [*alone, *(rows.get((method, helped)) for method in METHODS)])
 
 
