@@ -21,6 +21,7 @@ TARGETS = {
 }
 #: Today's ``_target_`` -> its options that were renamed: old name -> new name.
 OPTIONS: dict[str, dict[str, str]] = {
+    "eldenet.backbones.efficientnet.EfficientNetLite": {"size": "variant"},
     "eldenet.losses.pointwise.BerHuLoss": {"share": "threshold_ratio"},
     "eldenet.losses.silog.SILogLoss": {"balance": "variance_focus"},
     "eldenet.navigation.dqn.DQNSettings": {

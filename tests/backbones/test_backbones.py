@@ -21,6 +21,7 @@ from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
 from eldenet.backbones.weights import read_weights
 from eldenet.configurable import build
+from eldenet.system.checks import check_arguments
 
 FOLDER = Path(__file__).parents[2] / "configs" / "model" / "backbone"
 CONFIGS = {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
@@ -58,6 +59,11 @@ def test_the_yaml_shows_every_argument(name: str, backbone: Backbone) -> None:
     content = yaml.safe_load(CONFIGS[name].read_text())
     assert content.pop("pretrained") is False
     assert content == backbone.config
+
+
+def test_the_yaml_passes_the_checks_of_the_command_line(name: str, backbone: Backbone) -> None:
+    content = yaml.safe_load(CONFIGS[name].read_text())
+    check_arguments(type(backbone), {key: value for key, value in content.items() if key != "_target_"})
 
 
 @pytest.mark.parametrize("size", [(64, 96), (33, 65)])
@@ -195,12 +201,33 @@ def test_timms_efficientnet_lite_gives_the_same_features_inside_the_picture(
         assert name.startswith("stem.") or torch.equal(mine, other)
 
 
-@pytest.mark.parametrize(("size", "parameters"), [(0, 4_652_008), (1, 5_416_680), (2, 6_092_072)])
-def test_efficientnet_lite_has_the_published_parameters(size: int, parameters: int) -> None:
-    backbone = EfficientNetLite(size)
+@pytest.mark.parametrize(("variant", "parameters"), [(0, 4_652_008), (1, 5_416_680), (2, 6_092_072)])
+def test_efficientnet_lite_has_the_published_parameters(variant: int, parameters: int) -> None:
+    backbone = EfficientNetLite(variant)
     last = backbone.feature_info[-1].channels
     rest = last * 1280 + 2 * 1280 + 1280 * 1000 + 1000  # last 1 x 1 convolution and classifier
     assert sum(parameter.numel() for parameter in backbone.parameters()) + rest == parameters
+
+
+def test_efficientnet_lite_keeps_the_first_blocks_of_each_stage_and_their_weights(tmp_path: Path) -> None:
+    source = EfficientNetLite(0)
+    torch.save(source.state_dict(), tmp_path / "lite.pth")
+    part = EfficientNetLite(0, blocks=[1, 1, 2, 3, 2], pretrained=str(tmp_path / "lite.pth"))
+    assert [(feature.channels, feature.stride) for feature in part.feature_info] == [
+        (16, 2), (24, 4), (40, 8), (112, 16)
+    ]  # fmt: skip
+    assert [len(stage) for stage in part.stages] == [1, 1, 2, 3, 2]
+    for name, tensor in part.state_dict().items():
+        assert torch.equal(tensor, source.state_dict()[name])
+    image = torch.rand(1, 3, 64, 64)
+    with torch.inference_mode():  # the first stages are whole or cut where nothing follows
+        torch.testing.assert_close(part.eval()(image)[0], source.eval()(image)[0])
+
+
+@pytest.mark.parametrize("blocks", [[], [1, 3], [1, 0], [1] * 8])
+def test_efficientnet_lite_refuses_blocks_that_it_does_not_have(blocks: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"keep at least 1 of each stage's \[1, 2, 2, 3, 3, 4, 1\] blocks"):
+        EfficientNetLite(0, blocks=blocks)
 
 
 def test_efficientnet_lite_reads_the_package_with_its_weights(
