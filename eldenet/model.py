@@ -16,6 +16,7 @@ from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights,
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.heads import Head, add_channels, in_meters
+from eldenet.renames import renamed
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import part_file, read_json, write_text
@@ -236,7 +237,7 @@ class DepthNet(Configurable, nn.Module):
         """
         folder = _local_folder(source, revision)
         config = _read_config(folder)
-        model = build(config["model"], trusted_modules)
+        model = build(renamed(config["model"]), trusted_modules)
         if not isinstance(model, cls):
             raise ValueError(
                 f"{folder / CONFIG_NAME} describes a {type(model).__name__}, not a {cls.__name__}"

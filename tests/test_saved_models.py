@@ -1,6 +1,7 @@
 """Networks are saved and read back."""
 
 import functools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from support.networks import same_model, small_net
 from torch import nn
 
 import eldenet
+from eldenet.backbones.efficientnet import EfficientNetLite
 from eldenet.backbones.mobilenet import MobileNetV2, MobileNetV3
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.backbones.resnet import ResNet
@@ -39,6 +41,7 @@ def timm_backbone() -> nn.Module:
     [
         {"backbone": lambda: PPLCNet(0.25, stem_feature=True)},
         {"backbone": MobileNetV2},
+        {"backbone": lambda: EfficientNetLite(0, blocks=[1, 1, 1, 2])},
         {"backbone": lambda: MobileNetV3("small")},
         {"backbone": lambda: ResNet(18)},
         {"backbone": lambda: VGG16(batch_norm=True)},
@@ -99,6 +102,16 @@ def test_new_info_is_added_to_the_old(tmp_path: Path) -> None:
     assert DepthPredictor(shared).size_for(120, 152) == DepthPredictor(model).size_for(120, 152) == (60, 76)
     model.save_pretrained(tmp_path / "tuned", info={"input_size": [96, 128]})  # drops the old frame size
     assert DepthPredictor(eldenet.load(tmp_path / "tuned")).size_for(120, 160) == (96, 128)
+
+
+def test_a_model_saved_before_an_option_was_renamed_loads(tmp_path: Path) -> None:
+    model = small_net(backbone=EfficientNetLite(1))
+    config = model.save_pretrained(tmp_path) / "config.json"
+    content = json.loads(config.read_text())
+    del content["sha256"]
+    content["model"]["network"]["backbone"]["size"] = content["model"]["network"]["backbone"].pop("variant")
+    config.write_text(json.dumps(content))
+    assert same_model(eldenet.load(tmp_path), model)
 
 
 def test_a_saved_model_does_not_name_its_pretrained_file(tmp_path: Path) -> None:
