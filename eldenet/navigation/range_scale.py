@@ -12,6 +12,7 @@ import numpy as np
 from eldenet.navigation.range_filter import seen_from
 from eldenet.simulation.robot import ROBOT
 
+SCALE_VERSION = 1  # raise it whenever factors change: stored rows with the range scale name it
 _LOGS = np.arange(-18, 19) * 0.02  # of the factors tried: 0.70 to 1.43
 FACTORS = np.exp(_LOGS)
 WAYS = (0.5, 1.0)  # least way between two scans that are compared [m]; a comparison each
@@ -20,10 +21,8 @@ REACH = 6.0  # readings beyond are not compared [m]: they hardly depend on the w
 EDGE = 0.1  # readings whose neighbors differ by this share are not compared: they may be mixed
 AGREE = 0.1  # readings that differ by this share, or more, disagree fully
 ENOUGH = 60  # readings to compare before the factor may change
-WORSE, WRONG = (
-    0.1,
-    0.2,
-)  # of the mean disagreement: without a factor it is greater by so much; with it, at most
+WORSE = 0.1  # the factor may change only if the mean disagreement without it is greater by this much
+WRONG = 0.2  # ... and is at most this with it
 SMALLEST = 0.05  # smaller errors stay as they are
 REMEMBERED = 4000  # readings after which earlier ones count half
 

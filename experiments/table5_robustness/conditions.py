@@ -34,6 +34,7 @@ from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
 from eldenet.navigation.planners.plan_and_steer import STEER_VERSION, PlanAndSteer  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
+from eldenet.navigation.range_scale import SCALE_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
@@ -159,12 +160,18 @@ def driver(method: str, condition: Condition) -> Callable[[int], Any]:
     return lambda robots: Predictive(METHODS[method](robots), condition.sensor["latency"], robots)
 
 
+def made_with(method: str, condition: str) -> str:
+    """Version of what an episode depends on."""
+    corrected = "range_scale" in CONDITIONS[condition].robot
+    return f"{VERSIONS[method]}.{SCALE_VERSION}" if corrected else VERSIONS[method]
+
+
 def read(file: Path) -> Rows:
     """Return the stored rows whose version is today's."""
     return {
         (method, condition): episodes
         for (method, condition, version), episodes in read_episodes(file, LABELS).items()
-        if version == VERSIONS[method]
+        if version == made_with(method, condition)
     }
 
 
@@ -176,7 +183,7 @@ def write(folder: Path, rows: Rows) -> None:
         for method in METHODS
         if rows.get((method, name))
     }
-    labeled = {(*key, VERSIONS[key[0]]): episodes for key, episodes in made.items()}
+    labeled = {(*key, made_with(*key)): episodes for key, episodes in made.items()}
     write_episodes(folder / "conditions.csv", LABELS, labeled)
     text = [
         "# Rooms, traps, delay, wrong distances and other robots",
