@@ -78,7 +78,7 @@ class EfficientNetLite(Backbone):
         width, depth = VARIANTS[variant]
         channels = 32
         self.stem = ConvNormAct(3, channels, 3, stride=2, activation=nn.ReLU6)
-        self.stages = nn.ModuleList()
+        stages = []
         for number, (count, kernel, stride, expansion, base) in enumerate(_STAGES):
             outputs = _round(base * width)
             if 0 < number < len(_STAGES) - 1:  # the Lite form keeps the first and the last stage
@@ -91,7 +91,8 @@ class EfficientNetLite(Backbone):
                     )
                 )
                 channels = outputs
-            self.stages.append(stage)
+            stages.append(stage)
+        self.stages = nn.ModuleList(stages)
         for module in self.modules():
             if isinstance(module, nn.BatchNorm2d):
                 module.eps = _EPS
@@ -100,12 +101,12 @@ class EfficientNetLite(Backbone):
             path = _packaged(variant) if pretrained is True else Path(pretrained)
             load_weights(self, self._renamed(read_weights(path), path), path)
         if blocks is not None:
-            full = [len(stage) for stage in self.stages]
-            if not 0 < len(blocks) <= len(full) or any(
-                not 0 < n <= most for n, most in zip(blocks, full, strict=False)
+            full = [len(stage) for stage in stages]
+            if not 0 < len(blocks) <= len(full) or not all(
+                0 < n <= most for n, most in zip(blocks, full, strict=False)
             ):
                 raise ValueError(f"blocks={list(blocks)}: keep at least 1 of each stage's {full} blocks")
-            self.stages = nn.ModuleList(stage[:n] for stage, n in zip(self.stages, blocks, strict=False))
+            self.stages = nn.ModuleList(stage[:n] for stage, n in zip(stages, blocks, strict=False))
         last = {stride: number for number, stride in enumerate(_STRIDES[: len(self.stages)])}
         self._features = tuple(last.values())
         self.feature_info = tuple(
