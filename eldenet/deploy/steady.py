@@ -5,7 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-WIDTH = 64  # of the pictures whose motion is measured [px]
+WIDTH = (
+    64  # of the maps on which motion and correction are computed [px]: as steady as on full ones, and faster
+)
 FINEST_SCALE = 1  # motion is measured on half of that: twice as fast, no worse
 NEW = 0.3  # share of the new depth where a pixel is recognized
 TOLERANCE = 20.0  # difference of gray values at which a pixel is hardly recognized
@@ -19,7 +21,7 @@ class _Memory(NamedTuple):
     gray: np.ndarray  # (h, w) uint8
     depth: np.ndarray  # (H, W) float32 [m], as the network gave it
     steady: np.ndarray  # (H, W) float32 [m], as it came out
-    log_depth: np.ndarray  # (H, W) float32, of steady
+    log_depth: np.ndarray  # (h, w) float32, of steady
     trend: float  # of the mean of log_depth per frame
 
 
@@ -27,8 +29,8 @@ class SteadyFilter:
     """Steady the depth of one video, frame by frame.
 
     Every pixel is followed from the last frame by optical flow (DIS, Kroeger et al. 2016). Where it looks the
-    same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. The
-    trend of the scale is part of the prediction, so depth does not lag while the camera moves. The filter
+    same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. All
+    this happens on small maps, and the depth gets the enlarged correction, so its details stay sharp. The trend of the scale is part of the prediction, so depth does not lag while the camera moves. The filter
     sees no later frame. A cut, or any picture of another scene, starts it anew: then depth comes back
     unchanged.
 
@@ -55,31 +57,27 @@ class SteadyFilter:
         gray = cv2.resize(
             cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (width, height), interpolation=cv2.INTER_AREA
         )
-        log_depth = cv2.log(depth)
+        log_depth = cv2.log(cv2.resize(depth, (width, height), interpolation=cv2.INTER_AREA))
         last, self._memory = self._memory, _Memory(gray, depth, depth, log_depth, 0.0)
         if last is not None and np.array_equal(depth, last.depth):  # the same frame again
             self._memory = last
             return last.steady
-        if last is None or last.gray.shape != gray.shape or last.log_depth.shape != depth.shape:
+        if last is None or last.gray.shape != gray.shape or last.depth.shape != depth.shape:
             return depth
         motion = self._flow.calc(gray, last.gray, None)  # type: ignore[call-overload]
         where = _grid(height, width) + motion
         same = _same_surface(gray, last.gray, where)
         if same.mean() < RECOGNIZED:
             return depth
-        size = depth.shape[::-1]
-        scale = np.array([size[0] / width, size[1] / height], np.float32)
-        places = (cv2.resize(where, size) + np.float32(0.5)) * scale - np.float32(0.5)
-        followed = _follow(last.log_depth, places)
-        weight = cv2.resize(same, size)
-        surprise = log_depth - (followed + np.float32(last.trend))
-        known = surprise[::4, ::4][weight[::4, ::4] > RECOGNIZED]
+        surprise = log_depth - (_follow(last.log_depth, where) + np.float32(last.trend))
+        known = surprise[same > RECOGNIZED]
         shift = float(np.median(known)) if known.size else 0.0
         if abs(shift) > JUMP:
             return depth
         trend = float(np.clip(last.trend + TREND * shift, -FASTEST, FASTEST))
-        steady = log_depth - np.float32(1 - NEW) * weight * surprise
-        self._memory = _Memory(gray, depth, cv2.exp(steady), steady, trend)
+        correction = np.float32(NEW - 1) * same * surprise
+        steady = depth * cv2.resize(cv2.exp(correction), depth.shape[::-1])
+        self._memory = _Memory(gray, depth, steady, log_depth + correction, trend)
         return self._memory.steady
 
 
