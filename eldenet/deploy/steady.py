@@ -29,10 +29,10 @@ class SteadyFilter:
     """Steady the depth of one video, frame by frame.
 
     Every pixel is followed from the last frame by optical flow (DIS, Kroeger et al. 2016). Where it looks the
-    same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. All
-    this happens on small maps, and the depth gets the enlarged correction, so its details stay sharp. The trend of the scale is part of the prediction, so depth does not lag while the camera moves. The filter
-    sees no later frame. A cut, or any picture of another scene, starts it anew: then depth comes back
-    unchanged.
+    same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. This
+    happens on small maps, and the depth gets the enlarged correction, so its details stay sharp. The trend of
+    the scale is part of the prediction, so depth does not lag while the camera moves. The filter sees no
+    later frame. A cut, or any picture of another scene, starts it anew: then depth comes back unchanged.
 
     A filter belongs to one video: give each video, and each thread, its own.
     """
