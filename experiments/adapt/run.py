@@ -240,12 +240,13 @@ def write_page(weights: str) -> None:
         f"{count} of {len(trials)} trials end with a higher AbsRel than they began.",
         "",
     ]
-    lines += [
-        f"## Against {TIMES} times the training on the same frames",
-        "",
-        f"| place | AbsRel before | after | after {TIMES} times | share of the gap closed |",
-        "|---|---:|---:|---:|---:|",
-    ]
+    if longer:
+        lines += [
+            f"## Against {TIMES} times the training on the same frames",
+            "",
+            f"| place | AbsRel before | after | after {TIMES} times | share of the gap closed |",
+            "|---|---:|---:|---:|---:|",
+        ]
     first = {(row["place"], row["block"]): row for row in trials if row["seed"] == "0"}
     for place, row in longer.items():
         short = first.get((place, row["block"]))
@@ -256,7 +257,7 @@ def write_page(weights: str) -> None:
         share = f"{100 * (old - new) / (old - best):.0f} %" if best < old else "no gap"
         lines.append(f"| {place} | {old:.3f} | {new:.3f} | {best:.3f} | {share} |")
     lines += [
-        "",
+        *([""] if longer else []),
         "## The camera's height alone",
         "",
         "Median over frames of the error of scale, |log(median true / median predicted)|.",
