@@ -175,21 +175,21 @@ def test_mobilenet_v2_reads_files_with_other_names_by_order(tmp_path: Path) -> N
 
 
 @needs_timm
-@pytest.mark.parametrize("size", [0, 2])
+@pytest.mark.parametrize("variant", [0, 2])
 def test_timms_efficientnet_lite_gives_the_same_features_inside_the_picture(
-    size: int, tmp_path: Path
+    variant: int, tmp_path: Path
 ) -> None:
     import timm
 
     torch.manual_seed(0)
-    theirs = timm.create_model(f"efficientnet_lite{size}").eval()  # with PyTorch's padding
+    theirs = timm.create_model(f"efficientnet_lite{variant}").eval()  # with PyTorch's padding
     for module in theirs.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.eps = 1e-3  # as of the published weights
             module.running_mean.uniform_(-0.1, 0.1)
             module.running_var.uniform_(0.5, 1.5)
     torch.save(theirs.state_dict(), tmp_path / "lite.pth")
-    ours = EfficientNetLite(size, pretrained=str(tmp_path / "lite.pth")).eval()
+    ours = EfficientNetLite(variant, pretrained=str(tmp_path / "lite.pth")).eval()
     picture = torch.rand(1, 3, 96, 96)
     mean, std = (torch.tensor(part)[:, None, None] for part in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
     with torch.inference_mode():
