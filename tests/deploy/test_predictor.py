@@ -127,7 +127,7 @@ def test_the_scale_shows_round_meters_at_a_constant_width() -> None:
 
 
 def test_the_last_rows_of_an_odd_size_are_like_their_neighbors() -> None:
-    """A photo of 3:2 is seen at 91 x 136; networks round that up, and this one's own last rows are far off."""
+    """A photo of 3:2 is seen at 91 x 136; rounded up, this network's own last rows are off."""
     frame = read_image(Path(__file__).parents[2] / "web" / "example.jpg")
     predictor = DepthPredictor(eldenet.load("eldenet_fast_rooms"), steady=False)
     assert predictor.size_for(*frame.shape[:2]) == (91, 136)
