@@ -57,8 +57,8 @@ class DepthPredictor:
     own. Each thread has its own video. ``steady=False`` predicts every frame on its own.
 
     Args:
-        model: a network, put into eval mode and moved to ``device``; or one under another runtime
-            (:func:`eldenet.deploy.runtimes.load`).
+        model: a network, of which a copy runs, made for inference (:func:`eldenet.deploy.fold.fold`); or one
+            under another runtime (:func:`eldenet.deploy.runtimes.load`).
         input_size: ``(height, width)`` that the network sees [px]; None: the model's size for whole frames
             (:func:`eldenet.model.size_of_frames`), else the frame's own, limited by ``max_side``.
         max_side: longest side of frames without ``input_size`` [px].
@@ -123,8 +123,10 @@ class DepthPredictor:
         else:
             import torch
 
+            from eldenet.deploy.fold import fold
+
             self.device = torch.device(device or "cpu")
-            self.model = model.to(self.device).eval()
+            self.model = fold(model).to(self.device, memory_format=torch.channels_last)
             if self.device.type == "cuda":
                 full_fp32()  # as under other runtimes
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.networks import canonical_predictor
+from support.networks import canonical_net
 from support.predicting import exported, listed, photo, read_ply, run, save, setup, turned_by_exif
 
 import eldenet
@@ -67,7 +67,7 @@ def test_a_picture_becomes_depth_colors_and_points(
 @pytest.mark.parametrize("size", [(48, 64), (64, 36)])
 def test_a_longer_lens_moves_points_away_and_keeps_their_width(size: tuple[int, int], tmp_path: Path) -> None:
     """Z grows with the focal length, X = (u - cx) Z / fx and Y stay."""
-    model = canonical_predictor(48, 64).model.save_pretrained(tmp_path / "model")
+    model = canonical_net(48, 64).save_pretrained(tmp_path / "model")
     source = save(tmp_path / "in/kitchen.png", photo(*size))
     clouds = []
     for focal in (40, 80):

@@ -1,5 +1,6 @@
 """Frames become meters; meters become numbers, points and pictures."""
 
+import copy
 import math
 from pathlib import Path
 
@@ -72,14 +73,10 @@ def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> No
             DepthPredictor(model, max_side=side)  # type: ignore[arg-type]
     assert DepthPredictor(model, max_side=np.int64(640)).max_side == 640  # type: ignore[arg-type]
 
-    class Broken(torch.nn.Module):
-        info: dict = {}  # noqa: RUF012
-
-        def forward(self, image: torch.Tensor) -> torch.Tensor:
-            return image[:, :1] * math.nan
-
+    damaged = copy.deepcopy(model)
+    next(damaged.network.parameters()).data.fill_(math.nan)
     with pytest.raises(ValueError, match="not finite"):
-        DepthPredictor(Broken())(photo())  # type: ignore[arg-type]
+        DepthPredictor(damaged)(photo())
 
 
 def test_predictor_refuses_a_device_for_a_runtime() -> None:
@@ -89,7 +86,7 @@ def test_predictor_refuses_a_device_for_a_runtime() -> None:
 
 def test_fp32_on_cuda_is_not_tf32(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
-    monkeypatch.setattr(model, "to", lambda device: model)  # no CUDA device is needed
+    monkeypatch.setattr(model, "to", lambda *_, **__: model)  # no CUDA device is needed
     DepthPredictor(model, device="cuda")
     assert not torch.backends.cudnn.allow_tf32
 

@@ -18,11 +18,16 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
     return DepthNet.from_parts(**options).eval()
 
 
-def canonical_predictor(height: int, width: int, canonical: float = 0.8) -> DepthPredictor:
-    """A small network with a canonical camera of ``canonical`` widths; predicts single frames."""
-    model = small_net(canonical_focal=canonical, canonical_width=width)
+def canonical_net(height: int, width: int) -> DepthNet:
+    """A small network with a canonical camera of 0.8 widths."""
+    model = small_net(canonical_focal=0.8, canonical_width=width)
     model.info = {"input_size": [height, width]}
-    return DepthPredictor(model, steady=False)
+    return model
+
+
+def canonical_predictor(height: int, width: int) -> DepthPredictor:
+    """It predicts single frames by :func:`canonical_net`."""
+    return DepthPredictor(canonical_net(height, width), steady=False)
 
 
 def picture(*size: int, seed: int = 0, batch: int = 1) -> Tensor:
