@@ -20,6 +20,7 @@ from eldenet.data.digests import (
     write_digests,
 )
 from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
+from eldenet.data.mix import Mix
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
@@ -318,6 +319,9 @@ def identities(dataset: DepthDataset) -> dict[str, str]:
 
     The key is the name and, if the adapter knows them, the files: two folders may use the same names.
     """
+    if isinstance(dataset, Mix):
+        parts = [identities(source.frames) for source in dataset.sources.values()]
+        return {key: name for part in parts for key, name in part.items()}
     found = {}
     for index, name in enumerate(dataset.names):
         try:

@@ -18,17 +18,13 @@ if TYPE_CHECKING:
 OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 
 
-def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str, Any] | None:
+def finished_run(setup: "TrainingSetup") -> dict[str, Any] | None:
     """Return the ``run.json`` of this run if it has finished and ``ckpt_path=auto`` asks for it.
-
-    Args:
-        setup: of the training.
-        folder: where the finished run may lie; None: the setup's own folder.
 
     Raises:
         ValueError: the finished run had other settings or other frames, or is an evaluation.
     """
-    folder = folder or setup.folder
+    folder = setup.folder
     if setup.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
@@ -43,7 +39,7 @@ def finished_run(setup: "TrainingSetup", folder: Path | None = None) -> dict[str
             found = setup.make_split(split, setup.protocol).split_hash
             if record.get(name, found) != found:
                 different.append(f"the frames of data.{split} ({found}, there {record[name]})")
-    _refuse(folder, "finished run with", different)
+    _refuse(folder, "finished run with", different, "give another folder, or remove this one")
     return record
 
 
@@ -51,30 +47,33 @@ def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
     """Return the checkpoint that ``ckpt_path`` names; None if it names none, or there is none yet.
 
     Raises:
-        ValueError: the run folder holds another run, or this one begun with other settings.
+        ValueError: the run folder holds another run, or the run to resume was begun with other settings.
     """
     checkpoint, folder = _named_checkpoint(setup), setup.folder.resolve()
-    if checkpoint is None or folder not in (checkpoint.resolve(), *checkpoint.resolve().parents):
+    own = checkpoint is not None and folder in (checkpoint.resolve(), *checkpoint.resolve().parents)
+    if not own:
         held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (setup.folder / file).exists()]
         if held:
             raise ValueError(
                 f"output={setup.folder} already holds another run ({held[0]}): resume it (ckpt_path=auto), "
                 "give another output, or remove that folder"
             )
-        return checkpoint
-    begun = setup.folder / "config.yaml"
-    if begun.is_file():  # the checkpoint itself knows what precision "auto" was
-        known = frozenset(("precision",))
-        different = differences(setup.settings, renamed(read_yaml(begun)), ignored=known)
-        _refuse(setup.folder, "run begun with", different)
+    if checkpoint is None:
+        return None
+    begun = run_folder(checkpoint)
+    if (begun / "config.yaml").is_file():  # the checkpoint itself knows what precision "auto" was
+        settings = renamed(read_yaml(begun / "config.yaml"))
+        different = differences(setup.settings, settings, ignored=frozenset(("precision",)))
+        advice = "give another folder, or remove this one" if own else f"or start from its weights={begun}"
+        _refuse(begun, "run begun with", different, advice)
     return checkpoint
 
 
-def _refuse(folder: Path, held: str, different: list[str]) -> None:
+def _refuse(folder: Path, held: str, different: list[str], advice: str) -> None:
     if different:
         raise ValueError(
             f"{folder} holds a {held} other settings: {'; '.join(different[:5])}. Use those settings, "
-            "give another folder, or remove this one"
+            f"{advice}"
         )
 
 

@@ -12,7 +12,7 @@ from support.training import Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.config import build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
-from eldenet.data.inspection import ChannelSums, channel_statistics, check_split
+from eldenet.data.inspection import ChannelSums, channel_statistics, check_split, identities
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -42,6 +42,11 @@ def test_draws_follow_the_weights_and_depend_on_the_seed_epoch_and_index_alone()
     assert drawn(mix(400), 0) == first
     assert drawn(frames, 1) != first
     assert drawn(mix(400, seed=4), 0) != first
+
+
+def test_a_frame_is_the_same_frame_inside_and_outside_a_mix() -> None:
+    plain = SyntheticDepth(7, max_depth=9.0)
+    assert len(identities(plain).keys() & identities(mix()).keys()) == 7
 
 
 def test_each_source_keeps_its_own_range() -> None:

@@ -6,6 +6,7 @@ import random
 import signal
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,16 +107,22 @@ def test_resuming_another_training_is_refused(tmp_path):
             fit(tmp_path / "new", epochs=1, ckpt_path=tmp_path, **options)
 
 
-def test_a_run_goes_on_in_its_folder_with_its_settings_alone(tmp_path):
-    begun = compose("train", ["model_name=small", f"run_dir={tmp_path}", "trainer.checkpoint_every=7"])
-    OmegaConf.save(begun, tmp_path / "config.yaml", resolve=True)
-    (tmp_path / "checkpoints").mkdir()
-    last = tmp_path / "checkpoints" / "last.pt"
-    save_checkpoint(last, {"progress": {}})
-    for given in ("auto", tmp_path, last):
-        other = compose("train", ["model_name=small", f"run_dir={tmp_path}", f"ckpt_path={given}"])
-        with pytest.raises(ValueError, match=r"other settings: trainer\.checkpoint_every=200 \(there 7\)"):
-            train(build_training(other, tmp_path))
+@pytest.mark.parametrize("given", ["auto", "begun", "begun/checkpoints/last.pt"])
+@pytest.mark.parametrize("output", ["begun", "other"])
+def test_a_run_goes_on_with_its_settings_alone(tmp_path, monkeypatch, given, output):
+    if given == "auto" and output == "other":
+        pytest.skip("auto resumes the run of its own folder")
+    monkeypatch.chdir(tmp_path)
+    begun = compose("train", ["model_name=small", "run_dir=begun", "loss.terms.l1.weight=7"])
+    Path("begun/checkpoints").mkdir(parents=True)
+    OmegaConf.save(begun, "begun/config.yaml", resolve=True)
+    save_checkpoint(Path("begun/checkpoints/last.pt"), {"progress": {}})
+    other = compose("train", ["model_name=small", f"run_dir={output}", f"ckpt_path={given}"])
+    advice = "give another folder" if output == "begun" else r"or start from its weights=.*begun"
+    with pytest.raises(
+        ValueError, match=rf"other settings: loss\.terms\.l1\.weight=.* \(there 7\).*{advice}"
+    ):
+        train(build_training(other, tmp_path / output))
 
 
 def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
