@@ -21,6 +21,7 @@ from eldenet.data.digests import (
 )
 from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
 from eldenet.data.mix import Mix
+from eldenet.data.splits import evenly_spaced
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
@@ -158,7 +159,7 @@ def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
             found.splits.append(SplitCheck(split, fault=str(error)))
             continue
         opened.append(dataset)
-        total = len(spread(len(dataset.names), setup.frames))
+        total = len(evenly_spaced(len(dataset.names), setup.frames))
         with bar(f"checking {split}", total) as progress:
             check = check_split(split, dataset, frames=setup.frames, advance=progress.advance)
         found.splits.append(check)
@@ -204,7 +205,7 @@ def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tupl
 
     readable = [i for i, name in enumerate(dataset.names) if name not in found.unreadable]
     panels = []
-    for at in spread(len(readable), wanted) if readable and wanted else []:
+    for at in evenly_spaced(len(readable), wanted) if readable and wanted else []:
         try:
             frame = dataset.load_frame(readable[at])
         except (ValueError, OSError):  # with frames=..., not every frame was tried before
@@ -220,12 +221,6 @@ def _listed(split: str, what: str, entries: Sequence[str]) -> list[str]:
         return []
     more = [f"  ... and {len(entries) - 10} more"] if len(entries) > 10 else []
     return [f"{split}: {len(entries)} {what}:", *(f"  {entry}" for entry in entries[:10]), *more]
-
-
-def spread(count: int, wanted: int | None) -> list[int]:
-    """Return at most ``wanted`` indices, evenly spread over ``count``; all of them for None."""
-    wanted = count if wanted is None else min(wanted, count)
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, wanted).round())]
 
 
 def check_split(
@@ -252,7 +247,7 @@ def check_split(
     coarse = np.zeros(HISTOGRAM_BINS, np.int64)
     pixels = valid = outside = 0
     colors = ChannelSums()
-    for index in spread(len(dataset.names), frames):
+    for index in evenly_spaced(len(dataset.names), frames):
         advance(1)
         found.looked_at += 1
         try:

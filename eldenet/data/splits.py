@@ -9,6 +9,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import PurePosixPath
 
+import numpy as np
+
 VAL_SHARE = 0.05
 
 
@@ -58,3 +60,9 @@ def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = sce
 def _place(scene: str) -> float:
     """A number in [0, 1) that depends on the name alone."""
     return int.from_bytes(hashlib.sha256(scene.encode()).digest()[:8], "big") / 2**64
+
+
+def evenly_spaced(count: int, wanted: int | None) -> list[int]:
+    """Return at most ``wanted`` of ``count`` indices, first and last among them; all of them for None."""
+    wanted = count if wanted is None else min(wanted, count)
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, wanted).round())]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.inspection import spread
+from eldenet.data.splits import evenly_spaced
 from eldenet.data.io import IMAGE_ENDINGS, read_image
 from eldenet.deploy.files import decline_telemetry, quiet, read_metadata, save_openvino, set_metadata
 from eldenet.system.files import part_file
@@ -32,7 +32,7 @@ def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray
         raise ValueError(
             f"pictures={source} holds no pictures: give a folder, or a pattern such as 'photos/*.jpg'"
         )
-    return [read_image(paths[index], upright=True) for index in spread(len(paths), count)]
+    return [read_image(paths[index], upright=True) for index in evenly_spaced(len(paths), count)]
 
 
 def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:

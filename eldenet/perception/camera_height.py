@@ -11,6 +11,7 @@ import numpy as np
 import eldenet
 from eldenet.data.folder import val_blocks
 from eldenet.data.io import read_image
+from eldenet.data.splits import evenly_spaced
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
@@ -86,6 +87,12 @@ def calibrate(setup: CalibrationSetup) -> bool:
     refuse_few(values)
     held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
     fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
+    for name, part in (("held-out", held), ("other", fitted)):
+        if not np.isfinite(values[part]).any():
+            raise ValueError(
+                f"none of the {len(part)} {name} frames shows a floor: keep the floor in view in all of the "
+                "recording, or hold out other frames (seed=1)"
+            )
     floors = float(np.nanmedian(values[fitted]))
     scale = scale_of_all(floors, known_pitch=known_pitch)
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
@@ -141,17 +148,13 @@ def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray
     """Return name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames, and their number."""
     if not source.is_video:
         paths = [Path(path) for path in source.names]
-        chosen = [paths[i] for i in _even(len(paths), most)]
+        chosen = [paths[i] for i in evenly_spaced(len(paths), most)]
         return ((path.name, read_image(path, upright=True)) for path in chosen), len(chosen)
     (path,) = source.names
     video = VideoFile(Path(path))
-    wanted = set(_even(video.announced or most, most))
+    wanted = set(evenly_spaced(video.announced or most, most))
     numbered = enumerate(frame for frame, _ in video.frames())
     return ((f"{number:06d}", frame) for number, frame in numbered if number in wanted), len(wanted)
-
-
-def _even(count: int, most: int) -> list[int]:
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
 
 
 def level_camera(intrinsics: Sequence[float] | np.ndarray, pitch: float | None) -> PinholeCamera:

@@ -15,6 +15,8 @@ import torch
 
 import eldenet
 from eldenet.data.loaders import collate
+from eldenet.data.splits import evenly_spaced
+from eldenet.evaluation.calibration import fit_temperature
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
@@ -130,6 +132,11 @@ def adapt(setup: AdaptationSetup) -> bool:
     say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
     write_held_out(setup.folder, before, rows[chosen])
     _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
+    tuned = models[chosen]
+    if tuned.distribution is not None:  # its sigma was right for the start's errors
+        temperature = fit_temperature(tuned, held_out, setup.protocol)
+        tuned.info |= {"temperature_from": "held-out frames"}
+        log.say(f"sigma of the held-out frames, which were not trained on: times {temperature:.2f}")
     facts = {
         "tuned": chosen,
         "scale": scale,
@@ -139,7 +146,7 @@ def adapt(setup: AdaptationSetup) -> bool:
         "seconds": time.monotonic() - started,
         "config": dict(setup.settings),
     }
-    return record_change(setup.folder, log, start, models[chosen], changes[chosen], setup.weights, facts)
+    return record_change(setup.folder, log, start, tuned, changes[chosen], setup.weights, facts)
 
 
 def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
@@ -164,22 +171,28 @@ def make_frames(
 
 
 def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
-    """Return the numbers of frames with enough known depth, of at most ``COUNTED`` evenly chosen ones.
+    """Return the numbers of training frames with enough known depth, of ``COUNTED`` evenly chosen ones.
 
     Raises:
-        ValueError: they are too few to calibrate a camera.
+        ValueError: they, or those of the held-out frames, are too few to calibrate a camera.
     """
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), COUNTED)).round().astype(int))
-    known = [int(i) for i in chosen if int((frames.load_frame(int(i)).depth > 0).sum()) >= LEAST_PIXELS]
-    if len(known) + len(held_out) < LEAST_FRAMES or len(held_out) < LEAST_HELD_OUT:
+    known, of_held_out = (
+        [i for i in evenly_spaced(len(split), COUNTED) if _known_pixels(split, i) >= LEAST_PIXELS]
+        for split in (frames, held_out)
+    )
+    found = len(known) + len(of_held_out)
+    if not known or found < LEAST_FRAMES or len(of_held_out) < LEAST_HELD_OUT:
         raise ValueError(
-            f"{len(known)} training frames have a known depth at {LEAST_PIXELS} pixels or more, "
-            f"{len(held_out)} "
-            f"frames are held out; {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. A few "
-            "known distances do not calibrate a camera, because the error of the depth differs from image to "
-            "image. Record a few hundred frames, or give camera_height= with source="
+            f"{len(known)} training frames and {len(of_held_out)} held-out frames have a known depth at "
+            f"{LEAST_PIXELS} pixels or more: {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. "
+            "A few known distances do not calibrate a camera, because the error of the depth differs from "
+            "image to image. Record a few hundred frames, or give camera_height= with source="
         )
     return known
+
+
+def _known_pixels(frames: "DepthDataset", index: int) -> int:
+    return int((frames.load_frame(index).depth > 0).sum())
 
 
 @torch.inference_mode()
@@ -247,8 +260,8 @@ def _draw(path: Path, frames: "DepthDataset", before: DepthNet, after: DepthNet)
     """Draw three held-out frames: image, truth, before, after, with a scale in meters."""
     device = next(after.parameters()).device
     rows = []
-    for index in np.unique(np.linspace(0, len(frames) - 1, 3).round().astype(int)):
-        frame, sample = frames.load_frame(int(index)), frames[int(index)]
+    for index in evenly_spaced(len(frames), 3):
+        frame, sample = frames.load_frame(index), frames[index]
         size = panel_size(frame.image)
         truth = _nearest(sample["depth"][0].numpy(), size)
         image, focal = sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)

@@ -12,7 +12,8 @@ from support import layouts
 
 from eldenet.config import build_check_data, build_protocol, build_split, compose
 from eldenet.data.folder import FolderDataset
-from eldenet.data.inspection import check_split, spread
+from eldenet.data.inspection import check_split
+from eldenet.data.splits import evenly_spaced
 from eldenet.results.data_check import check
 from eldenet.training.run import common_frames
 
@@ -164,10 +165,10 @@ def test_a_missing_folder_is_named_before_torch_is_loaded(monkeypatch: pytest.Mo
 
 
 def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:
-    assert spread(10, None) == list(range(10))
-    assert spread(10, 3) == [0, 4, 9]
-    assert spread(3, 10) == [0, 1, 2]
-    assert spread(5, 1) == [0]
+    assert evenly_spaced(10, None) == list(range(10))
+    assert evenly_spaced(10, 3) == [0, 4, 9]
+    assert evenly_spaced(3, 10) == [0, 1, 2]
+    assert evenly_spaced(5, 1) == [0]
     done: list[int] = []
     data = FolderDataset(layouts.folder(tmp_path), max_depth=5.0)
     found = check_split("train", data, frames=4, advance=done.append)

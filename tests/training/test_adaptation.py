@@ -12,20 +12,29 @@ import eldenet
 from eldenet.config import build_adaptation, compose
 from eldenet.data.folder import FolderDataset
 from eldenet.results.before_after import Change
-from eldenet.training.adaptation import adapt, affordable_epochs, best_candidate, fit_scale
+from eldenet.training.adaptation import adapt, affordable_epochs, best_candidate, fit_scale, make_frames
+from eldenet.uncertainty import DepthEstimate
 
 SIZE = (24, 32)
 
 
-def place(root: Path, count: int = 48, *, factor: float = 3.0, known: int | None = None) -> Path:
+def place(
+    root: Path,
+    count: int = 48,
+    *,
+    factor: float = 3.0,
+    known: int | None = None,
+    noise: float = 0.0,
+    head: str = "linear",
+) -> Path:
     """Write frames whose depth is ``factor`` times the start's own, known at ``known`` pixels or all."""
-    model = eldenet.load(start(root / "start"))
+    model = eldenet.load(start(root / "start", head))
     rng = np.random.default_rng(0)
     for number in range(count):
         image = cv2.resize(rng.integers(0, 255, (4, 5, 3), np.uint8), SIZE[::-1])
         seen = torch.from_numpy(image[..., ::-1].copy()).permute(2, 0, 1)[None].float() / 255
         with torch.inference_mode():
-            depth = factor * model(seen)[0, 0].numpy()
+            depth = factor * model(seen)[0, 0].numpy() * np.exp(noise * rng.standard_normal(SIZE))
         if known is not None:
             hidden = np.ones(depth.size, bool)
             hidden[:known] = False
@@ -36,10 +45,11 @@ def place(root: Path, count: int = 48, *, factor: float = 3.0, known: int | None
     return root
 
 
-def start(folder: Path) -> Path:
+def start(folder: Path, head: str = "linear") -> Path:
     """Save a small network that predicts about 1 m."""
     torch.manual_seed(0)
-    model = eldenet.load("eldenet_s", overrides=["model.head.max_depth=2"])
+    depth = "model.head.depth" if head == "uncertain" else "model.head"
+    model = eldenet.load("eldenet_s", overrides=[f"model/head={head}", f"{depth}.max_depth=2"])
     model.info = {"input_size": list(SIZE)}
     return model.save_pretrained(folder)
 
@@ -67,6 +77,20 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert f"predict checkpoint={tmp_path / 'run'}" in said
 
 
+def test_sigma_follows_the_errors_of_the_held_out_frames(tmp_path):
+    made = setup(place(tmp_path, noise=0.2, head="uncertain"))
+    assert adapt(made)
+    model = eldenet.load(tmp_path / "run")
+    assert model.info["temperature_from"] == "held-out frames"
+    inside = []
+    for sample in make_frames(made, model)[3]:
+        with torch.inference_mode():
+            depth, sigma, _ = model.predict(sample["image"][None])
+        low, high = DepthEstimate(depth, sigma, model.distribution).interval(0.8)
+        inside.append(((low < sample["depth"]) & (sample["depth"] < high)).float().mean())
+    assert np.mean(inside) == pytest.approx(0.8, abs=0.05)
+
+
 def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
     place(tmp_path, factor=1.0)
     assert not adapt(setup(tmp_path))
@@ -75,7 +99,7 @@ def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
     assert all(torch.equal(kept[name], old[name]) for name in old)
 
 
-@pytest.mark.parametrize(("count", "known"), [(20, None), (48, 10)])
+@pytest.mark.parametrize(("count", "known"), [(20, None), (48, 10), (160, 10)])
 def test_few_frames_and_few_points_are_refused_with_the_reason(tmp_path, count, known):
     place(tmp_path, count, known=known)
     with pytest.raises(
