@@ -134,17 +134,20 @@ def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
 def compare_with_torch(
     target: Target, model: "DepthNet", pictures: Sequence[np.ndarray], log: "RunLog"
 ) -> None:
-    """Print the differences between torch and the file under each installed runtime.
+    """Print the differences between torch and the file under each installed runtime, of depth and sigma.
 
     Raises:
-        ValueError: the depth of an fp32 file differs from torch's.
+        ValueError: an output of an fp32 file differs from torch's.
     """
-    from eldenet.deploy.files import differences
+    from eldenet.deploy.files import map_errors
 
     setup, output = target.setup, target.output
     seen = [resize_image(picture, setup.camera or target.size) for picture in pictures]
-    predictor = DepthPredictor(model, target.size, steady=False)
-    reference = np.stack([predictor(frame) for frame in seen])
+    outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
+    predictor = DepthPredictor(model, target.size, steady=False, uncertainty="sigma" in outputs)
+    if setup.camera is None:
+        predictor.stretch = 1.0  # these pictures have the file's size already
+    reference = [predictor(frame) for frame in seen]
     rows, inputs = [], batches(seen, target)
     tolerance = CAMERA_TOLERANCE if setup.camera else FP32_TOLERANCE
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
@@ -153,18 +156,24 @@ def compare_with_torch(
         except ValueError as error:
             log.say(f"not compared under {name}: {error}")
             continue
-        found = differences(np.stack([network(image)[0, 0] for image in inputs]), reference)
-        rows.append([name, *(f"{value:.2g}" for value in found.values())])
-        if setup.precision == "fp32" and not found["median_relative"] < tolerance:
-            raise ValueError(f"{output} under {name} differs from torch: {found}; do not use it")
-        if setup.precision == "int8" and found["median_relative"] > INT8_TOLERANCE:
-            log.say(
-                f"warning: int8 under {name} is {found['median_relative']:.1%} off torch in the median pixel "
-                f"and {found['max_relative']:.0%} in the worst; compare its accuracy, give pictures of the "
-                "place where it will run, or keep fp32"
-            )
-    title = f"{target.name}, {setup.precision}: depth beside torch's on {len(seen)} pictures"
-    log.table(title, ["runtime", "max [m]", "median [m]", "max, relative", "median, relative"], rows)
+        estimates = [network.predict(image) for image in inputs]
+        for kind in outputs:
+            ours = np.stack([getattr(estimate, kind)[0, 0] for estimate in estimates])
+            theirs = np.stack([getattr(each, kind) if len(outputs) > 1 else each for each in reference])
+            found = map_errors(ours, theirs)
+            rows.append([name, kind, *(f"{value:.2g}" for value in found.values())])
+            if setup.precision == "fp32" and not found["median_relative"] < tolerance:
+                raise ValueError(
+                    f"{kind} of {output} under {name} differs from torch: {found}; do not use it"
+                )
+            if setup.precision == "int8" and found["median_relative"] > INT8_TOLERANCE:
+                log.say(
+                    f"warning: int8 {kind} under {name} is {found['median_relative']:.1%} off torch in the "
+                    f"median pixel and {found['max_relative']:.0%} in the worst; compare its accuracy, give "
+                    "pictures of the place where it will run, or keep fp32"
+                )
+    title = f"{target.name}, {setup.precision}: the file beside torch on {len(seen)} pictures"
+    log.table(title, ["runtime", "output", "max [m]", "median [m]", "max, rel.", "median, rel."], rows)
 
 
 def say_contents(output: Path, log: "RunLog") -> None:

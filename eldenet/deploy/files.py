@@ -316,8 +316,8 @@ def count_operations(path: str | Path) -> Counter[str]:
     return Counter(kind for kind in kinds if kind not in ("Constant", "Const", "Parameter", "Result"))
 
 
-def differences(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """Largest and median difference of two depth maps, in meters and relative to the reference."""
+def map_errors(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Largest and median difference of two maps, in meters and relative to the reference."""
     meters = np.abs(depth.astype(np.float64) - reference)
     relative = meters / np.abs(reference)
     return {

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.splits import evenly_spaced
 from eldenet.data.io import IMAGE_ENDINGS, read_image
+from eldenet.data.splits import evenly_spaced
 from eldenet.deploy.files import decline_telemetry, quiet, read_metadata, save_openvino, set_metadata
 from eldenet.system.files import part_file
 

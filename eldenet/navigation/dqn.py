@@ -33,14 +33,16 @@ class DQNSettings:
         n_step: rewards added up before the target network's value.
         double: let ``policy_dqn`` choose the action that ``target_dqn`` values.
         tau: share of ``policy_dqn`` that is mixed into ``target_dqn`` after each gradient step.
-        target_update_interval: gradient steps between hard copies instead; 0: soft updates with ``tau``.
+        target_update_interval: gradient steps (in Stable-Baselines3 environment steps) between hard copies
+            instead; 0: soft updates with ``tau``.
         gamma: discount per step.
         learning_rate: of Adam at the start.
         learning_rate_end: final learning rate, relative to the first; it falls linearly. 1: constant.
         batch_size: transitions per gradient step.
         buffer_size: transitions in the replay buffer.
         learning_starts: environment steps before the first gradient step.
-        train_freq: environment steps (all robots) per gradient step.
+        train_freq: environment steps of all robots together (in Stable-Baselines3 of each one) per gradient
+            step.
         exploration_fraction: part of the training in which the rate of random actions falls from 1 to
             ``exploration_final_eps``.
         exploration_final_eps: rate of random actions after that.
@@ -148,7 +150,7 @@ class DQN:
             ends += np.bincount(info["event"][ended], minlength=4)
             obs = next_obs
             before, self.num_timesteps = self.num_timesteps, self.num_timesteps + robots
-            if self.num_timesteps >= settings.learning_starts:
+            if self.num_timesteps >= settings.learning_starts and len(self.replay):
                 for _ in range(self.num_timesteps // settings.train_freq - before // settings.train_freq):
                     loss, value = self.update(rng)
                     losses.append(loss)
@@ -164,9 +166,8 @@ class DQN:
     def epsilon(self) -> float:
         """Current rate of random actions."""
         final, exploration = self.settings.exploration_final_eps, self.settings.exploration_fraction
-        return max(
-            final, 1 - (1 - final) * self.num_timesteps / (exploration * self.settings.total_timesteps)
-        )
+        steps = max(exploration * self.settings.total_timesteps, 1)
+        return max(final, 1 - (1 - final) * self.num_timesteps / steps)
 
     @torch.inference_mode()
     def act(self, obs: np.ndarray, rng: np.random.Generator) -> np.ndarray:

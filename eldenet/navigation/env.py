@@ -100,7 +100,8 @@ class ArenaNavVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode in every slot; a list of seeds has one for each slot.
 
-        ``options={"progress": share}`` is the share of the training that is done, for a curriculum.
+        ``options={"progress": share}`` is the share of the training that is done, for a curriculum; it needs
+        a seed after the first call.
 
         Raises:
             ValueError: the number of seeds is not that of the robots.

@@ -177,7 +177,7 @@ def solved_by_all(tables: Sequence[Sequence[Episode]]) -> np.ndarray:
 
 
 def as_rows(rows: Sequence[Any], without: Sequence[str] = ()) -> tuple[list[str], list[list[Any]]]:
-    """Header and rows of a list of dataclasses, for :func:`eldenet.results.run_record.write_rows`."""
+    """Header and rows of a list of dataclasses, for :func:`eldenet.system.files.write_rows`."""
     names = [name for name in vars(rows[0]) if name not in without]
     return names, [[getattr(row, name) for name in names] for row in rows]
 

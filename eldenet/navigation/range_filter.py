@@ -143,7 +143,7 @@ def without_peaks(ranges: np.ndarray) -> np.ndarray:
 
 
 def without_dips(ranges: np.ndarray) -> np.ndarray:
-    """Return ranges ``(columns,)`` [m] with up to three columns nearer than both sides at the nearer side."""
+    """Return ranges ``(columns,)`` [m] with up to four columns nearer than both sides at the nearer side."""
     from scipy.ndimage import grey_closing
 
     return np.maximum(grey_closing(ranges, 5, mode="nearest"), ranges)

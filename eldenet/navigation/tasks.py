@@ -20,7 +20,8 @@ class TrainingArenas:
 
     Attributes:
         densities: least and greatest number of obstacles.
-        dense_share: share of the arenas with a number in the upper half of the densities.
+        dense_share: share of the arenas whose number is drawn from the upper half of the densities; that of
+            the others is drawn from all.
         pedestrians: greatest number of walking people; each arena has 0 to that many.
         repeats: episodes per arena.
         min_distance: between start and goal [m].

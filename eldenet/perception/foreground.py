@@ -39,12 +39,12 @@ class Foreground(ArrayRows):
     @property
     def count(self) -> np.ndarray:
         """``(N,)`` number of pixels."""
-        return np.asarray(self.weight.sum(1))
+        return np.asarray((self.weight > 0).sum(1))
 
     def median_depth(self, default: float) -> np.ndarray:
         """``(N,)`` [m] of each object's pixels without padding; ``default`` for an object without pixels."""
         ordered = np.sort(np.where(self.weight > 0, self.depth, np.inf), axis=1)
-        count = (self.weight > 0).sum(1)
+        count = self.count
         rows = np.arange(len(count))
         pair = [ordered[rows, np.maximum(middle, 0)] for middle in ((count - 1) // 2, count // 2)]
         return np.where(count > 0, (pair[0] + pair[1]) / 2, default)

@@ -17,7 +17,7 @@ SIDES = (4.0, SIDE)  # of an arena [m]: drivers and planners know none larger
 LIMITS = {
     "radius": (0.05, 2.0),
     "size": (0.05, 10.0),
-    "height": (0.1, 3.0),
+    "height": (0.45, 3.0),  # the robot's ranges are measured 0.40 m above the floor
     "speed": (0.05, 2.0),
 }  # [m], [m/s]
 #: Kind -> the keys that it reads beside ``kind`` and ``at``, with their defaults; None: must be given.

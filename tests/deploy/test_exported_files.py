@@ -12,7 +12,7 @@ from support.rooms_network import ROUNDING, SIZE
 import eldenet
 from eldenet.deploy import runtimes
 from eldenet.deploy.camera_net import CameraNet
-from eldenet.deploy.files import describe, differences, write_onnx, write_openvino
+from eldenet.deploy.files import describe, map_errors, write_onnx, write_openvino
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
 from eldenet.geometry import resize_image
@@ -39,7 +39,7 @@ def test_a_file_takes_frames_of_another_size(trained_model, camera: tuple[int, i
         trained_model, tmp_path / "m.onnx", SIZE, batch=1, opset=13, camera_size=camera, metadata=facts
     )
     depth = runtimes.load(path, "onnxruntime", threads=1)(frame[None])[0, 0]
-    found = differences(depth, DepthPredictor(trained_model, SIZE)(frame))
+    found = map_errors(depth, DepthPredictor(trained_model, SIZE)(frame))
     assert found["max_relative"] < 0.02  # OpenCV rounds to gray levels, and the weights of frames that grow
     assert found["median_relative"] < 2e-3
 
@@ -59,7 +59,7 @@ def test_a_file_of_an_old_opset_runs(trained_model, images, reference, tmp_path:
     path = write_onnx(trained_model, tmp_path / "old.onnx", SIZE, batch=1, opset=11, metadata={"model": "m"})
     assert [entry.version for entry in onnx.load(path).opset_import] == [11]
     network = runtimes.load(path, "onnxruntime", threads=1)
-    assert differences(network(images[:1]), reference[:1])["max_relative"] < ROUNDING
+    assert map_errors(network(images[:1]), reference[:1])["max_relative"] < ROUNDING
     with pytest.raises(ValueError, match="export another"):
         network(images)
     for wrong in ({"opset": 9}, {"opset": 19}, {"batch": 0}):
@@ -83,7 +83,7 @@ def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     for count in (1, 2):  # the last batch of a set may be smaller
         depth = scored(torch.from_numpy(images[:count]))
         assert depth.shape[0] == count
-        assert differences(depth.numpy(), reference[:count])["max_relative"] < ROUNDING
+        assert map_errors(depth.numpy(), reference[:count])["max_relative"] < ROUNDING
     with pytest.raises(ValueError, match="takes 2 images at once: give batch_size=2"):
         scored(torch.from_numpy(images))
     cost = measure_runtime_cost(network, SIZE)

@@ -8,7 +8,7 @@ from torch import nn
 
 import eldenet
 from eldenet.decoders.upconv import UpConv2d
-from eldenet.deploy.files import differences
+from eldenet.deploy.files import map_errors
 from eldenet.deploy.fold import fold, merge_upconv
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
@@ -28,7 +28,7 @@ def test_folding_changes_neither_depth_nor_model(trained_model, images: np.ndarr
     folded = fold(trained_model)
     assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
     with torch.inference_mode():
-        assert differences(folded(torch.from_numpy(images)).numpy(), reference)["max_relative"] < ROUNDING
+        assert map_errors(folded(torch.from_numpy(images)).numpy(), reference)["max_relative"] < ROUNDING
     for name, value in trained_model.state_dict().items():
         assert torch.equal(value, before[name]), name
 
@@ -44,7 +44,7 @@ def test_resnet_blocks_are_folded() -> None:
     assert not any(isinstance(part, nn.BatchNorm2d) for part in folded.modules())
     image = torch.rand(1, 3, *SIZE)
     with torch.inference_mode():
-        assert differences(folded(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
+        assert map_errors(folded(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
 
 
 class ActiveNorm(nn.BatchNorm2d):
@@ -70,4 +70,4 @@ def test_subclasses_that_do_more_are_not_folded(parts: tuple[type, type]) -> Non
     network[1].running_var.uniform_(0.5, 1.5)
     model, image = DepthNet(network, LinearHead()).eval(), torch.rand(1, 3, *SIZE)
     with torch.inference_mode():
-        assert differences(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
+        assert map_errors(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING

@@ -15,7 +15,7 @@ from eldenet.config import build_evaluation, compose
 from eldenet.deploy.files import (
     count_operations,
     describe,
-    differences,
+    map_errors,
     read_metadata,
     write_onnx,
     write_openvino,
@@ -66,7 +66,7 @@ def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtim
     assert network.info == {"input_size": SIZE, "model_name": "eldenet_s"}
     for count in (1, 2, 3):  # any batch
         depth = network(images[:count])
-        assert differences(depth, reference[:count])["max_relative"] < ROUNDING
+        assert map_errors(depth, reference[:count])["max_relative"] < ROUNDING
     as_tensor = network(torch.from_numpy(images))
     assert isinstance(as_tensor, torch.Tensor)
     np.testing.assert_array_equal(as_tensor.numpy(), network(images))
@@ -76,7 +76,7 @@ def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtim
 def test_models_run_without_a_file(trained_model, images, reference, runtime: str) -> None:
     network = runtimes.load(trained_model, runtime, threads=1)
     assert network.runtime == runtime
-    assert differences(network(images), reference)["max_relative"] < ROUNDING
+    assert map_errors(network(images), reference)["max_relative"] < ROUNDING
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_each_of_eight_threads_gets_the_depth_of_its_own_frame(
 @pytest.mark.slow
 def test_compiled_torch_agrees(trained_model, images, reference) -> None:
     depth = runtimes.load(trained_model, "torch_compile", threads=1)(images)
-    assert differences(depth, reference)["max_relative"] < ROUNDING
+    assert map_errors(depth, reference)["max_relative"] < ROUNDING
 
 
 @pytest.mark.parametrize("runtime", ["torch", "torch_channels_last", "openvino"])
@@ -121,7 +121,7 @@ def test_bf16_is_near(trained_model, files, images, reference, runtime: str) -> 
         pytest.skip("this processor does not multiply bf16")
     source = files["xml"] if runtime == "openvino" else trained_model
     network = runtimes.load(source, runtime, "bf16", threads=1)
-    found = differences(network(images), reference)
+    found = map_errors(network(images), reference)
     assert network.precision == "bf16"
     assert 1e-6 < found["median_relative"] < HALF  # it was bf16 indeed
 
@@ -131,7 +131,7 @@ def test_bf16_is_near(trained_model, files, images, reference, runtime: str) -> 
 )
 def test_int8_is_near(files, images, reference, file: str, runtime: str) -> None:
     network = runtimes.load(files[file], runtime, threads=1)
-    found = differences(network(images), reference)
+    found = map_errors(network(images), reference)
     assert network.precision == "int8"
     assert 1e-5 < found["median_relative"] < INT8
     assert files[file].stat().st_size > 0
@@ -247,11 +247,11 @@ def test_a_camera_file_and_a_predictor_agree(trained_model, files, runtime: str)
     depth = network(frame[None])
     assert depth.shape == (1, 1, *CAMERA)
     # the graph does not round the resized picture to whole gray levels
-    assert differences(depth[0, 0], expected)["max_relative"] < 5e-3
+    assert map_errors(depth[0, 0], expected)["max_relative"] < 5e-3
     # and a predictor takes any runtime, of frames or of images
     np.testing.assert_array_equal(DepthPredictor(network)(frame), depth[0, 0])
     of_images = DepthPredictor(runtimes.load(files["onnx"], runtime, threads=1))(frame)
-    assert differences(of_images, expected)["max_relative"] < ROUNDING
+    assert map_errors(of_images, expected)["max_relative"] < ROUNDING
     with pytest.raises(ValueError, match=r"only takes \[32, 64\]"):
         DepthPredictor(network, (64, 64))
 

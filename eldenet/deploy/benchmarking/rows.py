@@ -36,7 +36,7 @@ ROW |= {name: figure(name) for name in (*FIGURES, "ratio_latency")}
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
-def fingerprint(model: "DepthNet") -> str:
+def network_digest(model: "DepthNet") -> str:
     """8 hex digits of the SHA-256 of config and weights: identifies a network."""
     digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
     for name, value in sorted(model.state_dict().items()):

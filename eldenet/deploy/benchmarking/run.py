@@ -14,8 +14,8 @@ import eldenet
 from eldenet.deploy.benchmarking.measure import Case, Network, measure_group, reason_of
 from eldenet.deploy.benchmarking.rows import (
     append_rows,
-    fingerprint,
     machine,
+    network_digest,
     other_machine,
     read_rows,
 )
@@ -99,7 +99,7 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
         log.say(f"reference {setup.reference} is not among the models: no ratio_latency (give reference=)")
     cases = list_cases(setup, list(found.models), found.sizes)
     accuracies = read_accuracies(setup.accuracies, setup.accuracy, found.models)
-    prints = {name: fingerprint(model) for name, model in found.models.items()}
+    prints = {name: network_digest(model) for name, model in found.models.items()}
     here, command = machine()
 
     def is_alike(row: Mapping[str, Any]) -> bool:

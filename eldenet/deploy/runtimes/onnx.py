@@ -60,7 +60,7 @@ class OnnxRuntime(Runtime):
             (own,),
             f"{Path(path).name} under ONNX Runtime",
             f"export it with precision={precision}"
-            if precision == "int8"
+            if "int8" in (own, precision)
             else "bf16 runs under OpenVINO (runtime=openvino) and torch",
         )
         super().__init__(own, threads, "cpu" if provider == PROVIDERS["cpu"] else device, metadata)

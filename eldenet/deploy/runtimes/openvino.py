@@ -54,7 +54,9 @@ class OpenvinoRuntime(Runtime):
             precision,
             tuple(allowed),
             f"{Path(path).name} under OpenVINO",
-            "export it with precision=int8" if precision == "int8" else "this processor cannot multiply it",
+            f"export it with precision={precision}"
+            if "int8" in (own, precision)
+            else "this processor cannot multiply it",
         )
         hint = "bf16" if precision == "int8" and "BF16" in capable else HINTS[precision]
         settings: dict[str, str | int] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": hint}

@@ -24,7 +24,7 @@ class TorchRuntime(Runtime):
         model: stays unchanged.
         layout: "torch" (contiguous), "torch_channels_last" or "torch_compile" (channels_last, compiled).
         precision: "fp32", "bf16", or on CUDA "fp16".
-        threads: of torch, process-wide, while this runs.
+        threads: of torch, process-wide.
         device: "cpu" or "cuda".
         metadata: of the model.
 
