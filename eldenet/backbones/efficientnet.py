@@ -18,6 +18,7 @@ from eldenet.backbones.weights import (
     rename_by_order,
 )
 from eldenet.layers import ConvNormAct, init_kaiming
+from eldenet.system.checks import one_of
 from eldenet.types import FeatureInfo
 
 #: Blocks, kernel, stride, expansion and channels of the stages of Lite0 (EfficientNet-B0's).
@@ -73,8 +74,7 @@ class EfficientNetLite(Backbone):
         self, variant: int = 0, *, blocks: Sequence[int] | None = None, pretrained: bool | str = False
     ) -> None:
         super().__init__()
-        if variant not in VARIANTS:
-            raise ValueError(f"variant={variant}: EfficientNet-Lite has {', '.join(map(str, VARIANTS))}")
+        one_of("variant", variant, VARIANTS)
         width, depth = VARIANTS[variant]
         channels = 32
         self.stem = ConvNormAct(3, channels, 3, stride=2, activation=nn.ReLU6)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from eldenet.backbones.base import Backbone, five_stages
 from eldenet.backbones.pplcnet_weights import load_pplcnet_weights
 from eldenet.layers import ConvNormAct, DepthwiseSeparable, init_kaiming
+from eldenet.system.checks import one_of
 
 
 class Block(NamedTuple):
@@ -74,8 +75,7 @@ class PPLCNet(Backbone):
         pretrained: bool | str = False,
     ) -> None:
         super().__init__()
-        if scale not in SCALES:
-            raise ValueError(f"PP-LCNet has no scale {scale}; choose one of {', '.join(map(str, SCALES))}")
+        one_of("scale", scale, SCALES)
         if shortcuts and pretrained:
             raise ValueError(
                 f"pretrained={pretrained}: PP-LCNet's published weights were trained without shortcuts; "

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from eldenet.backbones.base import Backbone, five_stages
 from eldenet.backbones.weights import load_torchvision_weights
+from eldenet.system.checks import one_of
 
 DEPTHS = (18, 34, 50, 101, 152)
 
@@ -30,8 +31,7 @@ class ResNet(Backbone):
 
     def __init__(self, depth: int = 18, *, pretrained: bool | str = False) -> None:
         super().__init__()
-        if depth not in DEPTHS:
-            raise ValueError(f"ResNet has no depth {depth}; choose one of {', '.join(map(str, DEPTHS))}")
+        one_of("depth", depth, DEPTHS)
         net = zoo.get_model(f"resnet{depth}", weights=None)
         self.conv1, self.bn1, self.relu, self.maxpool = net.conv1, net.bn1, net.relu, net.maxpool
         self.layer1, self.layer2, self.layer3, self.layer4 = net.layer1, net.layer2, net.layer3, net.layer4

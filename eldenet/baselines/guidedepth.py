@@ -10,6 +10,7 @@ from eldenet.baselines.ddrnet import DDRNet
 from eldenet.configurable import Configurable
 from eldenet.decoders.base import crop_or_pad
 from eldenet.layers import ConvNormAct
+from eldenet.system.checks import one_of
 
 # Channels of the depth features at strides 8, 4, 2 (``up_features`` in the published code).
 SIZES = {"full": (64, 32, 16), "small": (32, 8, 4)}
@@ -65,8 +66,7 @@ class GuideDepth(Configurable, nn.Module):
 
     def __init__(self, size: str = "full") -> None:
         super().__init__()
-        if size not in SIZES:
-            raise ValueError(f"GuideDepth has no size {size!r}; choose one of {', '.join(SIZES)}")
+        one_of("size", size, SIZES)
         channels = (*SIZES[size], 1)
         self.features = DDRNet(channels[0])
         self.up = nn.ModuleList(GuidedUpsampling(wide, narrow) for wide, narrow in pairwise(channels))

@@ -13,6 +13,7 @@ from torchvision.ops import StochasticDepth
 from eldenet.configurable import Configurable
 from eldenet.decoders.base import crop_or_pad
 from eldenet.layers import DepthwiseConv2d, init_kaiming
+from eldenet.system.checks import one_of
 
 
 class Size(NamedTuple):
@@ -209,10 +210,8 @@ class LiteMono(Configurable, nn.Module):
 
     def __init__(self, size: str = "base", *, dilations: str = "low", drop_path: float = 0.2) -> None:
         super().__init__()
-        if size not in SIZES:
-            raise ValueError(f"Lite-Mono has no size {size!r}; choose one of {', '.join(SIZES)}")
-        if dilations not in DILATIONS:
-            raise ValueError(f"dilations={dilations!r}: choose one of {', '.join(DILATIONS)}")
+        one_of("size", size, SIZES)
+        one_of("dilations", dilations, DILATIONS)
         widths, rounds = SIZES[size]
         near, far = DILATIONS[dilations]
         self.encoder = Encoder(widths, (near, near, near * rounds + far), drop_path=drop_path)

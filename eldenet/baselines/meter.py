@@ -14,6 +14,7 @@ from eldenet.backbones.weights import Weights, load_weights, read_weights
 from eldenet.configurable import Configurable
 from eldenet.decoders.base import crop_or_pad
 from eldenet.layers import ConvNormAct
+from eldenet.system.checks import one_of
 
 
 class Size(NamedTuple):
@@ -157,8 +158,7 @@ class METER(Configurable, nn.Module):
 
     def __init__(self, size: str = "xxs", *, weights: str | None = None) -> None:
         super().__init__()
-        if size not in SIZES:
-            raise ValueError(f"METER has no size {size!r}; choose one of {', '.join(SIZES)}")
+        one_of("size", size, SIZES)
         widths, expansion, tokens, decoder = SIZES[size]
         stem, w2, w4, w8, w16, w32, last = widths
         self.stem = _pair_norm_act(3, stem, stride=2)

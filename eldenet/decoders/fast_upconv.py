@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from eldenet.decoders.base import Decoder, crop_or_pad, kernel_conv
 from eldenet.decoders.upconv import UpConvBlock
 from eldenet.layers import ConvNormAct
+from eldenet.system.checks import one_of
 from eldenet.types import FeatureInfo
 
 FUSIONS = ("add", "concat", "none")
@@ -51,8 +52,7 @@ class FastUpConvDecoder(Decoder):
         kernels: Sequence[Sequence[int]] | None = None,
     ) -> None:
         super().__init__(feature_info)
-        if fusion not in FUSIONS:
-            raise ValueError(f"fusion={fusion!r}: choose one of {', '.join(FUSIONS)}")
+        one_of("fusion", fusion, FUSIONS)
         deepest = max(self.index_of)
         most = int(math.log2(deepest))
         if not 1 <= modules <= most:

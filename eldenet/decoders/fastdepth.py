@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from eldenet.decoders.base import Decoder, crop_or_pad
 from eldenet.decoders.upconv import UpConvBlock
 from eldenet.layers import ConvNormAct, DepthwiseSeparable
+from eldenet.system.checks import one_of
 from eldenet.types import FeatureInfo
 
 CHANNELS = (1024, 512, 256, 128, 64, 32)
@@ -48,8 +49,7 @@ class FastDepthDecoder(Decoder):
         fast: bool = False,
     ) -> None:
         super().__init__(feature_info)
-        if operator not in OPERATORS:
-            raise ValueError(f"operator={operator!r}: choose one of {', '.join(OPERATORS)}")
+        one_of("operator", operator, OPERATORS)
         self.deepest_stride = max(self.index_of)
         if self.deepest_stride < 32:
             raise ValueError(

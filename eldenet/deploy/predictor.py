@@ -126,7 +126,7 @@ class DepthPredictor:
             from eldenet.deploy.fold import fold
 
             self.device = torch.device(device or "cpu")
-            self.model = fold(model).to(self.device, memory_format=torch.channels_last)
+            self.model = fold(model).to(self.device).to(memory_format=torch.channels_last)
             if self.device.type == "cuda":
                 full_fp32()  # as under other runtimes
 

@@ -78,8 +78,7 @@ class WeightedTerm(nn.Module):
         one_of("applies_to", applies_to, ("metric", "relative"))
         if weight < 0:
             raise ValueError(f"weight={weight}: a loss weight must be 0 or more")
-        if space not in SPACES:
-            raise ValueError(f"space={space!r}: choose one of {', '.join(SPACES)}")
+        one_of("space", space, SPACES)
         if space not in loss.spaces:
             raise ValueError(
                 f"space={space!r} does not fit {type(loss).__name__}: choose one of {', '.join(loss.spaces)}"

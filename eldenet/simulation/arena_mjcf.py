@@ -10,6 +10,7 @@ from eldenet.simulation.arenas import SPLITS, Arena
 from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.rendering.mjcf import Body, Draw, number, numbers
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 if TYPE_CHECKING:
     from eldenet.simulation.rendering.materials import Materials
@@ -48,8 +49,7 @@ def arena_mjcf(
     Raises:
         ValueError: unknown robot.
     """
-    if robot not in ROBOTS:
-        raise ValueError(f"robot={robot!r}: choose one of {', '.join(ROBOTS)}")
+    one_of("robot", robot, ROBOTS)
     materials = None
     if visual:
         from eldenet.simulation.rendering.materials import Materials

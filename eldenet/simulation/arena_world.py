@@ -12,6 +12,7 @@ from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEE
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.rendering.camera import SEEN_GROUPS
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
 PHYSICS = ("kinematic", "wheels")
 #: Of the kinematic robot, the same as with the wheels' motors [m/s2], [rad/s2].
@@ -37,8 +38,7 @@ class ArenaWorld:
     ) -> None:
         import mujoco
 
-        if physics not in PHYSICS:
-            raise ValueError(f"physics={physics!r}: choose one of {', '.join(PHYSICS)}")
+        one_of("physics", physics, PHYSICS)
         self.arena, self.physics, self.size = arena, physics, size
         text = arena_mjcf(
             arena, "planar" if physics == "kinematic" else "wheels", size=size, friction=friction

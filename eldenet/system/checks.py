@@ -3,7 +3,7 @@
 import inspect
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 LARGEST_SIDE = 16_384  # [px] of an image that a network sees
@@ -18,10 +18,10 @@ WORDS = {
 COUNTS = ("size", "frames")  # a setting whose name ends so counts something: 1 or more
 
 
-def one_of(name: str, value: str, allowed: Sequence[str]) -> None:
+def one_of(name: str, value: Any, allowed: Collection[Any]) -> None:
     """Raise ``ValueError`` if a setting has none of the allowed values."""
     if value not in allowed:
-        raise ValueError(f"{name}={value!r}: give one of {', '.join(allowed)}")
+        raise ValueError(f"{name}={value!r}: give one of {', '.join(map(str, allowed))}")
 
 
 def check_size(name: str, value: Any) -> tuple[int, int] | None:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eldenet.system.checks import one_of
+
 MOST = 1024  # threads, or workers
 CGROUP = Path("/sys/fs/cgroup")
 
@@ -94,8 +96,7 @@ def choose_resources(
     for name, count, least in (("threads", threads, 1), ("workers", workers, 0)):
         if count != "auto" and not (type(count) is int and least <= count <= MOST):
             raise ValueError(f"runtime.{name}={count}: give a whole number from {least} to {MOST}, or auto")
-    if device not in ("auto", "cpu", "cuda"):
-        raise ValueError(f"device={device!r}: choose auto, cpu or cuda")
+    one_of("device", device, ("auto", "cpu", "cuda"))
     if for_torch:
         import torch
 
@@ -141,8 +142,7 @@ def resolve_precision(precision: str, device: str) -> str:
     """Resolve "auto" into fp32, bf16 or fp16; refuse what the device doesn't support."""
     import torch
 
-    if precision not in ("auto", "fp32", "bf16", "fp16"):
-        raise ValueError(f"precision={precision!r}: choose auto, fp32, bf16 or fp16")
+    one_of("precision", precision, ("auto", "fp32", "bf16", "fp16"))
     if precision == "fp16" and device == "cpu":
         raise ValueError("precision=fp16 trains on CUDA only: on a CPU use bf16, fp32 or auto")
     if precision != "auto":

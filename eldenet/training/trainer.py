@@ -104,8 +104,7 @@ class Trainer:
             one_of("logger", logger, tuple(LOGGERS))
         one_of("loss_camera", loss_camera, ("canonical", "own"))
         self.loss_camera = loss_camera
-        if monitor not in METRICS:
-            raise ValueError(f"monitor={monitor!r}: choose one of {METRICS}")
+        one_of("monitor", monitor, METRICS)
         counts = {
             "epochs": epochs,
             "batch_size": batch_size,

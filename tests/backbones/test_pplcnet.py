@@ -159,7 +159,7 @@ def test_published_weights_are_downloaded_by_name(scale: float, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scale": 0.6}, r"no scale 0\.6; choose one of 0\.25"),
+        ({"scale": 0.6}, r"scale=0\.6: give one of 0\.25"),
         ({"scale": 2.0, "pretrained": True}, r"x2\.0; choose a scale of 0\.5, 0\.75, 1\.0"),
         ({"pretrained": "lcnet_100.ra2_in1k"}, r"lcnet_100.ra2_in1k do not fit scale 0\.5"),
         ({"pretrained": "imagenet"}, "or an existing file"),

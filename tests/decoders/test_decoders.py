@@ -221,7 +221,7 @@ def test_fastdepths_upconv_gives_the_same_output_in_its_fast_form() -> None:
         (lambda: FastDepthDecoder(INFO, operator="deconv"), "nnconv5_dw, nnconv5, upconv"),
         (lambda: FastUpConvDecoder(INFO[:3]), "modules=4: .* stride 8; choose 1 to 3"),
         (lambda: FastUpConvDecoder(INFO[:3], modules=0), "modules=0: .* stride 8; choose 1 to 3"),
-        (lambda: FastUpConvDecoder(INFO, fusion="cat"), "fusion='cat': choose one of add, concat, none"),
+        (lambda: FastUpConvDecoder(INFO, fusion="cat"), "fusion='cat': give one of add, concat, none"),
         (lambda: FastUpConvDecoder(INFO, kernels=KERNELS, fusion="none"), "remove .* fusion=none"),
         (lambda: FastUpConvDecoder(INFO, kernels=KERNELS, lateral_strides=[2]), "remove lateral"),
         (lambda: FastUpConvDecoder(INFO, kernels=KERNELS[:1]), "give 2 to 5"),

@@ -142,10 +142,10 @@ def test_int8_is_near(files, images, reference, file: str, runtime: str) -> None
 
 def test_the_error_for_what_is_missing_lists_what_there_is(trained_model, files, images) -> None:
     for source, arguments, message in (
-        (files["onnx"], {"runtime": "tvm"}, "choose auto, torch, torch_channels_last"),
+        (files["onnx"], {"runtime": "tvm"}, "give one of auto, torch, torch_channels_last"),
         (files["onnx"], {"runtime": "torch"}, "runs under onnxruntime or openvino, not under torch"),
         (files["onnx"], {"runtime": "onnxruntime", "precision": "bf16"}, "only fp32: bf16 runs under Open"),
-        (files["onnx"], {"runtime": "onnxruntime", "precision": "fp8"}, "choose fp32, bf16, fp16, int8"),
+        (files["onnx"], {"runtime": "onnxruntime", "precision": "fp8"}, "give one of fp32, bf16, fp16, int8"),
         (files["onnx"], {"runtime": "onnxruntime", "precision": "int8"}, "export it with precision=int8"),
         (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO offers .*cpu"),
         (files["int8 xml"], {"precision": "bf16"}, "only int8"),

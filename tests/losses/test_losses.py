@@ -211,7 +211,7 @@ DEPTH, KNOWN = torch.ones(2, 1, 16, 20), torch.ones(2, 1, 16, 20, dtype=torch.bo
         (lambda loss: loss(DEPTH, DEPTH, DEPTH), r"mask is torch\.float32: give a bool tensor"),
         (lambda _: WeightedSum({}), "at least one term"),
         (lambda _: WeightedTerm(L1Loss(), -1), "weight=-1"),
-        (lambda _: WeightedTerm(L1Loss(), space="disparity"), "space='disparity': choose one of meters"),
+        (lambda _: WeightedTerm(L1Loss(), space="disparity"), "space='disparity': give one of meters"),
         (lambda _: WeightedTerm(SILogLoss(), space="log"), "space='log' does not fit SILogLoss"),
     ],
 )

@@ -16,6 +16,7 @@ import eldenet
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.sealing import check_seal
 from eldenet.deploy.stream import DepthStream
+from eldenet.system.checks import one_of
 from eldenet.system.resources import available_cores
 from eldenet.system.timing import median_ms, time_interleaved
 
@@ -60,8 +61,7 @@ def load(
         ImportError: the runtime is not installed.
     """
     threads = available_cores() if threads is None else threads
-    if runtime not in ("auto", *RUNTIMES):
-        raise ValueError(f"runtime={runtime!r}: choose auto, {', '.join(RUNTIMES)}")
+    one_of("runtime", runtime, ("auto", *RUNTIMES))
     if is_exported(source):
         path = Path(source).expanduser()  # type: ignore[arg-type]
         if not path.is_file():

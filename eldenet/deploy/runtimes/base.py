@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from eldenet.deploy.files import metadata_value
+from eldenet.system.checks import one_of
 from eldenet.uncertainty import DepthEstimate
 
 if TYPE_CHECKING:
@@ -150,7 +151,6 @@ class Runtime:
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
     """Raise ValueError if a runtime does not support a precision."""
-    if precision not in PRECISIONS:
-        raise ValueError(f"precision={precision!r}: choose {', '.join(PRECISIONS)}")
+    one_of("precision", precision, PRECISIONS)
     if precision not in allowed:
         raise ValueError(f"{runtime} does not support {precision} here, only {', '.join(allowed)}: {advice}")
