@@ -115,7 +115,9 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     if setup.camera is not None and setup.size is None:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (setup.camera[0], setup.camera[1] * stretch))
-    name = str(model.info.get("model_name", Path(setup.checkpoint).name))
+    name = Path(setup.checkpoint).name
+    if name not in eldenet.list_weights():
+        name = str(model.info.get("model_name", name))
     default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
