@@ -24,6 +24,7 @@ PAGES = sorted(
         "docs/**/*.md",
         "experiments/README.md",
         "experiments/*/README.md",
+        "experiments/indoor/earlier.md",
         "ros2/*/README.md",
     )
     for page in REPOSITORY.glob(pattern)
