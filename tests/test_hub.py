@@ -22,7 +22,9 @@ def test_an_unreachable_hub_fails_within_seconds(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("huggingface_hub.snapshot_download", offline)
     start = time.perf_counter()
-    wanted = r"^there is no folder somebody/depth, and the Hub does not give it \(ConnectionError\): give a run"
+    wanted = (
+        r"^there is no folder somebody/depth, and the Hub does not give it \(ConnectionError\): give a run"
+    )
     with pytest.raises(FileNotFoundError, match=wanted):
         eldenet.load("somebody/depth")
     assert time.perf_counter() - start < 5

@@ -48,7 +48,7 @@ def write_page(rows: Sequence[Row]) -> None:
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The sums, then the kinds of file whose damage cannot always be seen, and any row with a broken promise."""
+    """The sums, the kinds of file whose damage cannot always be seen, and rows with a broken promise."""
     parts = {title: [row for row in rows if _part(row) == part] for part, title in TITLES.items()}
     lines = [*_head("attack"), *(_line(title, members) for title, members in parts.items() if members), ""]
     shown = [row for row in rows if row.counts[SILENT] or is_wrong(row)]
