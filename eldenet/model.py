@@ -324,7 +324,8 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         )
     except Exception as error:  # the Hub client raises many kinds
         raise FileNotFoundError(
-            f"{source} is not a local folder, and the Hub failed: {type(error).__name__}: {error}"
+            f"there is no folder {source}, and the Hub does not give it ({type(error).__name__}): give a run "
+            "folder, a model folder, a Hub id or packaged weights (eldenet.list_weights())"
         ) from error
     _complete(folder, source)
     info = _read_config(folder)["info"]

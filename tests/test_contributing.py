@@ -83,7 +83,9 @@ def test_the_parts_of_contributing_train_together_and_another_project_loads_them
 def test_a_loss_of_eight_lines_is_used_from_the_command_line(tmp_path: Path, monkeypatch) -> None:
     from hydra.utils import instantiate
 
-    (code,) = re.findall(r"are a loss\.\n\n```python\n(.*?)```", PAGE.read_text(), re.S)
+    (code,) = re.findall(
+        r"Save this as `mine\.py` in the current folder:\n\n```python\n(.*?)```", PAGE.read_text(), re.S
+    )
     (words,) = re.findall(r"eldenet train (loss=l1 .*mine\.RelativeLoss)", PAGE.read_text())
     assert len([line for line in code.splitlines() if line]) <= 8
     (tmp_path / "mine.py").write_text(code)

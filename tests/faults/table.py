@@ -48,13 +48,13 @@ def write_page(rows: Sequence[Row]) -> None:
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The sums, then every kind."""
+    """The sums, the kinds of file whose damage cannot always be seen, and rows with a broken promise."""
     parts = {title: [row for row in rows if _part(row) == part] for part, title in TITLES.items()}
     lines = [*_head("attack"), *(_line(title, members) for title, members in parts.items() if members), ""]
-    for title, members in parts.items():
-        if members:
-            lines += [f"{title[0].upper()}{title[1:]}:", "", *_head("kind")]
-            lines += [*(_line(row.name, [row]) for row in members), ""]
+    shown = [row for row in rows if row.counts[SILENT] or is_wrong(row)]
+    if shown:
+        lines += ["Kinds of file with damage that cannot be seen:", "", *_head("kind")]
+        lines += [*(_line(row.name, [row]) for row in shown), ""]
     return "\n".join(["", *lines, ""])
 
 
