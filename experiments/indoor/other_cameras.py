@@ -15,7 +15,9 @@ import torch
 
 import eldenet
 from eldenet.config import build_protocol, build_split, compose
+from eldenet.data.base import DepthDataset
 from eldenet.evaluation.evaluator import evaluate
+from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.system.files import read_table, write_rows
 
 STORED = Path(__file__).with_name("other_cameras.csv")
@@ -28,13 +30,11 @@ PLACES = {
 }
 
 
-def score(source: str, place: str) -> tuple[float, float, float, float]:
-    """Return delta1 and AbsRel unaligned, then delta1 and AbsRel median-aligned."""
+def frames_of(place: str, rows: int) -> tuple[DepthDataset, EvalProtocol]:
+    """Return the frames of a place, ``rows`` pixels high in their own aspect, and how they are scored."""
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
     lines = [line for line in (root / "pairs.csv").read_text().splitlines() if line.startswith(place)]
     intrinsics, aspect = PLACES[place]
-    model = eldenet.load(source)
-    rows = model.info["input_size"][0]
     size = [rows, round(rows * aspect)]
     with tempfile.NamedTemporaryFile("w", suffix=".csv") as table:
         table.write("\n".join(",".join(line.split(",")[:2]) for line in lines))
@@ -45,12 +45,18 @@ def score(source: str, place: str) -> tuple[float, float, float, float]:
         )
         protocol = build_protocol(config)
         config.data.val.split = "all"
-        frames = build_split(config, "val", protocol)
-        found: list[float] = []
-        for scale in ("metric", "median"):
-            result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))
-            found += [result.metrics["delta1"], result.metrics["abs_rel"]]
-    return found[0], found[1], found[2], found[3]
+        return build_split(config, "val", protocol), protocol
+
+
+def score(source: str, place: str) -> list[float]:
+    """Return delta1 and AbsRel unaligned, then delta1 and AbsRel median-aligned."""
+    model = eldenet.load(source)
+    frames, protocol = frames_of(place, model.info["input_size"][0])
+    found = []
+    for scale in ("metric", "median"):
+        result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))
+        found += [result.metrics["delta1"], result.metrics["abs_rel"]]
+    return found
 
 
 def main(sources: list[str]) -> None:

@@ -34,6 +34,18 @@ def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: Depth
     np.testing.assert_array_equal(depth, predictor(photo(50, 90)))
 
 
+def test_the_network_stays_as_it_was_and_a_folded_copy_runs(model: DepthNet) -> None:
+    network = copy.deepcopy(model).train()
+    predictor = DepthPredictor(network, steady=False)
+
+    def normalizations(one: torch.nn.Module) -> int:
+        return sum(isinstance(part, torch.nn.BatchNorm2d) for part in one.modules())
+
+    assert network.training
+    assert normalizations(network) == normalizations(model) > 0 == normalizations(predictor.model)
+    np.testing.assert_allclose(predictor(photo()), DepthPredictor(model, steady=False)(photo()), rtol=1e-5)
+
+
 def test_predictor_is_the_network_with_a_resize_around_it(model: DepthNet) -> None:
     frame = photo()
     small = cv2.resize(frame, (32, 24), interpolation=cv2.INTER_AREA)
