@@ -10,6 +10,7 @@ Stores of frames are identified in another way: the frame cache by the state of 
 
 import inspect
 import pkgutil
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ def differences(
 
     An option of a class that only one side has is compared with the class's default. A whole section, or an
     entry of ``data``, that only one side has is not compared: an older version did not have it. Any other
-    setting that only one side has is a difference.
+    setting that only one side has is a difference. Of a path, the name of the file counts.
 
     Args:
         ours: resolved, plain.
@@ -43,7 +44,7 @@ def differences(
         ignored: keys of values that are not compared; a section of that name (a loss's ``teacher``) is.
     """
     if not (isinstance(ours, Mapping) and isinstance(theirs, Mapping)):
-        return [] if _listed(ours) == _listed(theirs) else [f"{name}={ours} (there {theirs})"]
+        return [] if _comparable(ours) == _comparable(theirs) else [f"{name}={ours} (there {theirs})"]
     target = ours.get("_target_") if ours.get("_target_") == theirs.get("_target_") else None
     found = []
     for key in dict.fromkeys([*ours, *theirs]):
@@ -75,8 +76,11 @@ def _default(target: str, option: str, otherwise: Any) -> Any:
     return otherwise if parameter is None or parameter.default is parameter.empty else parameter.default
 
 
-def _listed(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+def _comparable(value: Any) -> Any:
+    """Tuples as lists, and files without their folders: where a file lies changes no result."""
+    if isinstance(value, str):
+        return re.sub(r"[^\s=,]*/", "", value)
+    return [_comparable(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def run_differences(
