@@ -12,6 +12,7 @@ class Arenas(RenderedScenes):
     ``detail`` obstacles are furniture and people of the same footprints, with doors, windows and cables.
     """
 
+    any_lens = False
     generator = Generator(
         "arenas", 1, "eldenet.simulation.arena_view.render_arena", {(96, 128): "0223d0934865"}
     )

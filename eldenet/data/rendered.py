@@ -30,10 +30,12 @@ class RenderedScenes(DepthDataset):
     Args:
         split: "train", "val" or "test".
         frames: how many frames of the split to use.
-        size: ``(height, width)`` of the rendered frames [px].
+        size: ``(height, width)`` of the rendered frames [px]; None: ``default_size``.
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         workers: processes that render missing frames; None for two (one on a single core), 0 renders in this
             process.
+        focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
+            None: that of the data set.
         detail: frames of ``detailed``: closer to real pictures.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
@@ -43,6 +45,8 @@ class RenderedScenes(DepthDataset):
     Attributes:
         generator: what renders the frames; a subclass names it.
         detailed: what renders them with ``detail``; it has its own versions.
+        default_size: ``(height, width)`` of its frames [px].
+        any_lens: whether ``focal`` may be given.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -52,6 +56,8 @@ class RenderedScenes(DepthDataset):
     ground_truth = "dense"
     depth_range = (0.1, 10.0)
     frame_lists = ("names", "places")
+    default_size = (128, 160)
+    any_lens = True
     generator: Generator
     detailed: Generator
 
@@ -60,9 +66,10 @@ class RenderedScenes(DepthDataset):
         split: str = "train",
         frames: int = 2048,
         *,
-        size: Sequence[int] = (128, 160),
+        size: Sequence[int] | None = None,
         root: str | os.PathLike[str] | None = None,
         workers: int | None = None,
+        focal: Sequence[float] | None = None,
         detail: bool = False,
         depth_camera: bool = False,
         **options: Unpack[SampleOptions],
@@ -70,8 +77,10 @@ class RenderedScenes(DepthDataset):
         self.artifacts = None
         if depth_camera:  # found by its name, like the renderer: simulation lies above data
             self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
-        if detail:
-            self.generator = self.detailed.with_focal(self.generator.focal)
+        if focal is not None and not self.any_lens:
+            raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
+        self.generator = (self.detailed if detail else self.generator).with_focal(focal)
+        size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
             raise ValueError(f"frames={frames!r}: give a whole number of frames, at least 1")

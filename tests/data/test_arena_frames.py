@@ -85,6 +85,11 @@ def test_robots_stand_where_they_fit(dataset):
         assert views.depth.max() < 40
 
 
+def test_the_robots_camera_has_one_lens(root):
+    with pytest.raises(ValueError, match=r"focal=\[0.4, 2.0\]: the camera of arenas has one lens"):
+        Arenas("train", 10, size=SIZE, root=root, workers=0, focal=[0.4, 2.0])
+
+
 def test_the_data_set_reads_what_was_rendered(dataset):
     views = render_arena("train", 1, SIZE)
     frame = dataset.load_frame(9)
