@@ -15,7 +15,6 @@ class Rooms(RenderedScenes):
         **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
     """
 
-    default_size = (128, 160)
     generator = Generator(
         "rooms", 1, "eldenet.simulation.furnished_rooms.render.render_room", {(96, 128): "fd67c9271919"}
     )

@@ -13,6 +13,8 @@ from eldenet.deploy import runtimes
 from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.system.files import safe_stem
+from eldenet.uncertainty import DepthEstimate
+from eldenet.zoo import name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -115,9 +117,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     if setup.camera is not None and setup.size is None:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (setup.camera[0], setup.camera[1] * stretch))
-    name = Path(setup.checkpoint).name
-    if name not in eldenet.list_weights():
-        name = str(model.info.get("model_name", name))
+    name = name_of(setup.checkpoint, model)
     default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:
@@ -150,6 +150,8 @@ def compare_with_torch(
     if setup.camera is None:
         predictor.stretch = 1.0  # these pictures have the file's size already
     reference = [predictor(frame) for frame in seen]
+    if not predictor.uncertainty:
+        reference = [DepthEstimate(depth) for depth in reference]
     rows, inputs = [], batches(seen, target)
     tolerance = CAMERA_TOLERANCE if setup.camera else FP32_TOLERANCE
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
@@ -161,7 +163,7 @@ def compare_with_torch(
         estimates = [network.predict(image) for image in inputs]
         for kind in outputs:
             ours = np.stack([getattr(estimate, kind)[0, 0] for estimate in estimates])
-            theirs = np.stack([getattr(each, kind) if len(outputs) > 1 else each for each in reference])
+            theirs = np.stack([getattr(estimate, kind) for estimate in reference])
             found = map_errors(ours, theirs)
             rows.append([name, kind, *(f"{value:.2g}" for value in found.values())])
             if setup.precision == "fp32" and not found["median_relative"] < tolerance:

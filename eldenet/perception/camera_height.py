@@ -85,14 +85,7 @@ def calibrate(setup: CalibrationSetup) -> bool:
         setup, DepthPredictor(start, device=resources.device, steady=False), log
     )
     refuse_few(values)
-    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, setup.seed)
-    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
-    for name, part in (("held-out", held), ("other", fitted)):
-        if not np.isfinite(values[part]).any():
-            raise ValueError(
-                f"none of the {len(part)} {name} frames shows a floor: keep the floor in view in all of the "
-                "recording, or hold out other frames (seed=1)"
-            )
+    held, fitted = hold_out_floors(values, setup.seed)
     floors = float(np.nanmedian(values[fitted]))
     scale = scale_of_all(floors, known_pitch=known_pitch)
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
@@ -227,6 +220,23 @@ def scale_of_all(floors: float, *, known_pitch: bool) -> float:
         return 1.0
     share = FLOOR_SHARE["given" if known_pitch else "fitted"]["grows" if floors > 0 else "shrinks"]
     return float(np.exp(share * floors))
+
+
+def hold_out_floors(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of held-out frames and of those that fit the scale.
+
+    Raises:
+        ValueError: no frame of one of the two has a log scale.
+    """
+    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, seed)
+    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
+    for name, part in (("held-out", held), ("other", fitted)):
+        if not np.isfinite(values[part]).any():
+            raise ValueError(
+                f"none of the {len(part)} {name} frames shows a floor: keep the floor in view in all of the "
+                "recording, or hold out other frames (another seed=)"
+            )
+    return np.array(held), fitted
 
 
 def refuse_few(values: np.ndarray) -> None:

@@ -7,6 +7,7 @@ Wortsman et al., "Model soups" (ICML 2022).
 import sys
 
 import eldenet
+from eldenet.results.before_after import MEASURED
 
 
 def main(one: str, other: str, output: str) -> None:
@@ -16,7 +17,7 @@ def main(one: str, other: str, output: str) -> None:
     for name, tensor in model.state_dict().items():
         if tensor.is_floating_point():
             tensor.lerp_(theirs[name], 0.5)
-    model.info.pop("test", None)
+    model.info = {name: fact for name, fact in model.info.items() if name not in MEASURED}
     model.save_pretrained(output, info={"averaged": [one, other]})
 
 

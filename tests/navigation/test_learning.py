@@ -62,6 +62,14 @@ def tiny(steps: int, **options) -> DQN:
     return DQN(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), DQNSettings(**settings))
 
 
+@pytest.mark.parametrize("options", [{"learning_starts": 0}, {"exploration_fraction": 0.0}])
+def test_a_training_may_learn_or_be_greedy_from_the_first_step(options):
+    learner = tiny(400, **options)
+    learner.learn()
+    assert learner.finished
+    assert learner.updates
+
+
 def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
     whole, first, second = (tiny(1200) for _ in range(3))
     whole.learn()

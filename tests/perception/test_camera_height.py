@@ -15,6 +15,7 @@ from eldenet.geometry import pinhole
 from eldenet.perception.camera_height import (
     FLOOR_SHARE,
     calibrate,
+    hold_out_floors,
     level_camera,
     log_scale,
     refuse_few,
@@ -55,6 +56,15 @@ def test_few_floors_are_refused():
     refuse_few(np.r_[np.zeros(40), np.full(60, np.nan)])
     with pytest.raises(ValueError, match=r"12 of 100 frames show a floor"):
         refuse_few(np.r_[np.zeros(12), np.full(88, np.nan)])
+
+
+@pytest.mark.parametrize(("seen_by", "name"), [(1, "held-out"), (0, "other")])
+def test_a_part_without_a_floor_is_refused(seen_by, name):
+    parts = hold_out_floors(np.zeros(100), 0)
+    values = np.full(100, np.nan)
+    values[parts[seen_by]] = 0.1
+    with pytest.raises(ValueError, match=rf"none of the \d+ {name} frames shows a floor: .*another seed="):
+        hold_out_floors(values, 0)
 
 
 @pytest.mark.parametrize("known", [True, False])

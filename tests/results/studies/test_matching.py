@@ -8,7 +8,7 @@ import pytest
 from support.stored_study import figures, history, notes, settings_of, store, table, write_plan
 
 from eldenet.config import training_composition
-from eldenet.results.fingerprints import fingerprint, run_differences
+from eldenet.results.fingerprints import differences, fingerprint, run_differences
 from eldenet.results.studies.convergence import convergence
 from eldenet.results.studies.plan import Study, read_study
 
@@ -53,6 +53,14 @@ def test_runs_from_other_weights_are_not_shown(study: Study, tmp_path: Path) -> 
         assert table(changed)["large"]["seeds"].startswith(status)
     moved = write_plan(tmp_path, "model=eldenet]", 'model=eldenet, "weights={runs}/small/seed0"]')
     assert table(moved)["large"]["seeds"] == "1 of 3"
+
+
+def test_where_a_file_lies_makes_no_difference_but_its_name_does() -> None:
+    def settings(path: str) -> dict[str, Any]:
+        return {"data": {"labels": path, "overrides": [f"model.network.file={path}"]}}
+
+    assert differences(settings("/one/meter.pth"), settings("$TWO/weights/meter.pth")) == []
+    assert len(differences(settings("one/meter.pth"), settings("one/other.pth"))) == 2
 
 
 def distilled(**teacher: object) -> dict[str, Any]:
