@@ -148,7 +148,7 @@ def test_the_error_for_what_is_missing_lists_what_there_is(trained_model, files,
         (files["onnx"], {"runtime": "onnxruntime", "precision": "fp8"}, "give one of fp32, bf16, fp16, int8"),
         (files["onnx"], {"runtime": "onnxruntime", "precision": "int8"}, "export it with precision=int8"),
         (files["onnx"], {"runtime": "openvino", "device": "fpga"}, "OpenVINO offers .*cpu"),
-        (files["int8 xml"], {"precision": "bf16"}, "only int8"),
+        (files["int8 xml"], {"precision": "bf16"}, "only int8: export it with precision=bf16"),
         (trained_model, {"precision": "int8"}, "export a file"),
         (
             trained_model,
