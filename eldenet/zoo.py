@@ -68,11 +68,6 @@ def load(
     return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)
 
 
-def name_of(source: str, model: "DepthNet") -> str:
-    """Name of a network for files and tables: that of packaged weights, else the one of its training."""
-    return source if source in list_weights() else str(model.info.get("model_name", Path(source).name))
-
-
 def build_teacher(
     source: str | None,
     *,

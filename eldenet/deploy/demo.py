@@ -18,7 +18,7 @@ import eldenet
 from eldenet.deploy.exporting import UNTRAINED_SIZE
 from eldenet.geometry import BORDER_COLOR
 from eldenet.system.files import part_file, write_json
-from eldenet.zoo import name_of
+from eldenet.weights import name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -79,7 +79,7 @@ def build_page(model: "DepthNet", setup: DemoSetup, log: "RunLog") -> None:
 
     install_runtime(setup.output / "runtime", log)
     height, width = setup.size or size_of_frames(model.info) or UNTRAINED_SIZE
-    name = name_of(setup.checkpoint, model)
+    name = name_of(setup.checkpoint, model.info)
     log.say(f"exporting {setup.checkpoint} at {height} x {width} ...")
     facts = describe(model, name, (height, width))
     write_onnx(model, setup.output / "network.onnx", (height, width), batch=1, metadata=facts)

@@ -14,7 +14,7 @@ from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.system.files import safe_stem
 from eldenet.uncertainty import DepthEstimate
-from eldenet.zoo import name_of
+from eldenet.weights import name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -117,7 +117,7 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     if setup.camera is not None and setup.size is None:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (setup.camera[0], setup.camera[1] * stretch))
-    name = name_of(setup.checkpoint, model)
+    name = name_of(setup.checkpoint, model.info)
     default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{setup.precision}{ENDINGS[setup.format]}"
     output = setup.output or Path(default)
     if output.exists() and not setup.overwrite:

@@ -2,7 +2,9 @@
 
 import hashlib
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 PACKAGED = Path(__file__).resolve().parent
 BEST = "eldenet_l_indoor"  # for pictures of real rooms: what predict takes unless it is given others
@@ -46,3 +48,8 @@ def located(source: str | Path) -> Path:
             stacklevel=2,
         )
     return own
+
+
+def name_of(source: str, info: Mapping[str, Any]) -> str:
+    """Name of a network for files and tables: that of packaged weights, else the one of its training."""
+    return source if source in list_weights() else str(info.get("model_name", Path(source).name))

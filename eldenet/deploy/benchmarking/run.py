@@ -30,7 +30,7 @@ from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import safe_stem
-from eldenet.zoo import name_of
+from eldenet.weights import name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -206,7 +206,7 @@ def load_models(setup: BenchmarkSetup) -> Networks:
         torch.manual_seed(0)
         trusted = () if source in eldenet.list_models() else setup.trusted_modules
         model = eldenet.load(source, trusted_modules=trusted)
-        name = name_of(source, model)
+        name = name_of(source, model.info)
         if name in models:
             raise ValueError(
                 f"two models are called {name!r}, but rows need distinct names: give one of them another "
