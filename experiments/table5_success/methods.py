@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
@@ -53,10 +54,10 @@ LEARNED = {
     "dqn_quantile": Learned(("learner.quantiles=16",)),
 }  # fmt: skip
 VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run when asked for by name
-PLANNERS: dict[str, Callable[[int], Any]] = {
-    "astar_dwa": lambda robots: AStarDWA(robots=robots),
-    "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
-    "dwa": lambda robots: LocalDWA(robots=robots),
-    "dwa, 5 sectors, no memory": lambda robots: LocalDWA(sight="sectors", memory=0, robots=robots),
-    "straight": lambda robots: Straight(robots=robots),
+PLANNERS: dict[str, Callable[..., Any]] = {
+    "astar_dwa": AStarDWA,
+    "astar_online_dwa": AStarOnlineDWA,
+    "dwa": LocalDWA,
+    "dwa, 5 sectors, no memory": partial(LocalDWA, sight="sectors", memory=0),
+    "straight": Straight,
 }

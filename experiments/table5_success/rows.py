@@ -162,7 +162,7 @@ def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequ
 
     def driver(robots: int) -> Policy:
         if row.seed is None:
-            return PLANNERS[row.method](robots)
+            return PLANNERS[row.method](robots=robots)
         return Navigator.load(weights, **LEARNED[row.method].drives, robots=robots)
 
     settings = EpisodeSettings(row.physics, row.goal)

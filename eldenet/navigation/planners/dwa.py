@@ -104,14 +104,18 @@ class LocalDWA:
     Args:
         sight: "columns", or "sectors" for the nearest point of each of the five only.
         memory: control periods to remember; 0: the current view only.
+        carrot: distance to the target on the straight line to the goal [m].
         robots: number of robots.
     """
 
     name = "dwa"
 
-    def __init__(self, *, sight: str = "columns", memory: int = 60, robots: int = 1) -> None:
+    def __init__(
+        self, *, sight: str = "columns", memory: int = 60, carrot: float = 2.0, robots: int = 1
+    ) -> None:
         one_of("sight", sight, ("sectors", "columns"))
         self.sight = sight
+        self.carrot = carrot
         self.window = DynamicWindow()
         self.observer = Observer(robots, memory=memory, bins=1, arcs=False)
         self.last = np.zeros((robots, 2))
@@ -136,7 +140,7 @@ class LocalDWA:
             distance, bearing = senses.goal[robot]
             mine = row == number
             points = np.stack([x[mine], y[mine]], axis=1)
-            step = min(float(distance), 2.0)
+            step = min(float(distance), self.carrot)
             target = (step * float(np.cos(bearing)), step * float(np.sin(bearing)))
             self.last[robot] = self.window.choose(points, target, tuple(self.last[robot]))
         return self.last.copy()
