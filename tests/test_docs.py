@@ -160,9 +160,7 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     model = eldenet.load("eldenet_s")
-    for name in ("my-run-224x224-fp32.onnx", "my-run.onnx"):
-        facts = describe(model, "my-run", (32, 64))
-        write_onnx(model, f"exports/{name}", (32, 64), opset=17, metadata=facts)
+    write_onnx(model, "exports/indoor.onnx", (32, 64), opset=17, metadata=describe(model, "indoor", (32, 64)))
     run, stream = python_blocks("docs/deploy.md")
     names: dict = {"images": np.zeros((2, 3, 32, 64), np.float32)}
     exec(run, names)

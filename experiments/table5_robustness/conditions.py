@@ -29,7 +29,7 @@ from eldenet.navigation.evaluation import (  # noqa: E402
     write_episodes,
 )
 from eldenet.navigation.latency import Predictive  # noqa: E402
-from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA  # noqa: E402
+from eldenet.navigation.planners.astar import CARROT, AStarDWA, AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
 from eldenet.navigation.planners.plan_and_steer import STEER_VERSION, PlanAndSteer  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
@@ -97,8 +97,6 @@ REMEDIES: Mapping[str, str] = {
     for remedy in ("predicted", "corrected")
     if f"{name}, {remedy}" in CONDITIONS
 }
-# distance to the planner's target [m], chosen by the driver's rule: ../table6_time/carrots.md
-TUNED = 1.6
 # trained with training.randomize, see README.md
 VARIED = HERE / "varied_dqn.safetensors"
 # one training in rooms, see README.md
@@ -106,23 +104,21 @@ IN_ROOMS = HERE / "rooms_dqn.safetensors"
 METHODS: Mapping[str, Callable[[int], Any]] = {
     "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
     "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
-    "astar_online_dwa, tuned": lambda robots: AStarOnlineDWA(carrot=TUNED, robots=robots),
     "varied_dqn": lambda robots: Navigator.load(VARIED, slows_within=1.0, robots=robots),
     "rooms_dqn": lambda robots: Navigator.load(IN_ROOMS, slows_within=1.0, robots=robots),
     "astar_online_dqn, rooms_dqn": lambda robots: PlanAndSteer(IN_ROOMS, slows_within=1.0, robots=robots),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
 }
-DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned", "varied_dqn")
+DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa", "varied_dqn")
 VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
     "varied_dqn": str(EPISODE_VERSION),
     "rooms_dqn": str(EPISODE_VERSION),
     "astar_online_dqn, rooms_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
-    "astar_online_dwa, tuned": f"{EPISODE_VERSION}.{DWA_VERSION}.{TUNED}",
-    "astar_online_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
-    "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}",
+    "astar_online_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}.{CARROT}",
+    "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}.{CARROT}",
 }
 LABELS = ("method", "condition", "version")
 

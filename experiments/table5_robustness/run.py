@@ -45,7 +45,7 @@ FAULTS: Mapping[str, Mapping[str, float]] = {
     "5 % of each": {"false_near": 0.05, "false_far": 0.05},
     "one stuck column": {"stuck": 1},
 }
-DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned")
+DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa")
 LABELS = ("method", "faults", "filter", "version")
 
 # (method, faults, whether there is the filter) -> episodes by arena

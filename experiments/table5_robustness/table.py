@@ -17,14 +17,13 @@ import run as faults  # noqa: E402
 
 from eldenet.navigation.evaluation import Episode, summarize  # noqa: E402
 
-METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa, tuned", "astar_online_dwa")
+METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa")
 HEAD = (
     "what differs from 80 obstacles and true ranges",
     "packaged driver alone",
     "`varied_dqn` alone",
     "packaged driver",
     "`astar_online_dqn`",
-    "`astar_online_dwa`, tuned",
     "`astar_online_dwa`",
 )
 
@@ -47,7 +46,7 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
     text = [
         "# What an arena, a delay or a fault costs",
         "",
-        "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last four columns "
+        "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last three columns "
         "know the latency, get filtered ranges where single columns are wrong, and corrected ranges where "
         "all are too short or too long; the first two do not. "
         "`varied_dqn` was trained with other sizes, speeds, latencies and a drifting odometry.",

@@ -58,6 +58,6 @@ PLANNERS: dict[str, Callable[..., Any]] = {
     "astar_dwa": AStarDWA,
     "astar_online_dwa": AStarOnlineDWA,
     "dwa": LocalDWA,
-    "dwa, 5 sectors, no memory": partial(LocalDWA, sight="sectors", memory=0),
+    "dwa, 5 sectors, no memory": partial(LocalDWA, sight="sectors", memory=0, carrot=20.0),
     "straight": Straight,
 }

@@ -152,9 +152,11 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
     }
 
 
-def planner_version(method: str) -> dict[str, int] | None:
-    """Return the version of the dynamic window where a planner uses one."""
-    return {"dwa": DWA_VERSION} if "dwa" in method else None
+def planner_version(method: str) -> dict[str, float] | None:
+    """Return the version of the dynamic window, and its look-ahead distance [m], where a planner uses one."""
+    if "dwa" not in method:
+        return None
+    return {"dwa": DWA_VERSION, "carrot": PLANNERS[method]().carrot}
 
 
 def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> list[Episode]:

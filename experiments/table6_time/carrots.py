@@ -38,7 +38,7 @@ from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
-ON_A_PATH, TOWARD_GOAL = (1.0, 1.3, 1.6, 2.0, 2.5, 3.0), (1.3, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0)
+ON_A_PATH, TOWARD_GOAL = (1.0, 1.3, 1.6, 2.0, 2.5, 3.0), (1.3, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
 CARROTS = {  # that are tried [m]
     "astar_dwa": ON_A_PATH,
     "astar_online_dwa": ON_A_PATH,

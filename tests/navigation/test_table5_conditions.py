@@ -3,6 +3,9 @@
 import importlib.util
 from pathlib import Path
 
+import pytest
+
+from eldenet.config import compose
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode
 from eldenet.navigation.sensors import Ranges
@@ -45,9 +48,17 @@ def test_every_condition_is_a_setting():
 
 def test_the_carrot_is_the_fastest_of_those_that_succeed_as_often():
     def episodes(seconds, failures):
-        outcomes = ["timeout"] * failures + ["success"] * (10 - failures)
+        outcomes = ["timeout"] * failures + ["success"] * (100 - failures)
         return [Episode(f"val-80-{k}", 80, o, seconds, 1.0, 1.0) for k, o in enumerate(outcomes)]
 
     settings = {1.0: (20.0, 0), 1.3: (18.0, 0), 1.6: (16.0, 1), 2.0: (14.0, 2)}
-    rows = {("val", 80, "astar_dwa", carrot): episodes(*of) for carrot, of in settings.items()}
+    rows = {("astar_dwa", carrot): episodes(*of) for carrot, of in settings.items()}
     assert race.tuned(rows, "astar_dwa") == 1.6
+
+
+@pytest.mark.parametrize("method", race.CARROTS)
+def test_planners_drive_with_the_carrot_that_the_rule_chose(method):
+    rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv")
+    assert race.PLANNERS[method]().carrot == race.tuned(rows, method)
+    if method in ("astar_dwa", "astar_online_dwa", "dwa"):
+        assert compose("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)

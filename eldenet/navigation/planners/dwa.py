@@ -111,7 +111,7 @@ class LocalDWA:
     name = "dwa"
 
     def __init__(
-        self, *, sight: str = "columns", memory: int = 60, carrot: float = 2.0, robots: int = 1
+        self, *, sight: str = "columns", memory: int = 60, carrot: float = 6.0, robots: int = 1
     ) -> None:
         one_of("sight", sight, ("sectors", "columns"))
         self.sight = sight
