@@ -7,6 +7,7 @@ from typing import Any
 
 from eldenet.navigation.planners.astar import AStarDWA, AStarOnlineDWA
 from eldenet.navigation.planners.dwa import LocalDWA
+from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.planners.straight import Straight
 
 
@@ -55,6 +56,7 @@ LEARNED = {
 }  # fmt: skip
 VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run when asked for by name
 PLANNERS: dict[str, Callable[..., Any]] = {
+    "astar_online_dqn": partial(PlanAndSteer, slows_within=1.0),  # steers with the packaged policy
     "astar_dwa": AStarDWA,
     "astar_online_dwa": AStarOnlineDWA,
     "dwa": LocalDWA,

@@ -7,7 +7,7 @@ Panel = tuple[str, str]  # physics, sensor
 Points = Sequence[Sequence[float]]  # obstacles, value and, if there is one, its interval: low, high
 COLUMNS = 3  # of panels
 SPREAD = 0.6  # share of a column's width in which its methods lie side by side
-MARKERS = "osDv^P<X>*"
+MARKERS = "osDv^P<X>*h"
 
 
 def draw_panels(

@@ -23,6 +23,7 @@ from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode, Policy, read_episodes, run_episodes, write_episodes
 from eldenet.navigation.planners.dwa import DWA_VERSION
 from eldenet.navigation.planners.paths import SHORTEST_VERSION
+from eldenet.navigation.planners.plan_and_steer import STEER_VERSION
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import EPISODE_VERSION
@@ -152,11 +153,13 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
     }
 
 
-def planner_version(method: str) -> dict[str, float] | None:
-    """Return the version of the dynamic window, and its look-ahead distance [m], where a planner uses one."""
-    if "dwa" not in method:
-        return None
-    return {"dwa": DWA_VERSION, "carrot": PLANNERS[method]().carrot}
+def planner_version(method: str) -> dict[str, Any] | None:
+    """Return what a planner's decisions depend on: versions, look-ahead distance [m], policy."""
+    if method == "astar_online_dqn":
+        return {"dwa": DWA_VERSION, "steer": STEER_VERSION, "policy": digest([DEFAULT_WEIGHTS])}
+    if "dwa" in method:
+        return {"dwa": DWA_VERSION, "carrot": PLANNERS[method]().carrot}
+    return None
 
 
 def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequence[Arena]) -> list[Episode]:

@@ -39,14 +39,14 @@ def main() -> None:
     parser.add_argument("--policy", action="append", default=[], help="name=policy.safetensors; repeatable")
     parser.add_argument("--out", type=Path, default=HERE / "trajectories.png")
     args = parser.parse_args()
-    methods: dict[str, Callable[[int], Policy]] = {PACKAGED: partial(_load, PACKAGED, None)}
+    methods: dict[str, Callable[..., Policy]] = {PACKAGED: partial(_load, PACKAGED, None)}
     for name, _, path in (text.partition("=") for text in args.policy):
         methods[name] = partial(_load, name, path)
     methods |= PLANNERS
     rows = []
     for density, index in (map(int, world.split(":")) for world in args.worlds.split(",")):
         arena = generate_arena(args.split, density, index)
-        panels = [panel(arena, name, make(1)) for name, make in methods.items()]
+        panels = [panel(arena, name, make(robots=1)) for name, make in methods.items()]
         rows += [heading(f"{density} obstacles on 400 m2", panels), *lines_of(panels)]
     write_picture(args.out, np.concatenate(rows, axis=0))
 

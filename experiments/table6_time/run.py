@@ -34,7 +34,10 @@ Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Episode]]]]
 
 REFERENCE = "astar_dwa"
 # straight and weak learned methods solve so few worlds at 80 that nothing would be left to compare
-METHODS = ("dqn_ensemble", "dqn", "dqn_as_trained", "astar_dwa", "astar_online_dwa", "dwa")
+METHODS = (
+    *("dqn_ensemble", "dqn", "dqn_as_trained"),
+    *("astar_online_dqn", "astar_dwa", "astar_online_dwa", "dwa"),
+)
 
 
 def main() -> None:
