@@ -47,8 +47,8 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         "# What an arena, a delay or a fault costs",
         "",
         "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last three "
-        "columns know the latency, get filtered ranges where single columns are wrong, and corrected ranges where "
-        "all are too short or too long; the first two do not. "
+        "columns know the latency, get filtered ranges where single columns are wrong, and corrected "
+        "ranges where all are too short or too long; the first two do not. "
         "`varied_dqn` was trained with other sizes, speeds, latencies and a drifting odometry.",
         "",
         f"| {' | '.join(HEAD)} |",
