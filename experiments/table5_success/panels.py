@@ -48,7 +48,7 @@ def draw_panels(
                 [point[1] for point in points],
                 yerr=list(zip(*ends, strict=True)) or None,
                 marker=MARKERS[place % len(MARKERS)],
-                color=f"C{place % 10}",
+                color=f"C{place}" if place < 10 else "0.3",
                 markersize=4.5,
                 linewidth=1.2,
                 capsize=2,
