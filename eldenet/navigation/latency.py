@@ -1,14 +1,16 @@
 """Drive with a delay: predict where the robot will be when its next command takes effect."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.observer import Senses
-from eldenet.simulation.arena_world import arc
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, arc
+
+if TYPE_CHECKING:
+    from eldenet.navigation.evaluation import Policy
 
 
 class Predictive:
@@ -24,7 +26,7 @@ class Predictive:
         robots: number of robots.
     """
 
-    def __init__(self, driver: Policy, latency: float, robots: int = 1) -> None:
+    def __init__(self, driver: "Policy", latency: float, robots: int = 1) -> None:
         self.driver, self.latency = driver, latency
         self.name = driver.name
         self.navigator = getattr(driver, "navigator", driver)  # whose files are named beside the results
@@ -51,7 +53,7 @@ class Predictive:
 
 
 def ahead(
-    pose: np.ndarray, goal: np.ndarray, sent: list[tuple[float, float]], latency: float
+    pose: np.ndarray, goal: np.ndarray, sent: Sequence[tuple[float, float]], latency: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return pose ``(3,)`` and goal ``(2,)`` once all commands that were sent have been driven.
 

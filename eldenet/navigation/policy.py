@@ -18,20 +18,15 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import refuse_not_finite
-from eldenet.geometry import intrinsic_matrix
 from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.navigation.range_filter import RangeFilter
-from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.ranges import check_meters, depth_to_ranges
-from eldenet.simulation.robot import ROBOT
 from eldenet.system.digests import KEY, canonical, digest_of
 from eldenet.system.files import parse_json, part_file
 from eldenet.system.reading import reading
 from eldenet.weights import check_packaged
 
-POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
 
@@ -81,7 +76,7 @@ class Ensemble(nn.Module):
         return torch.stack([member(observation) for member in self.members]).mean(0)
 
 
-class Navigator:
+class Navigator(OnRobot):
     """One or more trained Q-networks with the observer of their training, for one robot or many.
 
     Args:
@@ -92,10 +87,6 @@ class Navigator:
 
     Attributes:
         files: that it was loaded from.
-        range_filter: that :meth:`step` passes its ranges through; None: none.
-        range_scale: that :meth:`step` then corrects them with, for a camera that measures all ranges too long
-            or too short; None (default): nothing.
-        stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
 
     Raises:
         ValueError: network and observer do not fit together.
@@ -111,7 +102,8 @@ class Navigator:
         robots: int = 1,
         info: dict[str, Any] | None = None,
     ) -> None:
-        self.observer = Driver(robots, **observer)
+        super().__init__()
+        self.observer: Driver = Driver(robots, **observer)
         if network.inputs != self.observer.size or network.actions != self.observer.actions:
             raise ValueError(
                 f"the network has {network.inputs} inputs and {network.actions} actions, its observer "
@@ -121,10 +113,6 @@ class Navigator:
         self.network = network.double().eval()
         self.info = info or {}
         self.files: list[Path] = []
-        self.range_filter: RangeFilter | None = RangeFilter()
-        self.range_scale: RangeScale | None = None
-        self.stop_reason: str | None = None
-        self._origin: np.ndarray | None = None  # of step's poses (1, 3)
 
     @classmethod
     def load(
@@ -195,11 +183,8 @@ class Navigator:
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
+        super().reset(robot, world)
         self.observer.reset(robot)
-        self._origin = None
-        for part in (self.range_filter, self.range_scale):
-            if part is not None:
-                part.reset()
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -209,74 +194,6 @@ class Navigator:
         actions = np.zeros(self.observer.robots, np.intp)
         actions[who] = self.network(torch.from_numpy(observation).double()).argmax(1).numpy()
         return self.observer.commands(actions)
-
-    def step(
-        self,
-        depth: np.ndarray,
-        goal: Sequence[float],
-        odometry: Sequence[float],
-        *,
-        intrinsics: np.ndarray | Sequence[Any] | None = None,
-        camera_height: float = ROBOT.camera_height,
-        scanned_from: Sequence[float] | None = None,
-    ) -> tuple[float, float]:
-        """Decide for one robot; call this every 0.2 s.
-
-        Without finite input it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it
-        drives on as soon as the input is finite again.
-
-        Args:
-            depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
-                [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
-            goal: distance [m] and bearing [rad, counter-clockwise from ahead].
-            odometry: x, y [m] and heading [rad] in any fixed frame.
-            intrinsics: ``(3, 3)`` or ``(fx, fy, cx, cy)`` of the depth map [px].
-            camera_height: of its optical center above the floor [m].
-            scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
-
-        Returns:
-            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if a pose, goal or intrinsics
-            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
-            and inf as free.
-
-        Raises:
-            ValueError: ``depth`` has another shape or is in millimeters, a pose, goal or intrinsics have
-                another length, a depth map has no intrinsics, or its camera sees less than the 69.4 degrees
-                of the training.
-        """
-        depth = np.asarray(depth)  # its own type, which as_ranges checks
-        now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
-        then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
-        intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
-        if intrinsics is not None and not np.isfinite(intrinsics).all():
-            self.stop_reason = "intrinsics not finite"
-        elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
-            self.stop_reason = "no value of depth is known"
-        else:
-            ranges = as_ranges(depth, intrinsics, camera_height)
-            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
-        if self.stop_reason:
-            self.observer.last[:] = 0.0  # it stands
-            return 0.0, 0.0
-        # the memory has float32, which does not suffice for positions such as UTM's
-        self._origin = now * (1, 1, 0) if self._origin is None else self._origin
-        now, then = now - self._origin, None if then is None else then - self._origin
-        for part in (self.range_filter, self.range_scale):
-            if part is not None:
-                ranges, _ = part(ranges, (now if then is None else then)[0])
-        speed, turn = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0].tolist()
-        return speed, turn
-
-
-def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray:
-    """Return numbers as ``(1, len(parts))``."""
-    try:
-        row = np.asarray(values, np.float64)
-    except (TypeError, ValueError):  # no numbers, or rows of several lengths
-        row = np.empty(0)
-    if row.shape != (len(parts),):
-        raise ValueError(f"{name}={values}: give ({', '.join(parts)}), {len(parts)} numbers")
-    return row[None]
 
 
 def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
@@ -314,27 +231,6 @@ def _digest(notes: dict[str, Any], weights: dict[str, Tensor]) -> str:
     """SHA-256 of a policy's notes and weights."""
     tensors = (name.encode() + weights[name].numpy().tobytes() for name in sorted(weights))
     return digest_of([canonical(notes), *tensors])
-
-
-def as_ranges(
-    depth: np.ndarray,
-    intrinsics: np.ndarray | Sequence[Any] | None,
-    camera_height: float = ROBOT.camera_height,
-) -> np.ndarray:
-    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
-    if depth.ndim == 2:
-        if intrinsics is None:
-            raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
-        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
-    if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
-        raise ValueError(
-            f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
-        )
-    check_meters(depth)
-    # unknown (0, nan) counts as near: the robot must stop where its camera is blind; inf is free
-    known = depth > 0
-    ranges = np.where(known, np.clip(depth.astype(np.float64), ROBOT.near, ROBOT.far), ROBOT.near)
-    return np.repeat(ranges, ROBOT.columns // depth.size)
 
 
 def export_onnx(navigator: Navigator, path: str | Path) -> None:

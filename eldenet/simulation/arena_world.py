@@ -11,7 +11,7 @@ import numpy as np
 from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.rendering.camera import SEEN_GROUPS
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, arc
 from eldenet.system.checks import one_of
 
 PHYSICS = ("kinematic", "wheels")
@@ -132,12 +132,3 @@ class ArenaWorld:
         )  # fmt: skip
         distance[self._geom < 0] = ROBOT.far
         return np.clip(distance, ROBOT.near, ROBOT.far)
-
-
-def arc(
-    x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
-) -> tuple[float, float, float]:
-    """Return the exact pose after driving at constant speed and turn rate."""
-    half = turn * seconds / 2
-    chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn * seconds

@@ -56,3 +56,12 @@ class Robot(NamedTuple):
 
 
 ROBOT = Robot()
+
+
+def arc(
+    x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
+) -> tuple[float, float, float]:
+    """Return the exact pose after driving at constant speed and turn rate."""
+    half = turn * seconds / 2
+    chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn * seconds

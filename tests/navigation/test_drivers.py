@@ -29,10 +29,9 @@ from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.simulation.arena_world import arc
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, arc
 
 WINDOW = DynamicWindow()
 

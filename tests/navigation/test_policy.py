@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from eldenet.navigation import policy
+from eldenet.navigation import on_robot
 from eldenet.navigation import ranges as ranges_module
-from eldenet.navigation.policy import Navigator, as_ranges
+from eldenet.navigation.on_robot import as_ranges
+from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
@@ -105,7 +106,7 @@ def test_nothing_in_range_stays_legal(depth):
 @pytest.mark.parametrize("shape", [(480, 640), (40,), (5,)])
 def test_a_step_checks_the_units_of_its_depth_once(shape, monkeypatch):
     checked = []
-    for module in (policy, ranges_module):
+    for module in (on_robot, ranges_module):
         monkeypatch.setattr(module, "check_meters", checked.append)
     Navigator.load().step(np.full(shape, 6.0), GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA)
     assert len(checked) == 1

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eldenet.navigation.policy import as_ranges
+from eldenet.navigation.on_robot import as_ranges
 from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
 from eldenet.simulation.arena_view import ArenaView
 from eldenet.simulation.arena_world import ArenaWorld

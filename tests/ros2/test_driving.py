@@ -28,7 +28,7 @@ def feed(pilot: Pilot, now: float, *, depth: float = 6.0, pose=(0.0, 0.0, 0.0), 
 def stands(pilot: Pilot, now: float, reason: str) -> bool:
     command = pilot.decide(now)
     assert reason in command.reason
-    assert (pilot.navigator.observer.last == 0).all()  # the policy knows that it stands
+    assert (pilot.driver.observer.last == 0).all()  # the policy knows that it stands
     return (command.speed, command.turn) == (0.0, 0.0)
 
 
@@ -92,7 +92,7 @@ def test_depth_of_which_nothing_is_known_stops_it(unknown) -> None:
 def test_a_driver_whose_command_is_not_finite_stops_it(monkeypatch) -> None:
     pilot = fed()
     for command in ((math.nan, 0.0), (0.5, math.inf)):
-        monkeypatch.setattr(pilot.navigator, "step", lambda *_, command=command, **__: command)
+        monkeypatch.setattr(pilot.driver, "step", lambda *_, command=command, **__: command)
         assert stands(pilot, 100.1, "not finite")
 
 
@@ -111,28 +111,20 @@ def test_a_goal_in_another_frame_or_before_odometry_is_rejected() -> None:
 
 def test_a_speed_limit_keeps_the_arc() -> None:
     fast, slow = fed(), fed(max_speed=0.2)
-    fast.navigator.reset()
+    fast.driver.reset()
     one = fast.decide(100.1)
-    slow.navigator.reset()
+    slow.driver.reset()
     other = slow.decide(100.1)
     assert one.speed > 0.3
     assert other.speed == pytest.approx(0.2)
     assert other.turn * one.speed == pytest.approx(one.turn * other.speed)
 
 
-def test_a_speed_limit_holds_backwards_too_and_the_policy_knows_the_speed(monkeypatch) -> None:
-    pilot = fed(max_speed=0.2)
-    monkeypatch.setattr(pilot.navigator, "step", lambda *_, **__: (-0.5, 0.5))
-    command = pilot.decide(100.1)
-    assert (command.speed, command.turn) == pytest.approx((-0.2, 0.2))
-    assert pilot.navigator.observer.last[0] == pytest.approx((-0.2, 0.2))
-
-
 def test_depth_belongs_to_the_pose_at_its_own_time(monkeypatch) -> None:
     """A network takes time, and the robot turns meanwhile."""
     pilot, given = fed(), {}
     monkeypatch.setattr(
-        pilot.navigator, "step", lambda *at, **more: given.update(more, odometry=at[2]) or (0, 0)
+        pilot.driver, "step", lambda *at, **more: given.update(more, odometry=at[2]) or (0, 0)
     )
     for step in range(20):
         pilot.move((0.0, 0.0, 0.06 * step), "odom", 100.0 + 0.05 * step)
@@ -153,3 +145,12 @@ def test_a_goal_is_lost_with_its_frame() -> None:
 def test_settings_out_of_range_end_in_one_line(name, value) -> None:
     with pytest.raises(ValueError, match=f"{name}=.*above 0"):
         Pilot(NAVIGATOR, **{"camera_height": 0.4, name: value})
+
+
+def test_the_driver_knows_the_latency(monkeypatch) -> None:
+    pilot, given = fed(latency=0.3), {}
+    monkeypatch.setattr(pilot.driver, "step", lambda *_, **more: given.update(more) or (0, 0))
+    pilot.decide(100.1)
+    assert given["latency"] == 0.3
+    with pytest.raises(ValueError, match=r"latency=2\.0: give seconds from 0 to 1"):
+        Pilot(NAVIGATOR, camera_height=0.4, latency=2.0)

@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from eldenet.navigation.planners.paths import inflated_cost, optimal_length, shortest_path
 from eldenet.simulation.arena_mjcf import arena_mjcf
-from eldenet.simulation.arena_world import ArenaWorld, arc
+from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import (
     GOAL_CLEARANCE,
     INFLATION,
@@ -21,7 +21,7 @@ from eldenet.simulation.arenas import (
     triangle_course,
 )
 from eldenet.simulation.obstacle import Obstacle
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, arc
 
 # The first five test arenas of every density: if one changes, it is another test set.
 FROZEN = {

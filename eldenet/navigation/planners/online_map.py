@@ -18,7 +18,7 @@ class OnlineMap:
     """Map of one robot: which cells rays ended in, and which they passed through.
 
     A cell is occupied if more rays ended in it than passed through it recently. Its frame is the odometry's,
-    moved so that the first pose is its origin.
+    moved so that the first pose is its origin, in the middle of the map.
     """
 
     def __init__(self) -> None:
@@ -31,6 +31,10 @@ class OnlineMap:
         """Forget everything."""
         self.evidence[:] = 0
         self.origin = np.full(2, np.nan)
+
+    def covers(self, odometry: np.ndarray) -> bool:
+        """Whether a pose of the odometry ``(3,)`` is far enough within the map, or the map has no origin."""
+        return not (np.abs(odometry[:2] - self.origin) > SIDE).any()
 
     def place(self, odometry: np.ndarray) -> np.ndarray:
         """Return a pose of the odometry ``(3,)`` in the map's frame."""
@@ -53,11 +57,15 @@ class OnlineMap:
         grid = self.evidence
         steps = np.arange(0.0, ROBOT.far, RESOLUTION)
         passed = steps[None, :] < ranges[:, None] - 0.15
-        cells = self.cells((camera + steps[None, :, None] * rays[:, None])[passed])
+        cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
         grid[cells] = np.maximum(grid[cells] - 1, -2)
         ends = ranges < ROBOT.far
-        cells = self.cells(camera + ranges[ends, None] * rays[ends])
+        cells = self.cells(self._inside(camera + ranges[ends, None] * rays[ends]))
         grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
+
+    def _inside(self, points: np.ndarray) -> np.ndarray:
+        """Those of the points ``(N, 2)`` [m] that lie on the map."""
+        return points[(np.abs(points) < self.side / 2).all(axis=1)]
 
     def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of points ``(N, 2)`` [m]."""

@@ -17,10 +17,11 @@ import torch
 from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.obstacle_memory import Memory
+from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.planners.astar import goal_in_world, to_robot
 from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.navigation.planners.online_map import OnlineMap
-from eldenet.navigation.policy import Navigator
+from eldenet.navigation.policy import Driver, Navigator
 from eldenet.simulation.robot import ROBOT
 
 REPLAN_EVERY = 5  # control periods
@@ -50,7 +51,7 @@ STEER_VERSION = 4
 _LEVELS = 20  # of speed in the table of arcs
 
 
-class PlanAndSteer:
+class PlanAndSteer(OnRobot):
     """A* on a map built while driving; the learned driver steers to way-points on its path.
 
     The map keeps what was seen; unseen cells are free for the plan, but not for the next arc. When the robot
@@ -76,8 +77,9 @@ class PlanAndSteer:
         slows_within: float | None = 1.0,
         robots: int = 1,
     ) -> None:
+        super().__init__()
         self.navigator = Navigator.load(path, slows_within=slows_within, robots=robots)
-        self.observer = self.navigator.observer
+        self.observer: Driver = self.navigator.observer
         self.observer.memory = Memory(
             robots, REMEMBERED, seen_through=self.observer.memory.seen_through, walkers=False
         )
@@ -94,9 +96,15 @@ class PlanAndSteer:
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
         self._table = arc_table((*arcs, BACK), HORIZON, MARGIN)
 
-    def reset(self, robot: int, world: Any = None) -> None:
+    def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget the map."""
+        super().reset(robot, world)
         self.navigator.reset(robot)
+        for number in np.atleast_1d(np.arange(len(self._maps))[robot]).tolist():
+            self._restart(number)
+
+    def _restart(self, robot: int) -> None:
+        """Start a new map, and forget the way so far."""
         self._maps[robot].reset()
         self._paths[robot] = None
         self._trails[robot] = []
@@ -112,6 +120,8 @@ class PlanAndSteer:
         before = self._remembered(senses, who)
         for robot in who.tolist():
             known = self._maps[robot]
+            if not known.covers(senses.odometry[robot]):
+                self._restart(robot)
             pose = poses[robot] = known.place(senses.odometry[robot])
             known.add(
                 pose if senses.scanned_from is None else known.place(senses.scanned_from[robot]),
@@ -154,6 +164,8 @@ class PlanAndSteer:
         trail = self._trails[robot]
         way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
         trail.append((float(pose[0]), float(pose[1]), way))
+        if len(trail) > REMEMBERED:
+            del trail[:REPLAN_EVERY]
         self._left[robot] = max(self._left[robot] - 1, 0)
         circle = self._left[robot] == 0 and is_circle(trail)
         if circle:

@@ -23,7 +23,7 @@ PARAMETERS = {
     "threshold": 0.3,
     "keep": [""],
     "camera_height": 0.0,
-    "depth_sigma": 0.08,
+    "depth_sigma": 0.0,
     "sigma_distribution": "",
     "track": True,
 }
@@ -40,7 +40,9 @@ class BoxesNode(Node):
             raise ValueError("detector is empty: give the path of an .onnx file (docs/boxes.md)")
         keep = [name for name in chosen.keep if name]
         self.detector = OnnxDetector(chosen.detector, threshold=chosen.threshold, keep=keep or None)
-        self.lifter = BoxLifter(camera_height=chosen.camera_height or None, depth_sigma=chosen.depth_sigma)
+        self.lifter = BoxLifter(
+            camera_height=chosen.camera_height or None, depth_sigma=chosen.depth_sigma or None
+        )
         self.tracker = BoxTracker() if chosen.track else None
         self.info: Any = None
         self.last: float | None = None

@@ -17,6 +17,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
 from eldenet_ros.driving import Pilot
 from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, seconds
@@ -25,8 +26,10 @@ from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
 PERIOD = 0.2  # as in training [s]
 PARAMETERS = {
     "policy": "",
+    "plan": True,
     "camera_height": 0.40,
-    "max_speed": 1.0,
+    "max_speed": 0.3,
+    "latency": 0.0,
     "stale": 0.5,
     "stamped": False,
     "frame": "base_link",
@@ -39,13 +42,15 @@ class DriveNode(Node):
     def __init__(self) -> None:
         super().__init__("eldenet_drive")
         chosen = self.settings = declared(self, PARAMETERS)
-        navigator = Navigator.load(chosen.policy or None)
-        navigator.step(np.full(40, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
-        navigator.reset()
+        load = PlanAndSteer if chosen.plan else Navigator.load
+        driver = load(chosen.policy or None, slows_within=1.0)
+        driver.step(np.full(40, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
+        driver.reset()
         self.pilot = Pilot(
-            navigator,
+            driver,
             camera_height=chosen.camera_height,
             max_speed=chosen.max_speed,
+            latency=chosen.latency,
             stale=chosen.stale,
         )
         self.info: Any = None

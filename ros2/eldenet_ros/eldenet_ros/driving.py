@@ -3,12 +3,10 @@
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from eldenet.navigation.policy import Navigator
+from eldenet.navigation.on_robot import LONGEST_LATENCY, OnRobot
 
 GOAL_RADIUS = 0.5  # as in training [m]
 POSES = 1000  # that are kept: 0.5 s of a fast odometry, and more
@@ -31,9 +29,10 @@ class Pilot:
     robot.
 
     Args:
-        navigator: the driver.
+        driver: decides; :class:`~eldenet.navigation.policy.Navigator`, or a planner that steers with it.
         camera_height: of the optical center above the floor [m].
         max_speed: a faster command is slowed down, with its turn rate [m/s].
+        latency: from the odometry until the robot executes the command [s].
         stale: age from which data stop the robot [s].
 
     Raises:
@@ -41,13 +40,21 @@ class Pilot:
     """
 
     def __init__(
-        self, navigator: "Navigator", *, camera_height: float, max_speed: float = 1.0, stale: float = 0.5
+        self,
+        driver: OnRobot,
+        *,
+        camera_height: float,
+        max_speed: float = 1.0,
+        latency: float = 0.0,
+        stale: float = 0.5,
     ) -> None:
         for name, value in (("camera_height", camera_height), ("max_speed", max_speed), ("stale", stale)):
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name}={value}: give a number above 0")
-        self.navigator, self.camera_height = navigator, camera_height
-        self.max_speed, self.stale = max_speed, stale
+        if not 0 <= latency <= LONGEST_LATENCY:
+            raise ValueError(f"latency={latency}: give seconds from 0 to {LONGEST_LATENCY:g}")
+        self.driver, self.camera_height = driver, camera_height
+        self.max_speed, self.latency, self.stale = max_speed, latency, stale
         self.depth: np.ndarray | None = None
         self.intrinsics: np.ndarray | None = None
         self.poses: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=POSES)  # with stamps
@@ -83,7 +90,7 @@ class Pilot:
                 "frame (in RViz, set Fixed Frame to it)"
             )
         self.goal = (x, y)
-        self.navigator.reset()
+        self.driver.reset()
         return ""
 
     def decide(self, now: float) -> Command:
@@ -91,7 +98,7 @@ class Pilot:
         command = self._decide(now)
         if not (math.isfinite(command.speed) and math.isfinite(command.turn)):
             command = Command(reason="the driver's command is not finite")
-        self.navigator.observer.last[:] = command.speed, command.turn  # what it does, whatever was chosen
+        self.driver.observer.last[:] = command.speed, command.turn  # what it does, whatever was chosen
         return command
 
     def _decide(self, now: float) -> Command:
@@ -113,18 +120,19 @@ class Pilot:
         bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
         bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
         try:
-            speed, turn = self.navigator.step(
+            speed, turn = self.driver.step(
                 self.depth,
                 (distance, bearing),
                 (x, y, yaw),
                 intrinsics=self.intrinsics,
                 camera_height=self.camera_height,
                 scanned_from=self._pose_at(self.stamps["depth"]),
+                latency=self.latency,
+                max_speed=self.max_speed,
             )
         except ValueError as error:  # such as a camera that sees too little
             return Command(reason=str(error))
-        slower = min(1.0, self.max_speed / abs(speed)) if speed else 1.0
-        return Command(slower * speed, slower * turn, self.navigator.stop_reason or "")
+        return Command(speed, turn, self.driver.stop_reason or "")
 
     def _pose_at(self, stamp: float) -> tuple[float, float, float]:
         """Return the pose whose stamp is nearest: the network takes time, and the robot drives meanwhile."""

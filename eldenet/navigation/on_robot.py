@@ -1,0 +1,161 @@
+"""A driver on a robot: depth, goal and odometry in, speed and turn rate out, five times per second.
+
+Imports neither MuJoCo nor Gymnasium.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eldenet.geometry import intrinsic_matrix
+from eldenet.navigation.latency import ahead
+from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.range_filter import RangeFilter
+from eldenet.navigation.range_scale import RangeScale
+from eldenet.navigation.ranges import check_meters, depth_to_ranges
+from eldenet.simulation.robot import ROBOT
+
+POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
+LONGEST_LATENCY = 1.0  # [s], as in the simulator
+
+
+class OnRobot:
+    """Base class of the drivers that a robot can use; a subclass has ``commands`` and ``reset``.
+
+    Attributes:
+        observer: whose ``last`` is the command that the robot executes.
+        range_filter: that :meth:`step` passes its ranges through; None: none.
+        range_scale: that :meth:`step` then corrects them with, for a camera that measures all ranges too long
+            or too short; None (default): nothing.
+        stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
+    """
+
+    observer: Observer
+
+    def __init__(self) -> None:
+        self.range_filter: RangeFilter | None = RangeFilter()
+        self.range_scale: RangeScale | None = None
+        self.stop_reason: str | None = None
+        self._origin: np.ndarray | None = None  # of step's poses (1, 3)
+        self._sent: list[tuple[float, float]] = []
+
+    def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
+        """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
+        raise NotImplementedError
+
+    def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
+        """Forget what a robot saw; call this at every new start."""
+        self._origin = None
+        self._sent = []
+        for part in (self.range_filter, self.range_scale):
+            if part is not None:
+                part.reset()
+
+    def step(
+        self,
+        depth: np.ndarray,
+        goal: Sequence[float],
+        odometry: Sequence[float],
+        *,
+        intrinsics: np.ndarray | Sequence[Any] | None = None,
+        camera_height: float = ROBOT.camera_height,
+        scanned_from: Sequence[float] | None = None,
+        latency: float = 0.0,
+        max_speed: float = ROBOT.max_speed,
+    ) -> tuple[float, float]:
+        """Decide for one robot; call this every 0.2 s.
+
+        Without finite input it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it
+        drives on as soon as the input is finite again.
+
+        Args:
+            depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
+                [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
+            goal: distance [m] and bearing [rad, counter-clockwise from ahead].
+            odometry: x, y [m] and heading [rad] in any fixed frame.
+            intrinsics: ``(3, 3)`` or ``(fx, fy, cx, cy)`` of the depth map [px].
+            camera_height: of its optical center above the floor [m].
+            scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
+            latency: from the time of ``odometry`` until the robot executes the command [s]. The driver
+                decides for the pose that its last commands lead to until then.
+            max_speed: a faster command is slowed down on the same arc [m/s].
+
+        Returns:
+            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if a pose, goal or intrinsics
+            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
+            and inf as free.
+
+        Raises:
+            ValueError: ``depth`` has another shape or is in millimeters, a pose, goal or intrinsics have
+                another length, a depth map has no intrinsics, its camera sees less than the 69.4 degrees
+                of the training, or ``latency`` or ``max_speed`` is out of range.
+        """
+        if not 0 <= latency <= LONGEST_LATENCY:
+            raise ValueError(f"latency={latency}: give seconds from 0 to {LONGEST_LATENCY:g}")
+        if not 0 < max_speed < math.inf:
+            raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
+        depth = np.asarray(depth)  # its own type, which as_ranges checks
+        now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
+        then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
+        intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
+        if intrinsics is not None and not np.isfinite(intrinsics).all():
+            self.stop_reason = "intrinsics not finite"
+        elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
+            self.stop_reason = "no value of depth is known"
+        else:
+            ranges = as_ranges(depth, intrinsics, camera_height)
+            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
+        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-round(LONGEST_LATENCY * 5) :]
+        if self.stop_reason:
+            self.observer.last[:] = 0.0  # it stands
+            return 0.0, 0.0
+        # the memory has float32, which does not suffice for positions such as UTM's
+        self._origin = now * (1, 1, 0) if self._origin is None else self._origin
+        now, then = now - self._origin, None if then is None else then - self._origin
+        for part in (self.range_filter, self.range_scale):
+            if part is not None:
+                ranges, _ = part(ranges, (now if then is None else then)[0])
+        if latency:
+            then = now if then is None else then
+            pose, place = ahead(now[0], goal_row[0], self._sent, latency)
+            now, goal_row = pose[None], place[None]
+        command = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0]
+        if abs(command[0]) > max_speed:
+            command = command * (max_speed / abs(command[0]))
+            self.observer.last[0] = command
+        speed, turn = command.tolist()
+        return speed, turn
+
+
+def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray:
+    """Return numbers as ``(1, len(parts))``."""
+    try:
+        row = np.asarray(values, np.float64)
+    except (TypeError, ValueError):  # no numbers, or rows of several lengths
+        row = np.empty(0)
+    if row.shape != (len(parts),):
+        raise ValueError(f"{name}={values}: give ({', '.join(parts)}), {len(parts)} numbers")
+    return row[None]
+
+
+def as_ranges(
+    depth: np.ndarray,
+    intrinsics: np.ndarray | Sequence[Any] | None,
+    camera_height: float = ROBOT.camera_height,
+) -> np.ndarray:
+    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    if depth.ndim == 2:
+        if intrinsics is None:
+            raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
+        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
+    if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
+        raise ValueError(
+            f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"
+        )
+    check_meters(depth)
+    # unknown (0, nan) counts as near: the robot must stop where its camera is blind; inf is free
+    known = depth > 0
+    ranges = np.where(known, np.clip(depth.astype(np.float64), ROBOT.near, ROBOT.far), ROBOT.near)
+    return np.repeat(ranges, ROBOT.columns // depth.size)

@@ -1,0 +1,105 @@
+"""Both drivers on a robot: from depth, with a delay, slowed down, and far from the start."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eldenet.navigation.episodes import EpisodeSettings
+from eldenet.navigation.evaluation import run_episodes
+from eldenet.navigation.latency import Predictive
+from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
+from eldenet.navigation.policy import Navigator
+from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.robot import ROBOT, arc
+
+CAMERA = (460.0, 460.0, 320.0, 240.0)
+DRIVERS = pytest.mark.parametrize("make", [Navigator.load, PlanAndSteer])
+
+
+class BySteps:
+    """Drives a simulated robot by :meth:`OnRobot.step`, with its own pose and goal only."""
+
+    name = "steps"
+
+    def __init__(self, driver, **options):
+        self.driver, self.options = driver, options
+        driver.range_filter = None  # as in the evaluation
+
+    def reset(self, robot, world=None):
+        self.driver.reset()
+
+    def commands(self, senses, robots=None):
+        return np.array(
+            [self.driver.step(senses.ranges[0], senses.goal[0], senses.odometry[0], **self.options)]
+        )
+
+
+@DRIVERS
+@pytest.mark.parametrize("latency", [0.0, 0.4])
+def test_steps_drive_as_the_simulator_s_driver_does(make, latency):
+    arenas, settings = frozen_arenas(40, 2, split="val"), EpisodeSettings("wheels")
+    simulated = Predictive(make(), latency) if latency else make()
+    rows = [
+        run_episodes(
+            arenas, lambda robots, driver=driver: driver, Ranges(latency=latency), settings, robots=1
+        )
+        for driver in (BySteps(make(), latency=latency), simulated)
+    ]
+    assert [row.outcome for row in rows[0]] == ["success", "success"]
+    for by_steps, other in zip(*rows, strict=True):
+        assert by_steps.seconds == pytest.approx(other.seconds, abs=0.4)  # the frame of steps starts at zero
+
+
+@DRIVERS
+def test_it_drives_by_a_depth_map_and_stops_without_one(make):
+    driver = make()
+    seen = driver.step(np.full((480, 640), 6.0), (5.0, 0.0), (0.0, 0.0, 0.0), intrinsics=CAMERA)
+    assert seen[0] > 0.1
+    blind = driver.step(np.zeros((480, 640)), (5.0, 0.0), (0.1, 0.0, 0.0), intrinsics=CAMERA)
+    assert blind == (0.0, 0.0)
+    assert driver.stop_reason == "no value of depth is known"
+    assert driver.step(np.full(40, 6.0), (5.0, math.nan), (0.1, 0.0, 0.0)) == (0.0, 0.0)
+    driver.step(np.full(40, 6.0), (5.0, 0.0), (0.1, 0.0, 0.0))
+    assert driver.stop_reason is None
+
+
+@DRIVERS
+def test_a_slower_robot_drives_the_same_arc_and_remembers_what_it_drove(make):
+    free, slow = make(), make()
+    seen = (np.full(ROBOT.columns, 6.0), (5.0, 0.3), (0.0, 0.0, 0.0))
+    full, reduced = free.step(*seen), slow.step(*seen, max_speed=0.25)
+    assert full[0] > 0.25
+    assert reduced == pytest.approx((0.25, full[1] * 0.25 / full[0]))
+    assert slow.observer.last[0] == pytest.approx(reduced)
+    slow.commands = lambda senses: np.array([[-0.5, 0.5]])
+    assert slow.step(*seen, max_speed=0.2) == pytest.approx((-0.2, 0.2))  # backwards too
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"latency": 2.0}, {"latency": math.nan}, {"max_speed": 0.0}, {"max_speed": math.inf}]
+)
+def test_a_setting_out_of_range_is_refused(wrong):
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^{name}="):
+        Navigator.load().step(np.full(40, 6.0), (5.0, 0.0), (0.0, 0.0, 0.0), **wrong)
+
+
+def test_a_planner_starts_a_new_map_far_from_the_start_of_the_last_one():
+    """100 m along a corridor 3 m wide; a map reaches 21 m."""
+    driver = PlanAndSteer()
+    x, y, yaw = 0.0, 0.0, 0.0
+    for _ in range(700):
+        beams = np.sin(np.array(ROBOT.column_angles) + yaw)
+        walls = np.where(beams > 0, 1.5 - y, 1.5 + y) / np.maximum(np.abs(beams), 1e-6)
+        bearing = math.remainder(math.atan2(-y, 120.0 - x) - yaw, math.tau)
+        speed, turn = driver.step(
+            np.minimum(walls, ROBOT.far), (math.hypot(120 - x, y), bearing), (x, y, yaw)
+        )
+        x, y, yaw = arc(x, y, yaw, speed, turn, ROBOT.period)
+        if x > 100:
+            break
+    assert x > 100
+    assert abs(y) < 1.2
+    assert len(driver._trails[0]) <= 300
