@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera
-from eldenet.navigation.ranges import check_view, depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.ranges import columns_of, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import (
     FED_BY,
     Drift,
@@ -96,7 +96,7 @@ class Camera:
             )
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
-        check_view(width, intrinsics)
+        columns_of(width, intrinsics)
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
         self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
         self.wrong_columns = artifacts is not None

@@ -9,7 +9,7 @@ import functools
 
 import numpy as np
 
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, arc
 
 CELL = 0.05  # [m]
 REACH = 2.4  # half the side of the table's square [m]
@@ -45,7 +45,7 @@ class ArcTable:
             first = np.full(x.size, self.count, np.uint8)
             nearest = np.full(x.size, np.inf, np.float32)
             for step in range(self.count, 0, -1):
-                px, py, yaw = _pose(speed, turn, step * STEP)
+                px, py, yaw = arc(0.0, 0.0, 0.0, speed, turn, step * STEP)
                 c, s = np.float32(np.cos(yaw)), np.float32(np.sin(yaw))
                 dx, dy = x - np.float32(px), y - np.float32(py)
                 outside = _outside(c * dx + s * dy, c * dy - s * dx)
@@ -73,12 +73,6 @@ def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     across = np.maximum(np.abs(y) - np.float32(ROBOT.width / 2), 0)
     out: np.ndarray = np.hypot(along, across)
     return out
-
-
-def _pose(speed: float, turn: float, time: float) -> tuple[float, float, float]:
-    half = turn * time / 2
-    chord = speed * time * float(np.sinc(half / np.pi))
-    return chord * float(np.cos(half)), chord * float(np.sin(half)), turn * time
 
 
 @functools.lru_cache(maxsize=8)

@@ -7,6 +7,7 @@ one-step targets the driver hardly learned at five decisions per second.
 """
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,11 +78,33 @@ class DQNSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        counts = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
-        wrong = [f"{name}={getattr(self, name)}" for name in counts if getattr(self, name) < 1]
-        if wrong or self.checkpoint_interval < 1 or not 0 < self.gamma < 1:
-            wrong += [f"checkpoint_interval={self.checkpoint_interval}", f"gamma={self.gamma}"]
-            raise ValueError(f"{', '.join(wrong)}: give 1 or more, and gamma in (0, 1)")
+        positive = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
+        zero = (
+            "quantiles",
+            "learning_starts",
+            "target_update_interval",
+            "exploration_fraction",
+            "max_grad_norm",
+        )
+        shares = ("tau", "learning_rate_end", "exploration_final_eps")
+        for names, least, most in (
+            ((*positive, "checkpoint_interval"), 1, math.inf),
+            ((*zero, "exploration_fraction"), 0, math.inf),
+            (shares, 0, 1),
+        ):
+            for name in names:
+                if not least <= getattr(self, name) <= most:
+                    text = f"from {least} to {most}" if most == 1 else f"{least} or more"
+                    raise ValueError(f"learner.{name}={getattr(self, name)}: give {text}")
+        for name, most in (("gamma", 1.0), ("learning_rate", math.inf)):
+            if not 0 < getattr(self, name) < most:
+                text = "a number between 0 and 1" if most == 1 else "a finite number above 0"
+                raise ValueError(f"learner.{name}={getattr(self, name)}: give {text}")
+        if self.learning_starts >= self.total_timesteps:
+            raise ValueError(
+                f"learner.learning_starts={self.learning_starts}: nothing is learned within "
+                f"learner.total_timesteps={self.total_timesteps}; give less"
+            )
 
 
 class DQN:

@@ -153,7 +153,7 @@ class ArenaNavVectorEnv(VectorEnv):
 
 
 class ArenaNavEnv(gym.Env):
-    """One robot: the environment that ``gymnasium.make("eldenet/ArenaNav-v0")`` returns.
+    """One robot: what ``gymnasium.make("eldenet.navigation.registration:eldenet/ArenaNav-v0")`` returns.
 
     ``info["fed_by"]`` is the source of each sector's nearest range, right to left: "simulator", "depth" or
     "box".

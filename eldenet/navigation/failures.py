@@ -15,6 +15,7 @@ from eldenet.navigation.collision_arcs import STEP
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy
 from eldenet.navigation.observer import HORIZON, Observer
+from eldenet.navigation.planners.astar import from_robot, seen_points
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.visualization import Scene
 from eldenet.simulation.arenas import Arena
@@ -107,7 +108,7 @@ def _repeat(arena: Arena, policy: Policy, episodes: Episodes) -> tuple[Failure, 
         senses = episodes.sense()
         pose = episodes.poses[0].copy()
         scene.trail.append(tuple(pose))
-        seen.append(_points(senses.ranges[0], pose))
+        seen.append(from_robot(seen_points(senses.ranges[0]), pose))
         command = policy.commands(senses).copy()
         witness.last[:] = command
         ways.append(float(witness.observe(senses)[0, -witness.actions :].max()) * HORIZON)
@@ -115,9 +116,12 @@ def _repeat(arena: Arena, policy: Policy, episodes: Episodes) -> tuple[Failure, 
         event = Event(int(events[0]))
     episodes.sense()
     # the world's clock stops at a contact, so pedestrians are where they were then
-    pose, time = episodes.poses[0], episodes.worlds[0].time  # type: ignore[union-attr]
+    world: Any = episodes.worlds[0]
+    pose, time = episodes.poses[0], world.time
     scene.trail.append(tuple(pose))
-    touched, spot = ("", pose[:2]) if event is Event.TIMEOUT else touched_spot(arena, pose, time)
+    touched, spot = "", pose[:2]
+    if event is not Event.TIMEOUT:
+        touched, spot = touched_spot(arena, pose, time, world.size)
     hits = [number for number, points in enumerate(seen) if _near(points, spot)]
     unseen_for = (len(seen) - 1 - hits[-1]) * ROBOT.period if hits else math.inf
     way_out = ways[max(0, len(ways) - 1 - round(WAY_OUT / ROBOT.period))]
@@ -140,27 +144,24 @@ def _repeat(arena: Arena, policy: Policy, episodes: Episodes) -> tuple[Failure, 
 
 def _witness(policy: Policy) -> Observer:
     """Observer that sees and remembers everything, whatever the policy uses."""
-    own = getattr(policy, "observer", None)
+    own = getattr(getattr(policy, "driver", policy), "observer", None)
     own = own if isinstance(own, Observer) else Observer()
     options: dict[str, Any] = own.options | {"memory": 60, "bins": 0, "arcs": True}
     return type(own)(1, **options)
-
-
-def _points(ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    angles = np.array(ROBOT.column_angles) + pose[2]
-    camera = pose[:2] + ROBOT.camera_ahead * np.array([math.cos(pose[2]), math.sin(pose[2])])
-    points = camera + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return np.asarray(points[ranges < ROBOT.far])
 
 
 def _near(points: np.ndarray, spot: np.ndarray) -> bool:
     return bool((np.hypot(*(points - spot).T) < SAME_SPOT).any())
 
 
-def touched_spot(arena: Arena, pose: np.ndarray, time: float) -> tuple[str, np.ndarray]:
-    """Kind of the obstacle nearest to the footprint, or "wall", and the spot that touches it ``(2,)``."""
+def touched_spot(arena: Arena, pose: np.ndarray, time: float, size: float = 1.0) -> tuple[str, np.ndarray]:
+    """Kind of the obstacle nearest to the footprint, or "wall", and the spot that touches it ``(2,)``.
+
+    ``size`` is that of the footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`.
+    """
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 41) * ROBOT.length, np.linspace(-0.5, 0.5, 41) * ROBOT.width)
+    along = size * np.linspace(-0.5, 0.5, 41)
+    x, y = np.meshgrid(along * ROBOT.length, along * ROBOT.width)
     wx, wy = pose[0] + c * x - s * y, pose[1] + s * x + c * y
     best = ("wall", arena.side / 2 - np.maximum(np.abs(wx), np.abs(wy)))
     for obstacle in arena.obstacles:

@@ -13,7 +13,7 @@ from eldenet.navigation.failures import KINDS, draw_worst, trace
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.provenance import driver_identity, sensor_identity
-from eldenet.navigation.range_errors import fit_errors, scan_along, scan_near
+from eldenet.navigation.range_errors import check_edges, fit_errors, scan_along, scan_near
 from eldenet.navigation.sensors import Sensor
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.navigation.training import train as train_driver
@@ -138,6 +138,10 @@ class NoiseSetup(ArenasSetup):
     places: str
     scans: int
     edges: Sequence[float]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_edges("fit_noise.edges", self.edges)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,8 +39,8 @@ class Senses(NamedTuple):
         ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
         odometry: ``(N, 3)`` x, y [m], heading [rad] of the wheels, which drift.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
-        cautious: ``(N, columns)`` [m] how near things may be, where a camera's network predicts its sigma;
-            None: as ``ranges`` says.
+        cautious: ``(N, columns)`` [m] how near things may be, where a camera's network predicts its sigma; 0
+            in columns that the camera does not see, whose ``ranges`` are the greatest; None: as ``ranges``.
         scanned_from: ``(N, 3)`` pose of the wheels at the scan, where ``odometry`` is that of a later time;
             None: the same.
     """
@@ -54,6 +54,10 @@ class Senses(NamedTuple):
     def of(self, robots: np.ndarray) -> "Senses":
         """The senses of some robots."""
         return Senses(*(None if values is None else values[robots] for values in self))  # type: ignore[arg-type]
+
+    def scan(self, robot: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """``ranges`` and ``cautious`` of one robot ``(columns,)`` [m]."""
+        return self.ranges[robot], None if self.cautious is None else self.cautious[robot]
 
     @property
     def fault(self) -> str | None:
@@ -114,8 +118,8 @@ class Observer:
             )
         if min(memory, bins, seen_through) < 0 or robots < 1:
             raise ValueError(
-                f"robots={robots}, memory={memory}, bins={bins}, seen_through={seen_through}: give at least "
-                "1, 0, 0 and 0"
+                f"robots={robots}, memory={memory}, bins={bins}, seen_through={seen_through}: give one "
+                "robot or more, and 0 or more of the others"
             )
         self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs
         self.options = {
@@ -166,7 +170,7 @@ class Observer:
         distance, bearing = goal.T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
         cautious = ranges if cautious is None else np.minimum(cautious, ranges)
-        least = cautious.min(axis=1)
+        least = np.where(cautious > 0, cautious, ranges).min(axis=1)
         if scanned_from is None:
             scanned_from = odometry
         else:  # by then things may be nearer

@@ -47,6 +47,7 @@ class OnRobot:
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
+        self.stop_reason = None
         self._origin = None
         self._sent = []
         for part in (self.range_filter, self.range_scale):
@@ -65,7 +66,9 @@ class OnRobot:
         latency: float = 0.0,
         max_speed: float = ROBOT.max_speed,
     ) -> tuple[float, float]:
-        """Decide for one robot; call this every 0.2 s.
+        """Decide for one robot; call this every 0.2 s, each time with a new depth map.
+
+        A depth map that comes twice counts as two scans that agree.
 
         Without finite input it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it
         drives on as soon as the input is finite again.
@@ -88,10 +91,12 @@ class OnRobot:
             and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape or is in millimeters, a pose, goal or intrinsics have
-                another length, a depth map has no intrinsics, its camera sees less than the 69.4 degrees
-                of the training, or ``latency`` or ``max_speed`` is out of range.
+            ValueError: the driver has several robots, ``depth`` has another shape or is in millimeters, a
+                pose, goal or intrinsics have another length, a depth map has no intrinsics, its camera sees
+                less than 25 degrees to each side, or ``latency`` or ``max_speed`` is out of range.
         """
+        if len(self.observer.last) != 1:
+            raise ValueError(f"step drives one robot, and this driver has robots={len(self.observer.last)}")
         if not 0 <= latency <= LONGEST_LATENCY:
             raise ValueError(f"latency={latency}: give seconds from 0 to {LONGEST_LATENCY:g}")
         if not 0 < max_speed < math.inf:
@@ -106,6 +111,8 @@ class OnRobot:
             self.stop_reason = "no value of depth is known"
         else:
             ranges = as_ranges(depth, intrinsics, camera_height)
+            unseen = np.isnan(ranges)
+            ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, ranges)
             self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
         self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-round(LONGEST_LATENCY * 5) :]
         if self.stop_reason:
@@ -116,12 +123,13 @@ class OnRobot:
         now, then = now - self._origin, None if then is None else then - self._origin
         for part in (self.range_filter, self.range_scale):
             if part is not None:
-                ranges, _ = part(ranges, (now if then is None else then)[0])
+                ranges, near = part(ranges, (now if then is None else then)[0], cautious)
+                cautious = ranges if near is None else near
         if latency:
             then = now if then is None else then
             pose, place = ahead(now[0], goal_row[0], self._sent, latency)
             now, goal_row = pose[None], place[None]
-        command = self.commands(Senses(ranges[None], now, goal_row, scanned_from=then))[0]
+        command = self.commands(Senses(ranges[None], now, goal_row, cautious[None], then))[0]
         if abs(command[0]) > max_speed:
             command = command * (max_speed / abs(command[0]))
             self.observer.last[0] = command
@@ -145,7 +153,10 @@ def as_ranges(
     intrinsics: np.ndarray | Sequence[Any] | None,
     camera_height: float = ROBOT.camera_height,
 ) -> np.ndarray:
-    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors."""
+    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors.
+
+    Columns beside the view of a depth map are nan.
+    """
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")

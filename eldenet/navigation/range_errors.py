@@ -159,9 +159,16 @@ class RangeErrors:
             errors = cls(**(content | {name: tuple(content[name]) for name in lists}))
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path} contains no range errors: {error!r}") from error
+        check_edges(f"{path}: edges", errors.edges)
         if not {len(errors.bias), len(errors.spread), len(errors.miss)} == {len(errors.edges) - 1}:
             raise ValueError(f"{path}: bias, spread and miss need {len(errors.edges) - 1} entries each")
         return errors
+
+
+def check_edges(name: str, edges: Sequence[float]) -> None:
+    """Raise ``ValueError`` unless these are edges of distance bins [m]."""
+    if len(edges) < 2 or not np.isfinite(edges).all() or not (np.diff(edges) > 0).all():
+        raise ValueError(f"{name}={list(edges)}: give two or more finite distances, rising [m]")
 
 
 def fit_errors(scans: Scans, edges: Sequence[float] = EDGES, **measured: Any) -> RangeErrors:

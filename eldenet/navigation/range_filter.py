@@ -61,10 +61,12 @@ class RangeFilter:
         Args:
             ranges: ``(columns,)`` [m]; nan where unknown.
             odometry: ``(3,)`` x, y [m], heading [rad].
-            cautious: ``(columns,)`` [m] how near things may be; None: as ``ranges`` says.
+            cautious: ``(columns,)`` [m] how near things may be, 0 in columns that the camera does not see;
+                None: as ``ranges`` says.
 
         Returns:
-            Ranges ``(columns,)`` [m], all known, and ``cautious`` with the same columns filled.
+            Ranges ``(columns,)`` [m], all known, and ``cautious`` with the same columns filled. Columns that
+            the camera does not see stay as they are.
         """
         pose = np.asarray(odometry, dtype=float)
         raw = np.asarray(ranges, dtype=float)
@@ -75,7 +77,10 @@ class RangeFilter:
         if cautious is not None:
             cautious = fill_gaps(np.where(np.isnan(out), np.nan, cautious))
         out = without_peaks(fill_gaps(out))
-        return out, None if cautious is None else np.minimum(cautious, out)
+        if cautious is None:
+            return out, None
+        out[cautious == 0] = ROBOT.far
+        return out, np.minimum(cautious, out)
 
     def _counts(self, ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Mask of the readings that neighbors or the last scan agree with ``(columns,)``."""

@@ -12,6 +12,7 @@ from eldenet.simulation.robot import ROBOT, Robot
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
+LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
 HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
 LARGEST = 100.0  # of depth in meters: a camera also sees something near
 _BEYOND = 100.0  # stands for infinite [m]
@@ -37,6 +38,8 @@ def depth_to_ranges(
     below them: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
     Without visible floor below, the camera may be blind close up, and the column reads as near.
 
+    Columns beside the camera's view are nan. It must see at least :data:`LEAST_VIEW` degrees.
+
     Args:
         depth: ``(H, W)`` [m] along a level optical axis.
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the depth map [px].
@@ -57,7 +60,7 @@ def depth_to_ranges(
             f"camera_height={camera_height}: give meters above the floor, from 0 to {HIGHEST_CAMERA:g}"
         )
     intrinsics = intrinsic_matrix(intrinsics)
-    column = check_view(width, intrinsics, robot)
+    column = columns_of(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
     close = np.isneginf(depth)
@@ -74,6 +77,9 @@ def depth_to_ranges(
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
         pixels = ranges[:, column == number]
+        if not pixels.shape[1]:
+            out[number] = np.nan
+            continue
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
         asked = OUTLIERS * pixels.shape[1] * np.interp(values[first:], *rows)
@@ -129,24 +135,28 @@ def _standing_on_the_floor(
     return filled
 
 
-def check_view(width: int, intrinsics: np.ndarray, robot: Robot = ROBOT) -> np.ndarray:
+def columns_of(width: int, intrinsics: np.ndarray, robot: Robot = ROBOT) -> np.ndarray:
     """Return the column of the field of view for each pixel column ``(width,)``, from the right.
 
+    Columns beside the camera's view have no pixels.
+
     Raises:
-        ValueError: a column has no pixels, so it would always read as near, and the robot would not move.
+        ValueError: the camera sees too little, or a column within its view has no pixels.
     """
     focal, middle = float(intrinsics[0, 0]), float(intrinsics[0, 2])
     bearing = -np.arctan((np.arange(width) - middle) / focal)
     step = robot.field_of_view / robot.columns
     column = np.floor((bearing + robot.field_of_view / 2) / step).astype(int)
-    empty = robot.columns - len(np.intersect1d(column, np.arange(robot.columns)))
-    if empty:
-        left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
-        least = math.ceil(2 * math.tan(robot.field_of_view / 2) / math.tan(step))
+    seen = np.isin(np.arange(robot.columns), column)
+    left, right = (math.degrees(math.atan(side / focal)) for side in (middle + 0.5, width - 0.5 - middle))
+    least = min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
+    wanted = np.abs(robot.column_angles) < least
+    if not seen[wanted].all() or np.count_nonzero(np.diff(seen.astype(int), prepend=0, append=0)) > 2:
+        pixels = math.ceil(2 * math.tan(robot.field_of_view / 2) / math.tan(step))
         raise ValueError(
             f"a depth map {width} px wide that covers {left:.1f} degrees to the left and {right:.1f} to the "
-            f"right has no pixels in {empty} of the driver's {robot.columns} columns: give one that covers "
-            f"{math.degrees(robot.field_of_view) / 2:.1f} degrees to each side, at least {least} px wide"
+            f"right: give one that covers {math.degrees(least):.1f} degrees to each side, with at least "
+            f"{pixels} px for {math.degrees(robot.field_of_view):.1f} degrees"
         )
     return column
 

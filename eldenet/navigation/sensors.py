@@ -15,11 +15,13 @@ import numpy as np
 from eldenet.boxes import Boxes3D
 from eldenet.navigation.localization import Pose
 from eldenet.navigation.observer import SECTORS
+from eldenet.navigation.ranges import LEAST_VIEW
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
 MAX_LATENCY, LATENCY_STEP = 1.0, 0.1  # [s]
+FULL_VIEW = round(math.degrees(ROBOT.field_of_view), 1)  # [degrees]
 BURST = 5  # scans in a row that are lost, in the mean
 
 
@@ -147,8 +149,9 @@ class Ranges:
         false_far: share of the columns, redrawn in each scan, that read as if nothing were there.
         stuck: columns, drawn once per episode, that always read as nearest.
         factor: of all ranges: 0.85 reads everything 15 % too near.
-        lost: share of the scans that are lost, in bursts of a second in the mean; the last one before is
-            reported again. The first scan of an episode is never lost.
+        view: field of view of the camera [degrees]; columns beside it are never seen.
+        lost: share of the scans that are lost, in bursts of one second on average; the previous scan is
+            repeated. The first scan of an episode is never lost.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].
 
@@ -164,6 +167,7 @@ class Ranges:
         false_far: float = 0.0,
         stuck: int = 0,
         factor: float = 1.0,
+        view: float = FULL_VIEW,
         lost: float = 0.0,
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
@@ -176,18 +180,20 @@ class Ranges:
             raise ValueError(f"stuck={stuck}: give 0 to {ROBOT.columns} columns")
         if not 0.5 <= factor <= 2:
             raise ValueError(f"sensor.factor={factor}: give a factor from 0.5 to 2")
+        if not LEAST_VIEW <= view <= FULL_VIEW:
+            raise ValueError(f"sensor.view={view}: give {LEAST_VIEW:g} to {FULL_VIEW} degrees")
         if not 0 <= lost <= 0.5:
             raise ValueError(f"sensor.lost={lost}: give a share of the scans, 0 to 0.5")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
-        self.factor, self.lost = factor, lost
+        self.factor, self.lost, self.view = factor, lost, view
         self.wrong_columns = bool(false_near or false_far or stuck)
         self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""
-        if not (self.false_near or self.false_far or self.stuck or self.lost) and self.factor == 1:
-            return _TrueRanges(world)
-        return _WrongRanges(self, world, rng)
+        wrong = self.wrong_columns or self.lost or self.factor != 1
+        sensor = _WrongRanges(self, world, rng) if wrong else _TrueRanges(world)
+        return sensor if self.view == FULL_VIEW else _NarrowView(sensor, self.view)
 
 
 class _TrueRanges:
@@ -196,6 +202,19 @@ class _TrueRanges:
 
     def scan(self) -> Observation:
         return Observation(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))
+
+
+class _NarrowView:
+    def __init__(self, sensor: SensorInstance, view: float) -> None:
+        self.sensor = sensor
+        self.unseen = np.abs(ROBOT.column_angles) > math.radians(view) / 2
+
+    def scan(self) -> Observation:
+        seen = self.sensor.scan()
+        return seen._replace(
+            ranges=np.where(self.unseen, ROBOT.far, seen.ranges),
+            cautious=np.where(self.unseen, 0.0, seen.ranges),
+        )
 
 
 class _WrongRanges:

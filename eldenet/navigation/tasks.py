@@ -5,7 +5,14 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import KINDS, Arena, clearance_map, draw_start_and_goal, generate_arena
+from eldenet.simulation.arenas import (
+    KINDS,
+    Arena,
+    check_distance,
+    clearance_map,
+    draw_start_and_goal,
+    generate_arena,
+)
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.system.checks import one_of
 
@@ -46,6 +53,7 @@ class TrainingArenas:
 
     def __post_init__(self) -> None:
         one_of("kind", self.kind, tuple(KINDS))
+        check_distance("min_distance", self.min_distance)
         low, high = self.densities
         shares = 0 <= self.dense_share <= 1 and 0 <= self.curriculum <= 1
         if not 0 <= low <= high <= 120 or self.repeats < 1 or not shares:
@@ -84,6 +92,8 @@ class TrainingArenas:
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
         self._left -= 1
+        if self.kind == "traps":  # the trap stands between its own start and goal
+            return self._arena
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
         ends = draw_start_and_goal(draw, self._clearance, self.min_distance, self._arena.pedestrians)
         return self._arena if ends is None else replace(self._arena, start=ends[0], waypoints=(ends[1],))

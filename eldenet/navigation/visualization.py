@@ -118,7 +118,8 @@ class Scene:
                     cv2.circle(picture, seen(yaw + angle, distance), 1, (200, 30, 30), -1)
         for before, after in pairwise(self.trail):
             cv2.line(picture, self.pixel(*before[:2]), self.pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
-        self._box(picture, (x, y, yaw), (ROBOT.length / 2, ROBOT.width / 2), _ROBOT)
+        size = 1.0 if world is None else world.size
+        self._box(picture, (x, y, yaw), (size * ROBOT.length / 2, size * ROBOT.width / 2), _ROBOT)
         cv2.line(picture, self.pixel(x, y), self.pixel(*camera), (0, 0, 0), 2)
         return picture
 

@@ -43,7 +43,7 @@ class Problem(ArrayRows):
         log_size: ``(B, 3)`` of the class.
         size_sigma: ``(B, 3)`` of ``log_size``.
         ground: ``(B, 3)``: y of the ground = a + b x + c z.
-        ground_sigma: ``(B,)`` [m]; inf: no ground.
+        ground_sigma: ``(B,)`` [m]; 1e6: no ground.
         scale_sigma: ``(B,)`` of the logarithm of the factor on depth.
     """
 

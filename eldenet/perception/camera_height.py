@@ -91,11 +91,9 @@ def calibrate(setup: CalibrationSetup) -> bool:
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
     changes = {"scale_error": compare("scale_error", before.tolist(), after.tolist())}
     found = int(np.isfinite(values).sum())
-    log.say(
-        f"{found} of {len(values)} frames show the floor, whose depth is right times {np.exp(floors):.2f}"
-    )
+    log.say(f"{found} of {len(values)} frames show the floor; times {np.exp(floors):.2f} its depth is right")
     few = "this may be an error of the floor alone, so depth stays as it is"
-    log.say(few if scale == 1 else f"all depth follows in part: times {scale:.2f}")
+    log.say(few if scale == 1 else f"all depth is multiplied by a part of that: {scale:.2f}")
     say_changes(log, f"{setup.weights}: floors of {changes['scale_error'].frames} held-out frames", changes)
     model = copy.deepcopy(start)
     model.rescale(scale)

@@ -69,7 +69,7 @@ def train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
 def _train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
     folder, detector, counts = setup.folder, setup.detector, setup.counts
     log = RunLog(folder)
-    name = f"yolov9-{setup.settings['detector']['size']}"
+    name = f"yolov9-{detector.model.size}"
     start = time.perf_counter()
     with log.bar("rendering", sum(counts.values())) as bar:
         data = write_dataset(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eldenet.boxes import Boxes3D
+from eldenet.boxes import Boxes3D, wrap_half
 from eldenet.perception.iou import iou_2d
 
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
@@ -177,8 +177,7 @@ class BoxTracker:
 
     def _update(self, track: Track, boxes: Boxes3D, index: int) -> None:
         measured = np.array([*boxes.center[index], boxes.yaw[index], *boxes.size[index]])
-        turn = measured[3] - track.mean[3]
-        measured[3] = track.mean[3] + (turn + np.pi / 2) % np.pi - np.pi / 2  # yaw is known modulo pi
+        measured[3] = track.mean[3] + wrap_half(measured[3] - track.mean[3])
         noise = self._noise(float(np.linalg.norm(boxes.center[index])))
         gain = track.covariance[:, :_MEASURED] @ np.linalg.inv(
             track.covariance[:_MEASURED, :_MEASURED] + noise

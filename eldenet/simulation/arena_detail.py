@@ -4,10 +4,10 @@ Footprints stay those of :mod:`eldenet.simulation.arena_mjcf`, which physics and
 and air below it here, so this is for pictures and their depth alone.
 """
 
-from eldenet.simulation.arena_mjcf import CEILING, WALL_HEIGHT
+from eldenet.simulation.arena_mjcf import CEILING
 from eldenet.simulation.arenas import SPLITS, Arena
 from eldenet.simulation.furnished_rooms import furniture, household
-from eldenet.simulation.obstacle import Obstacle
+from eldenet.simulation.obstacle import WALL_HEIGHT, Obstacle
 from eldenet.simulation.rendering.materials import Materials
 from eldenet.simulation.rendering.mjcf import Body, Draw, numbers
 

@@ -7,7 +7,7 @@ its wheels touch both.
 from typing import TYPE_CHECKING
 
 from eldenet.simulation.arenas import SPLITS, Arena
-from eldenet.simulation.obstacle import Obstacle
+from eldenet.simulation.obstacle import WALL_HEIGHT, Obstacle
 from eldenet.simulation.rendering.mjcf import Body, Draw, number, numbers
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
@@ -15,7 +15,7 @@ from eldenet.system.checks import one_of
 if TYPE_CHECKING:
     from eldenet.simulation.rendering.materials import Materials
 
-WALL_HEIGHT, CEILING = 2.0, 4.0  # [m]
+CEILING = 4.0  # [m]
 ROBOTS = ("none", "planar", "wheels")
 WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
 FRICTION = 1.1  # between wheels and floor
@@ -155,11 +155,12 @@ def _wheels(size: float, friction: float) -> str:
         for name, y in (("left", size * WHEEL_TRACK / 2), ("right", -size * WHEEL_TRACK / 2))
     )
     caster = (
-        f'<geom name="caster" type="sphere" pos="-0.22 0 0.05" size="0.05" condim="1" {shared} mass="0.5"/>'
+        f'<geom name="caster" type="sphere" pos="{number(-0.22 * size)} 0 0.05" size="0.05" condim="1" '
+        f'{shared} mass="0.5"/>'
     )
     # low weight between axle and caster keeps the robot from tipping when it brakes or accelerates
     battery = (
-        '<geom type="box" pos="-0.15 0 0.12" size="0.1 0.15 0.04" '
+        f'<geom type="box" pos="{number(-0.15 * size)} 0 0.12" size="0.1 0.15 0.04" '
         'contype="0" conaffinity="0" group="5" mass="14"/>'
     )
     return f'<body name="robot"><freejoint/>{_chassis(0.06, size)}{battery}{caster}{wheels}</body>'

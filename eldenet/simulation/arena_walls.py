@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eldenet.simulation.obstacle import SIDE, Obstacle, Point
+from eldenet.simulation.obstacle import SIDE, WALL_HEIGHT, Obstacle, Point
 from eldenet.simulation.rendering.mjcf import Draw
 
-WALL_HEIGHT = 2.0  # [m]
 THICKNESS = 0.12  # [m]
 DOORS = (1.1, 1.5)  # widths [m]
 EXTRA_DOOR = 0.5  # chance of a door that no room needs to be reached

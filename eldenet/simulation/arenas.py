@@ -100,6 +100,7 @@ def generate_arena(
             f"density={density}, pedestrians={pedestrians}, index={index}: give 0 to 120 obstacles, "
             "0 to 40 pedestrians, and an index from 0"
         )
+    check_distance("min_distance", min_distance)
     draw = Draw((SPLITS[split], density, pedestrians, index, *KINDS[kind]))
     while True:
         walls = {"open": lambda _: OPEN, "rooms": draw_rooms, "traps": draw_trap}[kind](draw)
@@ -114,6 +115,12 @@ def generate_arena(
         start, goal = endpoints
         walking = [_draw_pedestrian(draw, start) for _ in range(pedestrians)]
         return Arena(split, density, index, (*obstacles, *walking), start, (goal,), kind=kind)
+
+
+def check_distance(name: str, distance: float) -> None:
+    """Raise ``ValueError`` unless start and goal may be so far apart [m]."""
+    if not 0 <= distance <= SIDE:
+        raise ValueError(f"{name}={distance}: give 0 to {SIDE:g} m")
 
 
 def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacle, ...] | None:

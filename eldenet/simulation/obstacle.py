@@ -9,6 +9,7 @@ from itertools import accumulate
 import numpy as np
 
 SIDE = 20.0  # of the arena [m]
+WALL_HEIGHT = 2.0  # [m]
 
 Point = tuple[float, float]
 THIN = 0.2  # boxes thinner than this are walls [m]

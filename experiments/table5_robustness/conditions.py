@@ -83,6 +83,8 @@ CONDITIONS: Mapping[str, Condition] = {
         sensor={"drift": {"distance": 0.0, "heading": math.radians(4)}}, robot={"range_scale": True}
     ),
     "sliding wheels, corrected": Condition(robot={"robot_friction": 0.15, "range_scale": True}),
+    "camera sees 60 degrees": Condition(sensor={"view": 60.0}),
+    "camera sees 50 degrees": Condition(sensor={"view": 50.0}),
     "5 % of the scans lost": Condition(sensor={"lost": 0.05}),
     "slippery floor": Condition(robot={"robot_friction": 0.15}),
     "speed x 0.8": Condition(robot={"robot_speed": 0.8}),

@@ -77,6 +77,43 @@ def test_a_slower_robot_drives_the_same_arc_and_remembers_what_it_drove(make):
     assert slow.step(*seen, max_speed=0.2) == pytest.approx((-0.2, 0.2))  # backwards too
 
 
+@DRIVERS
+def test_a_narrow_camera_drives_too_and_keeps_what_it_no_longer_sees(make):
+    """60 degrees instead of 69.4: the outer columns are unknown, so nothing there is forgotten or free."""
+    focal = 320 / math.tan(math.radians(30))
+    driver, camera = make(), (focal, focal, 320.0, 240.0)
+    depth = np.full((480, 640), 9.0)
+    assert driver.step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), intrinsics=camera)[0] > 0
+    depth[:, 40:80] = 2.0  # a pillar on the left, 26 degrees aside; turned by 7 degrees, it is out of view
+    gone = np.full((480, 640), 9.0)
+    kept = []
+    for intrinsics in (camera, CAMERA):
+        driver.reset()
+        for yaw, seen in ((0.0, depth), (0.0, depth), *[(-0.12, gone)] * 4):
+            driver.step(seen, (5.0, 0.0), (0.0, 0.0, yaw), intrinsics=intrinsics)
+        kept.append((np.hypot(*driver.observer.memory.points(0).T) < 3).sum())
+    assert kept[0] > 0
+    assert kept[1] == 0  # the wider camera saw that the pillar is gone
+
+
+def test_a_planner_s_map_is_unknown_beside_a_narrow_view():
+    driver = PlanAndSteer()
+    focal = 320 / math.tan(math.radians(26))
+    driver.step(
+        np.full((480, 640), 9.0), (5.0, 0.0), (0.0, 0.0, 0.0), intrinsics=(focal, focal, 320.0, 240.0)
+    )
+    centers, evidence = driver._maps[0].near(np.zeros(3), 5.0)
+    bearing = np.degrees(np.arctan2(centers[:, 1], centers[:, 0] - ROBOT.camera_ahead))
+    away = np.hypot(*centers.T) > 1.0
+    assert (evidence[away & (np.abs(bearing) < 22)] < 0).mean() > 0.7  # rays leave gaps
+    assert (evidence[away & (np.abs(bearing) > 29)] == 0).all()
+
+
+def test_steps_are_of_one_robot():
+    with pytest.raises(ValueError, match="step drives one robot, and this driver has robots=3"):
+        Navigator.load(robots=3).step(np.full(40, 6.0), (5.0, 0.0), (0.0, 0.0, 0.0))
+
+
 @pytest.mark.parametrize(
     "wrong", [{"latency": 2.0}, {"latency": math.nan}, {"max_speed": 0.0}, {"max_speed": math.inf}]
 )

@@ -8,7 +8,7 @@ from eldenet.navigation.tasks import frozen_arenas
 def test_ways_are_drawn_with_their_end(study):
     trajectories, methods = study("trajectories"), study("methods")
     (arena,) = frozen_arenas(40, 1, split="val")
-    picture = trajectories.panel(arena, "straight", methods.PLANNERS["straight"](1))
+    picture = trajectories.panel(arena, "straight", methods.PLANNERS["straight"](robots=1))
     assert picture.shape == (trajectories.TITLE + trajectories.SIDE, trajectories.SIDE, 3)
     scene = trajectories.Scene(arena, trajectories.SIDE)
     column, row = scene.pixel(*arena.start[:2])

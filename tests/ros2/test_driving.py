@@ -99,7 +99,7 @@ def test_a_driver_whose_command_is_not_finite_stops_it(monkeypatch) -> None:
 def test_a_camera_that_sees_too_little_stops_it_and_says_why() -> None:
     pilot = fed()
     feed(pilot, 100.0, camera=pinhole(400.0, 400.0, 80.0, 60.0))
-    assert stands(pilot, 100.1, "34.7 degrees to each side")
+    assert stands(pilot, 100.1, "25.0 degrees to each side")
 
 
 def test_a_goal_in_another_frame_or_before_odometry_is_rejected() -> None:
@@ -154,3 +154,34 @@ def test_the_driver_knows_the_latency(monkeypatch) -> None:
     assert given["latency"] == 0.3
     with pytest.raises(ValueError, match=r"latency=2\.0: give seconds from 0 to 1"):
         Pilot(NAVIGATOR, camera_height=0.4, latency=2.0)
+
+
+def test_a_picture_counts_once(monkeypatch) -> None:
+    """Two scans that agree decide more than one, so the same scan must not come twice."""
+    pilot, steps = fed(), []
+    monkeypatch.setattr(pilot.driver, "step", lambda *_, **__: steps.append(1) or (0.3, 0.1))
+    for now in (100.1, 100.3):
+        pilot.move((0.0, 0.0, 0.0), "odom", now)
+        assert pilot.decide(now).speed == 0.3
+    assert len(steps) == 1
+    pilot.move((math.nan, 0.0, 0.0), "odom", 100.35)
+    pilot.decide(100.35)
+    assert len(steps) == 2  # a pose that is not finite never repeats a command
+
+
+def test_a_new_goal_keeps_what_the_robot_remembers() -> None:
+    pilot = fed()
+    feed(pilot, 100.0, depth=1.5)
+    pilot.decide(100.1)
+    remembered = len(pilot.driver.observer.memory.points(0))
+    assert remembered > 0
+    pilot.aim(5.0, 0.1, "odom")
+    assert len(pilot.driver.observer.memory.points(0)) == remembered
+
+
+def test_poses_of_before_a_clock_began_anew_do_not_count() -> None:
+    pilot = fed()
+    for step in range(5):
+        pilot.move((float(step), 0.0, 0.0), "odom", 200.0 + step)
+    pilot.move((7.0, 0.0, 0.0), "odom", 1.0)
+    assert pilot._pose_at(202.0) == (7.0, 0.0, 0.0)

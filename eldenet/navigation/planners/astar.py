@@ -111,7 +111,7 @@ class AStarOnlineDWA(_PathFollower):
             known = self._maps[robot]
             pose = known.place(senses.odometry[robot])
             scanned_from = pose if senses.scanned_from is None else known.place(senses.scanned_from[robot])
-            known.add(scanned_from, senses.ranges[robot])
+            known.add(scanned_from, *senses.scan(robot))
             goal = goal_in_world(pose, senses.goal[robot])
             if self._scans[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
                 self._paths[robot] = known.plan(pose, goal)

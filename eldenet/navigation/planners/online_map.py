@@ -44,19 +44,21 @@ class OnlineMap:
         out[:2] -= self.origin
         return out
 
-    def add(self, pose: np.ndarray, ranges: np.ndarray) -> None:
+    def add(self, pose: np.ndarray, ranges: np.ndarray, cautious: np.ndarray | None = None) -> None:
         """Update the evidence: up where rays end, down where they pass.
 
         Args:
             pose: ``(3,)`` of the robot in the map's frame.
             ranges: ``(columns,)`` [m].
+            cautious: how near things may be ``(columns,)`` [m], up to where rays pass; None: ``ranges``.
         """
         angles = np.array(ROBOT.column_angles) + pose[2]
         camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         grid = self.evidence
         steps = np.arange(0.0, ROBOT.far, RESOLUTION)
-        passed = steps[None, :] < ranges[:, None] - 0.15
+        free = ranges if cautious is None else np.minimum(cautious, ranges)
+        passed = steps[None, :] < free[:, None] - 0.15
         cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
         grid[cells] = np.maximum(grid[cells] - 1, -2)
         ends = ranges < ROBOT.far

@@ -63,6 +63,9 @@ class PlanAndSteer(OnRobot):
         slows_within: distance to the goal at which it slows down [m].
         robots: number of robots.
 
+    Raises:
+        ValueError: the learned driver backs up, or its middle action turns.
+
     Attributes:
         navigator: the learned driver.
         circles: how often each robot was caught in a circle ``(robots,)``.
@@ -80,6 +83,12 @@ class PlanAndSteer(OnRobot):
         super().__init__()
         self.navigator = Navigator.load(path, slows_within=slows_within, robots=robots)
         self.observer: Driver = self.navigator.observer
+        rates = self.observer.turn_rates.tolist()
+        if self.observer.turn_factors.min() < 0 or rates[len(rates) // 2] != 0:
+            raise ValueError(
+                f"turn_rates={rates}, turn_factors={self.observer.turn_factors.tolist()}: give a policy "
+                "that never backs up and whose middle action drives straight"
+            )
         self.observer.memory = Memory(
             robots, REMEMBERED, seen_through=self.observer.memory.seen_through, walkers=False
         )
@@ -92,7 +101,6 @@ class PlanAndSteer(OnRobot):
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self.circles = np.zeros(robots, np.intp)
         self._window = DynamicWindow()
-        rates = self.observer.turn_rates.tolist()
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
         self._table = arc_table((*arcs, BACK), HORIZON, MARGIN)
 
@@ -125,7 +133,7 @@ class PlanAndSteer(OnRobot):
             pose = poses[robot] = known.place(senses.odometry[robot])
             known.add(
                 pose if senses.scanned_from is None else known.place(senses.scanned_from[robot]),
-                senses.ranges[robot],
+                *senses.scan(robot),
             )
             self._sliding[robot] = max(self._sliding[robot] - 1, 0)
             if sideways(self._before[robot], pose) > SIDEWAYS:

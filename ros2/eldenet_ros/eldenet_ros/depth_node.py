@@ -56,7 +56,7 @@ class DepthNode(Node):
             raise ValueError("no camera_info yet: depth needs the camera's focal length")
         if is_distorted(self.info) and not self.settings.rectified:
             self.get_logger().warn(
-                "the camera's pictures are distorted: take rectified ones (image_proc) and rectified:=true",
+                "the pictures are distorted: take rectified ones (image_proc) and set rectified: true",
                 once=True,
             )
         intrinsics = read_intrinsics(self.info, frame.shape[:2], rectified=self.settings.rectified)

@@ -61,6 +61,8 @@ class Pilot:
         self.frame: str | None = None
         self.goal: tuple[float, float] | None = None
         self.stamps = {"depth": math.nan, "odometry": math.nan}
+        self._decided: np.ndarray | None = None  # depth of the last decision
+        self._command = Command()  # of that decision
 
     def see(self, depth: np.ndarray, intrinsics: np.ndarray | None, stamp: float) -> None:
         """Take a depth image ``(H, W)`` [m] and its intrinsics ``(3, 3)`` [px]; ``stamp`` [s]."""
@@ -70,8 +72,10 @@ class Pilot:
     def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
         """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]. A new frame ends the goal."""
         if self.frame != frame:
-            self.poses.clear()
             self.goal = None  # it was a place in the other frame
+            self.driver.reset()
+        if self.frame != frame or (self.poses and stamp < self.poses[-1][0]):  # the clock began anew
+            self.poses.clear()
         if math.isfinite(stamp):
             self.poses.append((stamp, pose))
         self.frame = frame
@@ -90,7 +94,7 @@ class Pilot:
                 "frame (in RViz, set Fixed Frame to it)"
             )
         self.goal = (x, y)
-        self.driver.reset()
+        self._decided = None
         return ""
 
     def decide(self, now: float) -> Command:
@@ -119,6 +123,9 @@ class Pilot:
             return Command(reason="goal reached")
         bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
         bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
+        known = math.isfinite(distance) and math.isfinite(bearing)
+        if known and self.depth is self._decided:  # a picture counts once: two scans that agree
+            return self._command  # are two
         try:
             speed, turn = self.driver.step(
                 self.depth,
@@ -132,7 +139,10 @@ class Pilot:
             )
         except ValueError as error:  # such as a camera that sees too little
             return Command(reason=str(error))
-        return Command(speed, turn, self.driver.stop_reason or "")
+        if self.driver.stop_reason:
+            return Command(reason=self.driver.stop_reason)
+        self._decided, self._command = self.depth, Command(speed, turn)
+        return self._command
 
     def _pose_at(self, stamp: float) -> tuple[float, float, float]:
         """Return the pose whose stamp is nearest: the network takes time, and the robot drives meanwhile."""
