@@ -176,7 +176,8 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     assert names["depth"].shape == (48, 64)
 
 
-def test_the_snippet_of_embedded_gives_what_predict_gives(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "size"), [("eldenet_rooms", (96, 128)), ("eldenet_indoor", (152, 200))])
+def test_the_snippet_of_embedded_gives_what_predict_gives(name, size, tmp_path, monkeypatch):
     """A board without eldenet prepares the frame as the package does."""
     pytest.importorskip("onnxruntime")
     import cv2
@@ -187,30 +188,38 @@ def test_the_snippet_of_embedded_gives_what_predict_gives(tmp_path, monkeypatch)
     from eldenet.deploy.files import describe, write_onnx
 
     monkeypatch.chdir(tmp_path)
-    model = eldenet.load("eldenet_rooms")
-    write_onnx(model, "board.onnx", (96, 128), batch=1, metadata=describe(model, "board", (96, 128)))
+    model = eldenet.load(name)
+    write_onnx(model, "board.onnx", size, batch=1, metadata=describe(model, "board", size))
     cv2.imwrite("photo.jpg", skimage.data.coffee()[:, :533])  # of the aspect that the network was trained at
     (block,) = python_blocks("docs/embedded.md")
     names: dict = {}
     exec(block, names)
-    expected = eldenet.DepthPredictor(model, input_size=(96, 128))(names["frame"])
+    lens = None if model.canonical_px is None else (names["fx"], names["fx"], 266.0, 200.0)
+    expected = eldenet.DepthPredictor(model, input_size=size)(names["frame"], intrinsics=lens)
     assert names["depth"].shape == expected.shape == names["frame"].shape[:2]
     np.testing.assert_allclose(names["depth"], expected, rtol=1e-3, atol=1e-3)
 
 
-def test_the_snippets_of_navigation_run(tmp_path, monkeypatch):
-    """All of the page's Python in one program, top to bottom, as a reader would paste it."""
-    for library in ("gymnasium", "onnx", "onnxruntime"):
-        pytest.importorskip(library)
-    monkeypatch.chdir(tmp_path)
+def test_the_snippets_of_navigation_run():
+    """All of a page's Python in one program, top to bottom, as a reader would paste it."""
+    pytest.importorskip("gymnasium")
     names: dict = {}
     for block in python_blocks("docs/navigation.md"):
         if "stable_baselines3" in block and find_spec("stable_baselines3") is None:
             continue
         exec(compile(block, "docs/navigation.md", "exec"), names)
+    assert names["envs"].num_envs == 16
+
+
+def test_the_snippets_of_robot_run(tmp_path, monkeypatch):
+    for library in ("onnx", "onnxruntime"):
+        pytest.importorskip(library)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for block in python_blocks("docs/robot.md"):
+        exec(compile(block, "docs/robot.md", "exec"), names)
     assert 0 <= names["speed"] <= ROBOT.max_speed
     assert abs(names["turn"]) <= ROBOT.max_turn
-    assert names["envs"].num_envs == 16
     assert (tmp_path / "driver.onnx").is_file()
 
 
