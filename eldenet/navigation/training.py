@@ -27,6 +27,7 @@ IDLE: Mapping[str, tuple[Any, ...]] = {
     "false_far": (0.0,),
     "stuck": (0,),
     "factor": (1.0,),
+    "view": (69.4,),
     "lost": (0.0,),
     "latency": (0.0,),
     "drift": ({"distance": 0.0, "heading": 0.0},),
