@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.boxes import Detections2D
+from eldenet.data.arenas import Arenas
 from eldenet.data.array_files import read_text, reading
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.simulation.street_views import names_of, render_objects
+from eldenet.simulation.street_views import STREETS_VERSION, names_of, render_objects
 from eldenet.system.files import read_json, write_text
 from eldenet.visualization import write_picture
 
@@ -48,6 +49,7 @@ def write_dataset(
     if focal is not None and (len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5):
         raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
     settings = {"size": list(size), "kinds": list(kinds), "names": list(names)}
+    settings |= {"frames": scene_versions(kinds)}
     settings |= {} if focal is None else {"focal": list(focal)}
     stored = folder / SETTINGS
     if stored.is_file() and read_json(stored) != settings:
@@ -72,6 +74,13 @@ def write_dataset(
     lines += ["names:", *(f"  {number}: {name}" for number, name in enumerate(names))]
     write_text(folder / "data.yaml", "\n".join(lines) + "\n")
     return folder / "data.yaml"
+
+
+def scene_versions(kinds: Sequence[str]) -> str:
+    """Return the generators of these kinds of scenes with their versions, as "streets-v2, arenas-v3"."""
+    found = [f"streets-v{STREETS_VERSION}"] if set(kinds) - {"arena"} else []
+    found += [f"arenas-v{Arenas.generator.version}"] if "arena" in kinds else []
+    return ", ".join(found)
 
 
 def read_split(folder: Path, split: str, count: int) -> list[tuple[np.ndarray, Detections2D]]:

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.boxes import Detections2D
-from eldenet.data.arenas import Arenas
-from eldenet.perception.detection_data import read_split, write_dataset
+from eldenet.perception.detection_data import read_split, scene_versions, write_dataset
 from eldenet.perception.libreyolo_detector import LibreYoloDetector, YoloTraining
 from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, environment
-from eldenet.simulation.street_views import STREETS_VERSION
 from eldenet.system.files import write_json
 from eldenet.system.locks import sole_writer
 
@@ -100,7 +98,7 @@ def _train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
         "file": {"name": EXPORT, "bytes": file.stat().st_size, "median_ms": milliseconds, "threads": 1},
         "resources": vars(setup.resources),
         "config": setup.settings,
-        "frames": _versions(setup.kinds),
+        "frames": scene_versions(setup.kinds),
         **environment(),
     }
     write_json(folder / RUN_FILE, record)
@@ -108,12 +106,6 @@ def _train_detector(setup: DetectorTrainingSetup) -> dict[str, Any]:
     _log_results(log, record, file)
     log.close()
     return record
-
-
-def _versions(kinds: Sequence[str]) -> str:
-    found = [f"streets-v{STREETS_VERSION}"] if set(kinds) - {"arena"} else []
-    found += [f"arenas-v{Arenas.generator.version}"] if "arena" in kinds else []
-    return ", ".join(found)
 
 
 def score_file(

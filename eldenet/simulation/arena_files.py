@@ -62,6 +62,13 @@ def _arena(content: Any) -> Arena:
     obstacles.sort(key=lambda obstacle: bool(obstacle.path))  # standing ones first
     standing = sum(not obstacle.path for obstacle in obstacles)
     _check_way((start, *waypoints), obstacles, side)
+    for obstacle in obstacles[standing:]:
+        apart = math.dist(start, (obstacle.x, obstacle.y)) - PERSON_RADIUS
+        if apart < INFLATION:
+            raise ValueError(
+                f"start=[{start[0]:g}, {start[1]:g}] lies {max(apart, 0):.2f} m from a person who walks: the "
+                f"robot needs {INFLATION} m"
+            )
     pose = (*start, math.radians(degrees))
     return Arena("", standing, 0, tuple(obstacles), pose, tuple(waypoints), side)
 

@@ -5,12 +5,14 @@ import pytest
 
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import as_rows, run_episodes
-from eldenet.navigation.failures import draw_worst, trace
+from eldenet.navigation.failures import _witness, draw_worst, touched_spot, trace
+from eldenet.navigation.latency import Predictive
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
+from eldenet.simulation.robot import ROBOT
 
 
 def straight(robots: int) -> Straight:
@@ -98,3 +100,18 @@ def test_the_worst_are_drawn_and_listed():
     names, lines = as_rows(failures, without=["picture"])
     assert "picture" not in names
     assert len(lines) == 3
+
+
+def test_a_driver_that_knows_its_latency_is_judged_by_its_own_observer():
+    driver = Navigator.load(slows_within=1.0)
+    plain, predictive = _witness(driver), _witness(Predictive(driver, 0.2))
+    assert type(predictive) is type(plain)
+    assert predictive.options == plain.options
+
+
+def test_a_large_robot_touches_with_its_own_edge():
+    arena = Arena("train", 0, 0, (), (0.0, 0.0, 0.0), ((8.0, 0.0),))
+    for size in (1.0, 1.3):
+        touched, spot = touched_spot(arena, np.array([9.6, 0.0, 0.0]), 0.0, size)
+        assert touched == "wall"
+        assert spot[0] == pytest.approx(9.6 + size * ROBOT.length / 2, abs=0.02)

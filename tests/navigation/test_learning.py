@@ -1,5 +1,7 @@
 """Deep Q-learning: returns, updates, checkpoints, quantiles, curriculum."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -199,7 +201,23 @@ def test_a_curriculum_starts_with_few_obstacles():
         TrainingArenas(curriculum=2)
 
 
-@pytest.mark.parametrize(("name", "value"), [("gamma", 1.0), ("total_timesteps", 0), ("train_freq", 0)])
-def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"{name}={value}"):
+@pytest.mark.parametrize(
+    ("name", "value", "advice"),
+    [
+        ("gamma", 1.0, "a number between 0 and 1"),
+        ("total_timesteps", 0, "1 or more"),
+        ("train_freq", 0, "1 or more"),
+        ("quantiles", -1, "0 or more"),
+        ("tau", 5.0, "from 0 to 1"),
+        ("learning_rate", math.nan, "a finite number above 0"),
+        ("exploration_fraction", -1.0, "0 or more"),
+    ],
+)
+def test_settings_out_of_range_are_refused(name, value, advice):
+    with pytest.raises(ValueError, match=rf"^learner\.{name}={value}: give {advice}$"):
         DQNSettings(**{name: value})
+
+
+def test_a_training_too_short_to_learn_is_refused():
+    with pytest.raises(ValueError, match=r"nothing is learned within learner\.total_timesteps=2000"):
+        DQNSettings(total_timesteps=2000)

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import math
 
 import pytest
 
@@ -13,7 +14,7 @@ from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS, NoisyRanges
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity, sensor_identity
-from eldenet.navigation.range_errors import RangeErrors
+from eldenet.navigation.range_errors import RangeErrors, check_edges
 from eldenet.renames import renamed
 from eldenet.weights import PACKAGED
 
@@ -239,3 +240,9 @@ def test_drivers_and_sensors_are_identified_by_content(tmp_path):
         "detector": {"source": "x.onnx", "sha256": sha256(b"finds")},
         "depth": {"source": "owner/model", "sha256": None},  # of a Hub
     }
+
+
+@pytest.mark.parametrize("edges", [[1.0], [10.0, 3.0, 0.3], [0.3, math.nan, 3.0]])
+def test_edges_of_no_bins_are_refused_before_anything_is_scanned(edges):
+    with pytest.raises(ValueError, match=r"fit_noise\.edges=\[.*: give two or more finite distances, rising"):
+        check_edges("fit_noise.edges", edges)

@@ -9,6 +9,7 @@ from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.plan_and_steer import SIDEWAYS, PlanAndSteer, is_circle, is_free, sideways
+from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity
 from eldenet.navigation.sensors import Ranges
@@ -126,3 +127,12 @@ def test_a_straight_line_is_free_if_points_are_beside_it():
 def test_results_name_the_policy_that_steers():
     identity = driver_identity(PlanAndSteer())
     assert [file["file"] for file in identity["files"]] == [str(DEFAULT_WEIGHTS)]
+
+
+def test_a_driver_that_backs_up_cannot_steer_for_a_plan(tmp_path):
+    """Its arcs are checked ahead of the robot only."""
+    driver = Navigator.load()
+    driver.observer.options["turn_factors"] = [0.35, 0.75, 1.0, 0.75, -0.4]
+    driver.save(tmp_path / "backs.safetensors")
+    with pytest.raises(ValueError, match="give a policy that never backs up"):
+        PlanAndSteer(tmp_path / "backs.safetensors")

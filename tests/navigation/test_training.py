@@ -1,9 +1,11 @@
 """Trainings of drivers: they resume, and their record keeps the version that trained them."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from eldenet.navigation import training
@@ -14,6 +16,7 @@ from eldenet.navigation.policy_files import POLICY
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.results.run_log import RunLog
+from eldenet.simulation.arenas import generate_arena
 
 pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavVectorEnv
@@ -108,3 +111,20 @@ def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
     train(tmp_path / "open", validate=1, arenas=TrainingArenas((0, 120)))
     arenas, settings = seen.pop()
     assert (arenas[0].name, settings) == ("val-80-0", EpisodeSettings())
+
+
+def test_a_trap_keeps_its_own_start_and_goal():
+    tasks, rng = TrainingArenas((0, 5), kind="traps", repeats=4), np.random.default_rng(0)
+    drawn = [tasks.draw(rng) for _ in range(8)]
+    assert drawn[0] is drawn[3]
+    assert drawn[0] != drawn[4]
+    for arena in drawn:
+        assert math.dist(arena.start[:2], arena.waypoints[-1]) >= 10
+
+
+@pytest.mark.parametrize("distance", [-1.0, 27.0, math.nan])
+def test_start_and_goal_that_cannot_be_so_far_apart_are_refused(distance):
+    for make in (lambda: TrainingArenas(min_distance=distance),
+                 lambda: generate_arena("train", 10, 0, min_distance=distance)):  # fmt: skip
+        with pytest.raises(ValueError, match=f"min_distance={distance}: give 0 to 20 m"):
+            make()

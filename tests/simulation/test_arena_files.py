@@ -44,6 +44,7 @@ def test_the_example_of_the_page_is_an_arena(tmp_path):
     ({"waypoints": [[30, 2]]}, r"waypoints\[0\]=\[30, 2\] lies outside the arena: give x and y"),
     ({"waypoints": [[2, 2.5]]}, r"waypoints\[0\]=\[2, 2.5\] lies 0.\d\d m from an obstacle"),
     ({"start": [-9.9, 0, 0]}, "start=.* from an obstacle or wall"),
+    ({"start": [5, 0.5, 0]}, r"start=\[5, 0.5\] lies 0\.25 m from a person who walks"),
     ({"start": [1, 2]}, r"start=\[1, 2\]: give \[x, y, heading\] in meters and degrees"),
     ({"waypoints": []}, "waypoints is empty"),
     ({"side": 50}, "side=50: give a number from 4 to 20"),

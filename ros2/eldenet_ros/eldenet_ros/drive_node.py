@@ -19,11 +19,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
+from eldenet.simulation.robot import ROBOT
 from eldenet_ros.driving import Pilot
 from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, seconds
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
 
-PERIOD = 0.2  # as in training [s]
 PARAMETERS = {
     "policy": "",
     "plan": True,
@@ -44,7 +44,7 @@ class DriveNode(Node):
         chosen = self.settings = declared(self, PARAMETERS)
         load = PlanAndSteer if chosen.plan else Navigator.load
         driver = load(chosen.policy or None, slows_within=1.0)
-        driver.step(np.full(40, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
+        driver.step(np.full(ROBOT.columns, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
         driver.reset()
         self.pilot = Pilot(
             driver,
@@ -62,7 +62,7 @@ class DriveNode(Node):
         self.create_subscription(message("geometry_msgs/msg/PoseStamped"), "goal_pose", self.on_goal, 1)
         kind = "geometry_msgs/msg/TwistStamped" if chosen.stamped else "geometry_msgs/msg/Twist"
         self.velocity = self.create_publisher(message(kind), "cmd_vel", 1)
-        self.create_timer(PERIOD, self.decide)
+        self.create_timer(ROBOT.period, self.decide)
 
     def on_info(self, info: Any) -> None:
         """Store the calibration of the depth."""

@@ -7,16 +7,18 @@ from typing import Any
 
 from rclpy.node import Node
 
+from eldenet.navigation.ranges import HIGHEST, LOWEST
+from eldenet.simulation.robot import ROBOT
 from eldenet_ros.messages import read_depth, read_intrinsics, seconds
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
 from eldenet_ros.scan import scan_depth
 
 PARAMETERS = {
     "camera_height": 0.40,
-    "lowest": 0.15,
-    "highest": 0.60,
-    "range_min": 0.3,
-    "range_max": 10.0,
+    "lowest": LOWEST,
+    "highest": HIGHEST,
+    "range_min": ROBOT.near,
+    "range_max": ROBOT.far,
     "frame": "camera_link",
 }
 
