@@ -112,6 +112,8 @@ REFERENCE = {
         "The simulated arena, and what drives a robot.",
         (
             "eldenet.navigation.policy.Navigator",
+            "eldenet.navigation.planners.plan_and_steer.PlanAndSteer",
+            "eldenet.navigation.on_robot.OnRobot",
             "eldenet.navigation.observer.Senses",
             "eldenet.navigation.range_filter.RangeFilter",
             "eldenet.navigation.range_scale.RangeScale",
