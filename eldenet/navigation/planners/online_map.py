@@ -50,14 +50,15 @@ class OnlineMap:
         Args:
             pose: ``(3,)`` of the robot in the map's frame.
             ranges: ``(columns,)`` [m].
-            cautious: how near things may be ``(columns,)`` [m], up to where rays pass; None: ``ranges``.
+            cautious: how near things may be ``(columns,)`` [m]; no ray passes where it is 0: the camera does
+                not see there.
         """
         angles = np.array(ROBOT.column_angles) + pose[2]
         camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         grid = self.evidence
         steps = np.arange(0.0, ROBOT.far, RESOLUTION)
-        free = ranges if cautious is None else np.minimum(cautious, ranges)
+        free = ranges if cautious is None else np.where(cautious > 0, ranges, 0.0)
         passed = steps[None, :] < free[:, None] - 0.15
         cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
         grid[cells] = np.maximum(grid[cells] - 1, -2)
