@@ -26,7 +26,7 @@ from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
 
 PARAMETERS = {
     "policy": "",
-    "plan": True,
+    "plan": False,
     "camera_height": 0.40,
     "max_speed": 0.3,
     "latency": 0.0,
