@@ -114,7 +114,9 @@ class OnRobot:
             unseen = np.isnan(ranges)
             ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, ranges)
             self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
-        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-round(LONGEST_LATENCY * 5) :]
+        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][
+            -round(LONGEST_LATENCY / ROBOT.period) :
+        ]
         if self.stop_reason:
             self.observer.last[:] = 0.0  # it stands
             return 0.0, 0.0

@@ -27,7 +27,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--arenas", type=int, default=30)
     args = parser.parse_args()
-    episodes, drivers = Episodes(1, camera(size=SIZE), EpisodeSettings("wheels")), (Navigator.load(), Straight())
+    episodes, drivers = (
+        Episodes(1, camera(size=SIZE), EpisodeSettings("wheels")),
+        (Navigator.load(), Straight()),
+    )
     count = 0
     for arena in frozen_arenas(20, args.arenas, split="train"):
         driver = drivers[arena.index % 2]
