@@ -48,7 +48,7 @@ def main() -> None:
                 count += 1
             _, events = episodes.step(driver.commands(senses))
             event, period = int(events[0]), period + 1
-    intrinsics = episodes._sensors[0].view.intrinsics  # noqa: SLF001 - the camera of the last arena
+    intrinsics = episodes._sensors[0].view.intrinsics
     print(f"{count} frames; intrinsics=[{intrinsics[0, 0]:.1f},{intrinsics[1, 1]:.1f},"
           f"{intrinsics[0, 2]:.1f},{intrinsics[1, 2]:.1f}]")  # fmt: skip
 
