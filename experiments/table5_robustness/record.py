@@ -1,8 +1,9 @@
 """Record pictures and their depth along drives through training arenas, as a robot's depth camera would.
 
-Every second drive goes straight to the goal, until it touches something: a network must also learn what is near.
+python experiments/table5_robustness/record.py runs/recorded    # then: eldenet adapt data.root=runs/recorded ...
 
-python experiments/table5_robustness/record.py runs/recorded --arenas 30    # for eldenet adapt
+Every second drive goes straight to the goal until it touches something: a network must also learn what is
+near.
 """
 
 from argparse import ArgumentParser
@@ -15,6 +16,7 @@ from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.arena_view import robot_intrinsics
 from eldenet.simulation.robot import ROBOT
 from eldenet.visualization import write_picture
 
@@ -25,12 +27,10 @@ EVERY = 4  # control periods
 def main() -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--arenas", type=int, default=30)
+    parser.add_argument("--arenas", type=int, default=40)
     args = parser.parse_args()
-    episodes, drivers = (
-        Episodes(1, camera(size=SIZE), EpisodeSettings("wheels")),
-        (Navigator.load(), Straight()),
-    )
+    episodes = Episodes(1, camera(size=SIZE), EpisodeSettings("wheels"))
+    drivers = Navigator.load(), Straight()
     count = 0
     for arena in frozen_arenas(20, args.arenas, split="train"):
         driver = drivers[arena.index % 2]
@@ -48,9 +48,9 @@ def main() -> None:
                 count += 1
             _, events = episodes.step(driver.commands(senses))
             event, period = int(events[0]), period + 1
-    intrinsics = episodes._sensors[0].view.intrinsics
-    print(f"{count} frames; intrinsics=[{intrinsics[0, 0]:.1f},{intrinsics[1, 1]:.1f},"
-          f"{intrinsics[0, 2]:.1f},{intrinsics[1, 2]:.1f}]")  # fmt: skip
+    focal, (height, width) = robot_intrinsics(SIZE)[0, 0], SIZE
+    lens = f"[{focal:.1f},{focal:.1f},{(width - 1) / 2},{(height - 1) / 2}]"
+    print(f"{count} frames; intrinsics={lens}")
 
 
 if __name__ == "__main__":
