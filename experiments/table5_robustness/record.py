@@ -1,6 +1,6 @@
 """Record pictures and their depth along drives through training arenas, as a robot's depth camera would.
 
-python experiments/table5_robustness/record.py runs/recorded    # then: eldenet adapt data.root=runs/recorded ...
+python experiments/table5_robustness/record.py runs/recorded    # for eldenet adapt
 
 Every second drive goes straight to the goal until it touches something: a network must also learn what is
 near.
