@@ -96,7 +96,7 @@ class Camera:
             )
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
-        columns_of(width, intrinsics)
+        columns_of(width, intrinsics)  # raises if the frames are too narrow
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
         self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
         self.wrong_columns = artifacts is not None

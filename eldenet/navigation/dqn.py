@@ -78,28 +78,26 @@ class DQNSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive = ("total_timesteps", "n_step", "batch_size", "buffer_size", "train_freq")
-        zero = (
-            "quantiles",
-            "learning_starts",
-            "target_update_interval",
-            "exploration_fraction",
-            "max_grad_norm",
+        counts = (
+            "total_timesteps",
+            "n_step",
+            "batch_size",
+            "buffer_size",
+            "train_freq",
+            "checkpoint_interval",
         )
         shares = ("tau", "learning_rate_end", "exploration_final_eps")
-        for names, least, most in (
-            ((*positive, "checkpoint_interval"), 1, math.inf),
-            ((*zero, "exploration_fraction"), 0, math.inf),
-            (shares, 0, 1),
+        may_be_0 = ("quantiles", "learning_starts", "target_update_interval", "max_grad_norm")
+        for names, fits, advice in (
+            ((*counts, "checkpoint_interval"), lambda value: value >= 1, "1 or more"),
+            ((*may_be_0, "exploration_fraction"), lambda value: value >= 0, "0 or more"),
+            (shares, lambda value: 0 <= value <= 1, "from 0 to 1"),
+            (("gamma",), lambda value: 0 < value < 1, "a number between 0 and 1"),
+            (("learning_rate",), lambda value: 0 < value < math.inf, "a finite number above 0"),
         ):
             for name in names:
-                if not least <= getattr(self, name) <= most:
-                    text = f"from {least} to {most}" if most == 1 else f"{least} or more"
-                    raise ValueError(f"learner.{name}={getattr(self, name)}: give {text}")
-        for name, most in (("gamma", 1.0), ("learning_rate", math.inf)):
-            if not 0 < getattr(self, name) < most:
-                text = "a number between 0 and 1" if most == 1 else "a finite number above 0"
-                raise ValueError(f"learner.{name}={getattr(self, name)}: give {text}")
+                if not fits(getattr(self, name)):
+                    raise ValueError(f"learner.{name}={getattr(self, name)}: give {advice}")
         if self.learning_starts >= self.total_timesteps:
             raise ValueError(
                 f"learner.learning_starts={self.learning_starts}: nothing is learned within "

@@ -12,6 +12,14 @@ from eldenet.simulation.robot import ROBOT, arc
 if TYPE_CHECKING:
     from eldenet.navigation.evaluation import Policy
 
+MAX_LATENCY = 1.0  # [s]
+
+
+def check_latency(latency: float) -> None:
+    """Raise ``ValueError`` for a latency [s] out of range."""
+    if not 0 <= latency <= MAX_LATENCY:
+        raise ValueError(f"latency={latency}: give seconds from 0 to {MAX_LATENCY:g}")
+
 
 class Predictive:
     """A driver that decides for the pose at which its command will take effect.

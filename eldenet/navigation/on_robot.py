@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.geometry import intrinsic_matrix
-from eldenet.navigation.latency import ahead
+from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
@@ -18,7 +18,6 @@ from eldenet.navigation.ranges import check_meters, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
-LONGEST_LATENCY = 1.0  # [s], as in the simulator
 
 
 class OnRobot:
@@ -97,8 +96,7 @@ class OnRobot:
         """
         if len(self.observer.last) != 1:
             raise ValueError(f"step drives one robot, and this driver has robots={len(self.observer.last)}")
-        if not 0 <= latency <= LONGEST_LATENCY:
-            raise ValueError(f"latency={latency}: give seconds from 0 to {LONGEST_LATENCY:g}")
+        check_latency(latency)
         if not 0 < max_speed < math.inf:
             raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
         depth = np.asarray(depth)  # its own type, which as_ranges checks
@@ -115,7 +113,7 @@ class OnRobot:
             ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, ranges)
             self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
         self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][
-            -round(LONGEST_LATENCY / ROBOT.period) :
+            -round(MAX_LATENCY / ROBOT.period) :
         ]
         if self.stop_reason:
             self.observer.last[:] = 0.0  # it stands

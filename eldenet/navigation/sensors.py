@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from eldenet.boxes import Boxes3D
+from eldenet.navigation.latency import MAX_LATENCY
 from eldenet.navigation.localization import Pose
 from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.ranges import LEAST_VIEW
@@ -20,7 +21,7 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 FED_BY = ("simulator", "depth", "box")
-MAX_LATENCY, LATENCY_STEP = 1.0, 0.1  # [s]
+LATENCY_STEP = 0.1  # [s]
 FULL_VIEW = round(math.degrees(ROBOT.field_of_view), 1)  # [degrees]
 BURST = 5  # scans in a row that are lost, in the mean
 

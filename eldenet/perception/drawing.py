@@ -117,7 +117,7 @@ def draw_bev(
     edges = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
     rays = (edges[[0, 2]] / edges[2]).T * reach * 1.5
     cv2.fillPoly(panel, [_fixed(place(np.concatenate([[[0.0, 0.0]], rays])))], _FIELD_OF_VIEW, cv2.LINE_AA, 4)
-    step = next(value for value in (1, 2, 5, 10, 20, 50) if reach / value <= 8 or value == 50)
+    step = next((value for value in (1, 2, 5, 10, 20) if reach / value <= 8), 50)
     for z in np.arange(0, reach, step):
         row = round(height - 6 - z * scale)
         cv2.line(panel, (0, row), (wide, row), _GRID, 1)

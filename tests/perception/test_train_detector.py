@@ -8,6 +8,7 @@ import pytest
 
 from eldenet.boxes import Detections2D
 from eldenet.config import build_train_detector, compose
+from eldenet.perception import detection_data
 from eldenet.perception.detection_data import read_split, write_dataset
 from eldenet.perception.detector_training import average_precisions, train_detector
 from eldenet.perception.libreyolo_detector import LibreYoloDetector, YoloTraining
@@ -51,6 +52,13 @@ def test_a_data_set_holds_the_rendered_images_and_continues_where_it_stopped(tmp
     assert (tmp_path / "images/test/000002.png").is_file()
     with pytest.raises(ValueError, match="other settings"):
         write_dataset(tmp_path, {"train": 2}, (64, 96), kinds=("hall", "street"))
+
+
+def test_a_data_set_of_earlier_scenes_is_another_one(tmp_path, monkeypatch):
+    write_dataset(tmp_path, {"train": 1}, SIZE, kinds=("street",))
+    monkeypatch.setattr(detection_data, "STREETS_VERSION", 0)
+    with pytest.raises(ValueError, match="other settings"):
+        write_dataset(tmp_path, {"train": 1}, SIZE, kinds=("street",))
 
 
 def test_a_data_set_of_other_lenses_is_another_one(tmp_path):

@@ -244,6 +244,7 @@ def test_boxes_are_published_with_a_number_in_the_pictures_frame(ros, tmp_path, 
         eldenet.perception.onnx_detector, "OnnxDetector", lambda path, **_: FixedDetections([seen] * 3)
     )
     node = ros("boxes", detector="any.onnx", sigma_distribution="laplace")
+    assert node.lifter.depth_sigma is None  # the default of the depth's source
     node.on_info(camera_info())
     for number in range(3):
         when = 12.25 + number / 10

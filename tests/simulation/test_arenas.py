@@ -251,3 +251,13 @@ def test_arguments_out_of_range_are_refused(arguments, message):
         generate_arena(*arguments)
     with pytest.raises(ValueError, match="physics='magic'"):
         ArenaWorld(triangle_course(), "magic")
+
+
+@pytest.mark.parametrize("physics", ["kinematic", "wheels"])
+@pytest.mark.parametrize("size", [0.5, 0.7, 1.0])
+def test_a_small_robot_ends_where_its_footprint_ends(physics, size):
+    """A pillar 2 cm behind it: nothing of the robot, wheels and caster included, reaches that far."""
+    behind = Obstacle("cylinder", -(size * ROBOT.length / 2 + 0.02 + 0.3), 0.0, 0.0, (0.3, 0.3), 1.0)
+    arena = Arena("train", 1, 0, (behind,), (0.0, 0.0, 0.0), ((8.0, 0.0),))
+    world = ArenaWorld(arena, physics, size=size)
+    assert not world.advance(0.0, 0.0, 0.1)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eldenet.navigation.on_robot import LONGEST_LATENCY, OnRobot
+from eldenet.navigation.latency import check_latency
+from eldenet.navigation.on_robot import OnRobot
 
 GOAL_RADIUS = 0.5  # as in training [m]
 POSES = 1000  # that are kept: 0.5 s of a fast odometry, and more
@@ -51,8 +52,7 @@ class Pilot:
         for name, value in (("camera_height", camera_height), ("max_speed", max_speed), ("stale", stale)):
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name}={value}: give a number above 0")
-        if not 0 <= latency <= LONGEST_LATENCY:
-            raise ValueError(f"latency={latency}: give seconds from 0 to {LONGEST_LATENCY:g}")
+        check_latency(latency)
         self.driver, self.camera_height = driver, camera_height
         self.max_speed, self.latency, self.stale = max_speed, latency, stale
         self.depth: np.ndarray | None = None
@@ -124,8 +124,9 @@ class Pilot:
         bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
         bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
         known = math.isfinite(distance) and math.isfinite(bearing)
-        if known and self.depth is self._decided:  # a picture counts once: two scans that agree
-            return self._command  # are two
+        # the driver trusts two scans that agree, so a picture must not be given to it twice
+        if known and self.depth is self._decided:
+            return self._command
         try:
             speed, turn = self.driver.step(
                 self.depth,
