@@ -78,18 +78,11 @@ class DQNSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        counts = (
-            "total_timesteps",
-            "n_step",
-            "batch_size",
-            "buffer_size",
-            "train_freq",
-            "checkpoint_interval",
-        )
+        counts = ("n_step", "batch_size", "buffer_size", "train_freq", "checkpoint_interval")
         shares = ("tau", "learning_rate_end", "exploration_final_eps")
         may_be_0 = ("quantiles", "learning_starts", "target_update_interval", "max_grad_norm")
         for names, fits, advice in (
-            ((*counts, "checkpoint_interval"), lambda value: value >= 1, "1 or more"),
+            (("total_timesteps", *counts), lambda value: value >= 1, "1 or more"),
             ((*may_be_0, "exploration_fraction"), lambda value: value >= 0, "0 or more"),
             (shares, lambda value: 0 <= value <= 1, "from 0 to 1"),
             (("gamma",), lambda value: 0 < value < 1, "a number between 0 and 1"),
