@@ -197,9 +197,9 @@ def test_frames_without_a_camera_are_noticed_where_they_teach_meters() -> None:
 class Watched(WeightedTerm):
     """Remembers what it compared."""
 
-    def forward(self, prediction, target, mask, image=None, focal=None, spread=None):
-        self.seen = prediction.detach(), target, focal
-        return super().forward(prediction, target, mask, image, focal, spread)
+    def forward(self, inputs):
+        self.seen = inputs.prediction.detach(), inputs.target, inputs.focal
+        return super().forward(inputs)
 
 
 def test_the_loss_compares_depth_of_the_camera_that_it_is_told(tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ REFERENCE = {
             "eldenet.decoders.base.Decoder",
             "eldenet.heads.Head",
             "eldenet.losses.base.Loss",
+            "eldenet.losses.base.LossInputs",
             "eldenet.losses.base.masked_mean",
             "eldenet.losses.base.fill_masked",
             "eldenet.losses.base.WeightedTerm",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +12,28 @@ from eldenet.uncertainty import NO_SIGMA
 
 Autocast = Callable[[], AbstractContextManager[Any]]
 """Returns a mixed-precision context, as ``Accelerator.autocast`` does."""
+
+
+class LossInputs(NamedTuple):
+    """What a step of training knows about its batch.
+
+    Attributes:
+        prediction: depth ``(B, 1, H, W)`` [m].
+        target: true depth ``(B, 1, H, W)`` [m].
+        mask: ``(B, 1, H, W)`` bool, True where the true depth is known.
+        image: ``(B, 3, H, W)`` RGB in [0, 1], for terms with a teacher.
+        focal: ``(B,)`` fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
+        relative: ``(B,)`` bool, True where a sample's depth is known up to a factor only; None: nowhere.
+        spread: ``(B, 1, H, W)`` the network's standard deviation of ln depth, if it predicts one.
+    """
+
+    prediction: Tensor
+    target: Tensor
+    mask: Tensor
+    image: Tensor | None = None
+    focal: Tensor | None = None
+    relative: Tensor | None = None
+    spread: Tensor | None = None
 
 
 class Loss(nn.Module):
@@ -65,7 +87,7 @@ class WeightedTerm(nn.Module):
 
     Attributes:
         needs_depth: whether it counts only pixels whose depth is known.
-        needs_spread: whether it learns from the network's own uncertainty, see :meth:`WeightedSum.forward`.
+        needs_spread: whether it learns from the network's own uncertainty.
     """
 
     needs_depth = True
@@ -98,19 +120,9 @@ class WeightedTerm(nn.Module):
             autocast: the mixed-precision context it runs in.
         """
 
-    def forward(
-        self,
-        prediction: Tensor,
-        target: Tensor,
-        mask: Tensor,
-        image: Tensor | None = None,
-        focal: Tensor | None = None,
-        spread: Tensor | None = None,
-    ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool -> scalar without the weight.
-
-        Most terms ignore ``image``, ``focal`` and ``spread``: see :meth:`WeightedSum.forward`.
-        """
+    def forward(self, inputs: LossInputs) -> Tensor:
+        """Return the term without its weight, a scalar."""
+        prediction, target, mask = inputs[:3]
         if self.space != "meters":
             prediction, target = (SPACES[self.space](m) for m in fill_masked(prediction, target, mask))
         return self.loss(prediction, target, mask)
@@ -128,8 +140,6 @@ class WeightedSum(nn.Module):
 
     def __init__(self, terms: Mapping[str, WeightedTerm]) -> None:
         super().__init__()
-        if not terms:
-            raise ValueError("terms={}: a loss needs at least one term")
         if not any(term.weight for term in terms.values()):
             raise ValueError(
                 f"all weights of the loss are 0 ({', '.join(terms)}), so it would teach nothing: give one of "
@@ -158,40 +168,24 @@ class WeightedSum(nn.Module):
         for term in self.terms.values():
             term.setup(student, autocast)
 
-    def forward(
-        self,
-        prediction: Tensor,
-        target: Tensor,
-        mask: Tensor,
-        image: Tensor | None = None,
-        focal: Tensor | None = None,
-        relative: Tensor | None = None,
-        spread: Tensor | None = None,
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """``(B, 1, H, W)`` [m] each, mask bool, image ``(B, 3, H, W)`` -> total, unweighted terms by name.
-
-        ``focal (B,)`` is fx [px of ``image``] of the camera for which both maps are in meters; None: unknown.
-        ``relative (B,)`` bool is True where a sample's depth is known up to a factor only; None: nowhere.
-        ``spread (B, 1, H, W)`` is the network's standard deviation of ln depth, if it predicts one.
+    def forward(self, inputs: LossInputs) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the total, a scalar, and the unweighted terms by name.
 
         Raises:
-            ValueError: the maps differ in shape, the mask is not bool, or a term needs a spread.
+            ValueError: the maps differ in shape, or a term needs a spread.
         """
-        if prediction.shape != target.shape or target.shape != mask.shape:
-            raise ValueError(
-                f"prediction {tuple(prediction.shape)}, target {tuple(target.shape)} and mask "
-                f"{tuple(mask.shape)} must have the same shape"
-            )
-        if mask.dtype != torch.bool:
-            raise ValueError(f"mask is {mask.dtype}: give a bool tensor, True where depth is known")
-        is_relative = mask.new_zeros(len(mask)) if relative is None else relative
-        is_relative = is_relative.view(-1, 1, 1, 1)
-        masks = {"metric": mask & ~is_relative, "relative": mask & is_relative}
-        if self.needs_spread and spread is None:
+        shapes = {name: tuple(getattr(inputs, name).shape) for name in ("prediction", "target", "mask")}
+        if len(set(shapes.values())) > 1:
+            found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+            raise ValueError(f"{found}: give maps of the same shape")
+        if self.needs_spread and inputs.spread is None:
             raise ValueError(NO_SIGMA)
+        mask = inputs.mask
+        is_relative = mask.new_zeros(len(mask)) if inputs.relative is None else inputs.relative
+        is_relative = is_relative.view(-1, 1, 1, 1)
+        known = {"metric": mask & ~is_relative, "relative": mask & is_relative}
         values = {
-            name: term(prediction, target, masks[term.applies_to], image, focal, spread)
-            for name, term in self.terms.items()
+            name: term(inputs._replace(mask=known[term.applies_to])) for name, term in self.terms.items()
         }
         total = torch.stack([self.terms[name].weight * value for name, value in values.items()]).sum()
         return total, values

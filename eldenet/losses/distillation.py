@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eldenet.heads import in_meters
-from eldenet.losses.base import Autocast, Loss, WeightedTerm
+from eldenet.losses.base import Autocast, Loss, LossInputs, WeightedTerm
 
 
 class Teacher:
@@ -97,7 +97,7 @@ class DistilledTerm(WeightedTerm):
             trained with the student. Both networks need a ``network.backbone`` with ``feature_info``.
 
     Raises:
-        ValueError: a weight below 0, or a ``feature_weight`` without ``feature_strides``.
+        ValueError: a weight below 0, or an unknown space.
     """
 
     needs_depth = False
@@ -112,10 +112,6 @@ class DistilledTerm(WeightedTerm):
         feature_strides: Sequence[int] = (8, 16, 32),
     ) -> None:
         super().__init__(loss, weight, space)
-        if feature_weight < 0:
-            raise ValueError(f"feature_weight={feature_weight}: a loss weight must be 0 or more")
-        if feature_weight > 0 and not feature_strides:
-            raise ValueError(f"feature_weight={feature_weight} needs feature_strides, which is empty")
         self.teacher, self.feature_weight = teacher, feature_weight
         self.feature_strides = tuple(int(stride) for stride in feature_strides)
         self.projections = nn.ModuleDict()
@@ -162,20 +158,11 @@ class DistilledTerm(WeightedTerm):
         backbone.register_forward_hook(keep)
         return {info.stride: info.channels for info in backbone.feature_info}
 
-    def forward(
-        self,
-        prediction: Tensor,
-        target: Tensor,
-        mask: Tensor,
-        image: Tensor | None = None,
-        focal: Tensor | None = None,
-        spread: Tensor | None = None,
-    ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool, ``image (B, 3, H, W)`` -> scalar without the weight."""
-        if image is None:
-            raise ValueError("image=None: a distilled term needs the images; call the loss with image=...")
-        depth = self.teacher(image, focal)
-        value = super().forward(prediction, depth, torch.isfinite(depth) & (depth > 0))
+    def forward(self, inputs: LossInputs) -> Tensor:
+        """Return the term without its weight, a scalar; it needs ``image``."""
+        assert inputs.image is not None  # the trainer always gives it
+        depth = self.teacher(inputs.image, inputs.focal)
+        value = super().forward(inputs._replace(target=depth, mask=torch.isfinite(depth) & (depth > 0)))
         return value if self.feature_weight == 0 else value + self.feature_weight * self._feature_loss()
 
     def _feature_loss(self) -> Tensor:

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from eldenet.losses.base import Loss, WeightedTerm, fill_masked, masked_mean
+from eldenet.losses.base import Loss, LossInputs, WeightedTerm, fill_masked, masked_mean
 from eldenet.system.checks import one_of
 from eldenet.uncertainty import DISTRIBUTIONS
 
@@ -49,20 +49,13 @@ class LikelihoodTerm(WeightedTerm):
         one_of("distribution", distribution, DISTRIBUTIONS)
         self.distribution, self.detach_depth = distribution, detach_depth
 
-    def forward(
-        self,
-        prediction: Tensor,
-        target: Tensor,
-        mask: Tensor,
-        image: Tensor | None = None,
-        focal: Tensor | None = None,
-        spread: Tensor | None = None,
-    ) -> Tensor:
-        """``(B, 1, H, W)`` [m] each, mask bool, ``spread (B, 1, H, W)`` of ln depth -> scalar."""
-        assert spread is not None  # WeightedSum sees to it
+    def forward(self, inputs: LossInputs) -> Tensor:
+        """Return the term without its weight, a scalar; it needs ``spread``."""
+        prediction, target, mask = inputs[:3]
+        assert inputs.spread is not None  # WeightedSum sees to it
         prediction, target = fill_masked(prediction, target, mask)
         error = target.log() - (prediction.detach() if self.detach_depth else prediction).log()
-        spread = spread.masked_fill(~mask, 1.0)
+        spread = inputs.spread.masked_fill(~mask, 1.0)
         with torch.autocast(prediction.device.type, enabled=False):
             nll = negative_log_likelihood(error.float(), spread.float(), self.distribution)
         return masked_mean(nll, mask)

@@ -15,7 +15,7 @@ from eldenet.evaluation.evaluator import evaluate, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import focal_ratio, in_meters
-from eldenet.losses.base import WeightedSum, masked_mean
+from eldenet.losses.base import LossInputs, WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
@@ -255,7 +255,9 @@ class Trainer:
         else:
             prediction = in_meters(prediction, focal, canonical_px)
         relative = batch.get("relative")
-        total, terms = self.loss(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)
+        total, terms = self.loss(
+            LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)
+        )
         self.accelerator.backward(total / self._batches_of_this_update())
         if update:
             average_gradients(self.loss, self.accelerator)  # DDP averages the model's

@@ -22,7 +22,7 @@ import eldenet  # noqa: E402
 from eldenet.data.loaders import EpochSampler, training_loader  # noqa: E402
 from eldenet.data.rooms import Rooms  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
-from eldenet.losses.base import WeightedSum, WeightedTerm  # noqa: E402
+from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm  # noqa: E402
 from eldenet.losses.pointwise import L1Loss  # noqa: E402
 from eldenet.losses.ssim import SSIMLoss  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
@@ -47,7 +47,7 @@ def make_step(precision: str, channels_last: bool, size: tuple[int, int]) -> Cal
         image = image.contiguous(memory_format=layout)
         with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16"):
             prediction = model(image)
-        loss(prediction.float(), depth, depth > 0)[0].backward()
+        loss(LossInputs(prediction.float(), depth, depth > 0))[0].backward()
         optimizer.step()
         optimizer.zero_grad()
 

@@ -15,7 +15,7 @@ from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import ChannelSums, channel_statistics, check_split, identities
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
-from eldenet.losses.base import WeightedSum, WeightedTerm
+from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
 
@@ -146,9 +146,9 @@ def test_metric_and_relative_terms_see_their_own_samples() -> None:
     loss = WeightedSum(terms)
     prediction, mask = torch.ones(2, 1, 2, 2), torch.ones(2, 1, 2, 2, dtype=torch.bool)
     target = torch.stack([torch.full((1, 2, 2), 3.0), torch.full((1, 2, 2), 6.0)])
-    _, values = loss(prediction, target, mask, relative=torch.tensor([False, True]))
+    _, values = loss(LossInputs(prediction, target, mask, relative=torch.tensor([False, True])))
     assert values == {"metric": 2.0, "relative": 5.0}
-    _, values = loss(prediction, target, mask)
+    _, values = loss(LossInputs(prediction, target, mask))
     assert values == {"metric": 3.5, "relative": 0.0}
 
 

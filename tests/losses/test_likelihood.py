@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import stats
 
-from eldenet.losses.base import WeightedSum, WeightedTerm
+from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.likelihood import LikelihoodTerm, negative_log_likelihood
 from eldenet.losses.pointwise import L1Loss
 from eldenet.uncertainty import NO_SIGMA
@@ -49,7 +49,7 @@ def test_depth_learns_from_it_only_if_it_may(detached: bool) -> None:
     mask = torch.ones_like(target, dtype=torch.bool)
     mask[..., 0] = False
     target[..., 0] = math.nan
-    LikelihoodTerm(detach_depth=detached)(depth, target, mask, spread=spread).backward()
+    LikelihoodTerm(detach_depth=detached)(LossInputs(depth, target, mask, spread=spread)).backward()
     assert (spread.grad[mask] < 0).all()  # the error is larger than sigma says
     assert (spread.grad[~mask] == 0).all()
     assert (depth.grad is None) == detached
@@ -59,8 +59,8 @@ def test_a_sum_passes_the_spread_to_the_terms_that_need_it() -> None:
     loss = WeightedSum({"l1": WeightedTerm(L1Loss()), "nll": LikelihoodTerm(0.5)})
     depth, target, spread = maps(2.0, 3.0, 0.5)
     mask = torch.ones_like(target, dtype=torch.bool)
-    total, terms = loss(depth, target, mask, spread=spread)
+    total, terms = loss(LossInputs(depth, target, mask, spread=spread))
     assert loss.needs_spread
     assert total == pytest.approx(terms["l1"].item() + 0.5 * terms["nll"].item())
     with pytest.raises(ValueError, match=NO_SIGMA):
-        loss(depth, target, mask)
+        loss(LossInputs(depth, target, mask))

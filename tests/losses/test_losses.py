@@ -13,7 +13,7 @@ from support.depth_maps import maps, patchy, value_and_gradient
 from torch import Tensor
 
 from eldenet.config import compose, instantiate
-from eldenet.losses.base import Loss, WeightedSum, WeightedTerm
+from eldenet.losses.base import Loss, LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.gradient import GradientLoss
 from eldenet.losses.pointwise import BerHuLoss, L1Loss, L2Loss
 from eldenet.losses.silog import SILogLoss
@@ -57,7 +57,7 @@ SPACED = {
 @pytest.fixture(params=[*NAMES, *SPACED], scope="module")
 def total(request: pytest.FixtureRequest) -> Callable[..., Tensor]:
     loss = SPACED[request.param]() if request.param in SPACED else from_yaml(request.param)
-    return lambda *arguments: loss(*arguments)[0]
+    return lambda *maps: loss(LossInputs(*maps))[0]
 
 
 def test_a_perfect_prediction_has_the_least_loss(total: Callable[..., Tensor]) -> None:
@@ -173,7 +173,7 @@ def test_the_total_weighs_every_term_and_reports_it_without_the_weight() -> None
     mask = patchy(12, target.shape, 0.1)
     weights = {"l1": 0.3, "ssim": 2.0, "gradient": 0.0}
     loss = WeightedSum({name: WeightedTerm(LOSSES[name](), weight) for name, weight in weights.items()})
-    total, terms = loss(prediction, target, mask)
+    total, terms = loss(LossInputs(prediction, target, mask))
     assert list(terms) == list(weights)
     for name, value in terms.items():
         torch.testing.assert_close(value, LOSSES[name]()(prediction, target, mask))
@@ -185,7 +185,7 @@ def test_the_total_weighs_every_term_and_reports_it_without_the_weight() -> None
 def test_a_term_can_compare_logarithms_or_inverse_depth(name: str, space: str, change) -> None:
     prediction, target = maps(14)
     mask = patchy(15, target.shape, 0.2)
-    value = WeightedTerm(LOSSES[name](), space=space)(prediction, target, mask)
+    value = WeightedTerm(LOSSES[name](), space=space)(LossInputs(prediction, target, mask))
     torch.testing.assert_close(value, LOSSES[name]()(change(prediction), change(target), mask))
 
 
@@ -204,12 +204,11 @@ DEPTH, KNOWN = torch.ones(2, 1, 16, 20), torch.ones(2, 1, 16, 20, dtype=torch.bo
     ("use", "message"),
     [
         (
-            lambda loss: loss(DEPTH[:1], DEPTH, KNOWN),
+            lambda loss: loss(LossInputs(DEPTH[:1], DEPTH, KNOWN)),
             r"prediction \(1, 1, 16, 20\), target \(2, 1, 16, 20\).*the same shape",
         ),
-        (lambda loss: loss(DEPTH, DEPTH, KNOWN[..., :5]), "the same shape"),
-        (lambda loss: loss(DEPTH, DEPTH, DEPTH), r"mask is torch\.float32: give a bool tensor"),
-        (lambda _: WeightedSum({}), "at least one term"),
+        (lambda loss: loss(LossInputs(DEPTH, DEPTH, KNOWN[..., :5])), "the same shape"),
+        (lambda _: WeightedSum({}), "all weights of the loss are 0"),
         (lambda _: WeightedTerm(L1Loss(), -1), "weight=-1"),
         (lambda _: WeightedTerm(L1Loss(), space="disparity"), "space='disparity': give one of meters"),
         (lambda _: WeightedTerm(SILogLoss(), space="log"), "space='log' does not fit SILogLoss"),

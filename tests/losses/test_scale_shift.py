@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from eldenet.losses.base import WeightedTerm
+from eldenet.losses.base import LossInputs, WeightedTerm
 from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
 
 
@@ -18,14 +18,14 @@ KNOWN = torch.ones(2, 1, 12, 16, dtype=torch.bool)
 def test_scale_and_shift_of_disparity_do_not_count(depth: torch.Tensor) -> None:
     term = WeightedTerm(ScaleShiftInvariantLoss(), space="inverse")
     moved = 1 / (0.3 / depth + 0.2)
-    assert term(moved, depth, KNOWN) < 1e-5
-    assert term(depth.flip(-1), depth, KNOWN) > 0.5
+    assert term(LossInputs(moved, depth, KNOWN)) < 1e-5
+    assert term(LossInputs(depth.flip(-1), depth, KNOWN)) > 0.5
 
 
 def test_without_match_scale_a_factor_on_depth_alone_does_not_count(depth: torch.Tensor) -> None:
     term = WeightedTerm(ScaleShiftInvariantLoss(match_scale=False), space="log")
-    assert term(1.7 * depth, depth, KNOWN) < 1e-5
-    assert term(depth**1.5, depth, KNOWN) > 0.05
+    assert term(LossInputs(1.7 * depth, depth, KNOWN)) < 1e-5
+    assert term(LossInputs(depth**1.5, depth, KNOWN)) > 0.05
 
 
 def test_it_equals_midas_formula(depth: torch.Tensor) -> None:
