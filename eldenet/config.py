@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from eldenet.deploy.scoring import EvaluationSetup
     from eldenet.navigation.modes import ModeSetup
     from eldenet.perception.camera_height import CalibrationSetup
-    from eldenet.perception.detector_training import DetectorTrainingSetup
     from eldenet.results.comparison import ReportSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
@@ -559,7 +558,7 @@ def _digest_list(config: DictConfig) -> Path | None:
     return Path(root).expanduser()
 
 
-# --- train, evaluate, adapt, train_detector -----------------------------------------------------------------
+# --- train, evaluate, adapt ---------------------------------------------------------------------------------
 
 
 def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
@@ -772,37 +771,6 @@ def _check_adaptation(config: DictConfig) -> None:
         )
     if not (isinstance(config.minutes, int | float) and 0 < config.minutes < math.inf):
         raise ValueError(f"minutes={config.minutes}: give a number above 0")
-
-
-def build_train_detector(config: DictConfig, folder: Path) -> "DetectorTrainingSetup":
-    """Return the setup of ``python -m eldenet.train_detector`` in ``folder``.
-
-    Raises:
-        ValueError: the folder holds another run already, or libreyolo is missing.
-    """
-    if (folder / "train").exists() and not config.resume:
-        raise ValueError(f"output={folder} already holds a training: give another output, or resume=true")
-    from eldenet.perception.detector_training import DetectorTrainingSetup
-    from eldenet.perception.libreyolo_detector import YoloTraining
-    from eldenet.simulation.street_views import names_of
-
-    settings = _settings_in(folder, config)
-    kinds = listed(config.data.kinds)
-    resources = choose_resources(**settings["runtime"])
-    return DetectorTrainingSetup(
-        folder=folder,
-        detector=instantiate(config.detector, names=settings["detector"]["names"] or list(names_of(kinds))),
-        training=YoloTraining(
-            **settings["training"], workers=resources.workers, device=resources.device, seed=config.seed
-        ),
-        data=Path(settings["data"]["root"]),
-        kinds=kinds,
-        focal=settings["data"]["focal"],
-        counts={split: config.data[split] for split in ("train", "test")},
-        resources=resources,
-        resume=config.resume,
-        settings=settings,
-    )
 
 
 # --- predict, export, demo, benchmark -----------------------------------------------------------------------

@@ -35,7 +35,7 @@ CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 COMMAND_OF = dict.fromkeys(("mode", "policy", "sensor", "observer", "learner"), "navigate")
 
 # Sections whose parts stand in the command's own file.
-OWN_PARTS = {"predict": "perception", "train_detector": "detector"}
+OWN_PARTS = {"predict": "perception"}
 
 # Arguments that the calling code supplies, not the user.
 SUPPLIED: dict[str, set[str]] = {

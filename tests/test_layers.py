@@ -38,7 +38,7 @@ navigation
 config
 zoo
 cli
-train adapt evaluate predict export benchmark report study check_data train_detector navigate __main__
+train adapt evaluate predict export benchmark report study check_data navigate __main__
 """
 FLOOR_OF = {name: floor for floor, line in enumerate(ORDER.split("\n")) for name in line.split()}
 COMMANDS = [name for name in ORDER.split("\n")[-2].split() if name != "__main__"]

@@ -22,7 +22,6 @@ COMMANDS = {
     "study": "train the missing runs of a study",
     "check-data": "is a data set complete, and does it hold what its config says?",
     "navigate": "drive a simulated robot by depth; evaluate or train its driver",
-    "train-detector": "train a 2D detector on rendered streets",
 }
 #: Commands that are not the module of their name at the top of the package.
 MODULES = {"demo": "eldenet.cli.demo"}

@@ -90,7 +90,7 @@ def test_bash_completes_commands_and_their_settings(tmp_path):
         capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
     assert [line.strip() for line in done.stdout.splitlines()] == [
-        "train train-detector",
+        "train",
         "data=nyu_labelled",
         "frames=",
         "optimizer=adam_paper",
@@ -138,7 +138,7 @@ def test_completion_needs_a_shell(tmp_path):
     assert 'eval "$(eldenet completion bash)"' in done.stderr
 
 
-RUN_FOLDERS = ("train", "adapt", "evaluate", "check_data", "navigate", "train_detector")
+RUN_FOLDERS = ("train", "adapt", "evaluate", "check_data", "navigate")
 
 
 @pytest.mark.parametrize("command", [*RUN_FOLDERS, "predict"])

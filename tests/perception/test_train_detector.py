@@ -1,26 +1,27 @@
-"""Data sets of rendered images, and a YOLOv9 trained on them (with libreyolo, slow)."""
+"""experiments/detector: data sets of rendered images, and a YOLOv9 trained on them (with libreyolo, slow)."""
 
 import json
 import sys
 
 import numpy as np
 import pytest
+from support.scripts import load_scripts
 
 from eldenet.boxes import Detections2D
-from eldenet.config import build_train_detector, compose
-from eldenet.perception import detection_data
-from eldenet.perception.detection_data import read_split, write_dataset
-from eldenet.perception.detector_training import average_precisions, train_detector
-from eldenet.perception.libreyolo_detector import LibreYoloDetector, YoloTraining
 from eldenet.simulation.street_views import names_of, render_objects
 
+train, detection_data, libreyolo_detector = load_scripts(
+    "detector", "train", "detection_data", "libreyolo_detector"
+)
+read_split, write_dataset = detection_data.read_split, detection_data.write_dataset
+LibreYoloDetector = libreyolo_detector.LibreYoloDetector
 SIZE = (96, 160)
 NAMES = names_of(("street", "hall"))
-NEEDED = "pip install 'eldenet[yolo]'"
+NEEDED = "pip install libreyolo onnx onnxruntime"
 
 
-def setup(folder, *options):
-    return build_train_detector(compose("train_detector", [f"run_dir='{folder}'", *options]), folder)
+def options(folder, *words):
+    return train.options(["--output", str(folder), *words])
 
 
 # --- files ---
@@ -119,7 +120,7 @@ def test_cocos_average_precision_by_hand():
         [[0, 0, 50, 50], [300, 300, 350, 350], [100, 0, 150, 50], [0, 100, 80, 165]],
         [0.9, 0.8, 0.7, 0.9], [0, 0, 0, 1],
     )  # fmt: skip
-    values = average_precisions([truth], [guess])
+    values = train.average_precisions([truth], [guess])
     assert values["a"]["AP50"] == pytest.approx(100 * (51 + 50 * 2 / 3) / 101, abs=0.01)
     assert values["b"]["AP50"] == pytest.approx(100)
     assert values["b"]["AP50-95"] == pytest.approx(70)  # IoU 65 / 80 = 0.8125: 0.5 to 0.8 of ten
@@ -138,7 +139,7 @@ def test_cocos_average_precision_by_hand():
         ({"names": NAMES, "size": "xxl"}, "size="),
         ({}, "names"),
         ({"weights": "none.pt"}, r"none\.pt does not exist"),
-        ({"names": NAMES}, r"eldenet\[yolo\]"),
+        ({"names": NAMES}, "pip install libreyolo"),
     ],
 )
 def test_wrong_options_and_a_missing_package_are_refused(options, message, monkeypatch):
@@ -149,8 +150,8 @@ def test_wrong_options_and_a_missing_package_are_refused(options, message, monke
 
 def test_a_run_folder_holds_one_training(tmp_path):
     (tmp_path / "run/train").mkdir(parents=True)
-    with pytest.raises(ValueError, match="resume=true"):
-        train_detector(setup(tmp_path / "run"))
+    with pytest.raises(ValueError, match="--resume"):
+        train.train(options(tmp_path / "run"))
 
 
 def test_random_weights_are_seeded_and_the_exported_file_agrees(tmp_path):
@@ -174,7 +175,7 @@ def test_random_weights_are_seeded_and_the_exported_file_agrees(tmp_path):
     ):
         data.write_text(content)
         with pytest.raises(ValueError, match=message):
-            detector.train(data, tmp_path / "run", YoloTraining(epochs=1))
+            detector.train(data, tmp_path / "run", libreyolo_detector.YoloTraining(epochs=1))
     for boxes in (mine, theirs):  # equal scores have no order
         boxes.xyxy[:] = boxes.xyxy[np.lexsort(boxes.xyxy.T.round(2))]
     np.testing.assert_allclose(theirs.xyxy, mine.xyxy, atol=0.02)
@@ -186,13 +187,10 @@ def test_a_detector_learns_resumes_and_exports_what_it_learned(tmp_path):
     from eldenet.perception.onnx_detector import OnnxDetector
 
     folder = tmp_path / "run"
-    options = [
-        "data.kinds=[hall]", "data.train=24", "data.test=4",
-        "detector.input_size=[96,160]",
-        "training.batch=4", "runtime.threads=1", "runtime.workers=0", "runtime.device=cpu",
-    ]  # fmt: skip
+    words = ["--kinds", "hall", "--train", "24", "--test", "4", "--size", "96", "160"]
+    words += ["--batch", "4", "--threads", "1", "--device", "cpu"]
     (folder / "train").mkdir(parents=True)  # as a run leaves it if killed before its first checkpoint
-    record = train_detector(setup(folder, *options, "training.epochs=4", "resume=true"))
+    record = train.train(options(folder, *words, "--epochs", "4", "--resume"))
     assert json.loads((folder / "run.json").read_text())["metrics"]["all"]["objects"] > 5
     assert (folder / "detections.png").is_file()
     loss = np.loadtxt(folder / "train/results.csv", delimiter=",", skiprows=1, usecols=2)
@@ -200,9 +198,7 @@ def test_a_detector_learns_resumes_and_exports_what_it_learned(tmp_path):
     assert loss[-1] < 0.9 * loss[0]
     assert record["file"]["bytes"] > 1e6
     assert record["frames"] == "streets-v1"
-    with pytest.raises(ValueError, match="resume=true"):
-        setup(folder, *options, "training.epochs=5")
-    train_detector(setup(folder, *options, "training.epochs=5", "resume=true"))
+    train.train(options(folder, *words, "--epochs", "5", "--resume"))
     assert len((folder / "train/results.csv").read_text().splitlines()) == 6
     trained = LibreYoloDetector(folder / "train/weights/last.pt", input_size=SIZE, threshold=0.01)
     image, _ = read_split(folder / "data", "test", 1)[0]

@@ -25,7 +25,7 @@ HOSTILE = [
     "model.head._target_=eldenet.heads.importlib.import_module",  # what a module of ours imports
     "model.head._target_=eldenet.train.main",
     "model.head._target_=hydra.utils.instantiate",
-    "model.head._target_=eldenet.perception.libreyolo_detector.LibreYoloDetector",  # not a training's
+    "model.head._target_=eldenet.perception.onnx_detector.OnnxDetector",  # not a training's
     f"'+model.head.more=[{{deep: {{{WRITE.replace('=', ': ')}}}}}]'",
     "'model.head._target_=${oc.decode:pathlib.Path.touch}'",
     f"loss.terms.l1.loss.{WRITE}",

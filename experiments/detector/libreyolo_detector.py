@@ -175,7 +175,7 @@ def _build(weights: str | Path | None, names: Sequence[str] | None, size: str, s
     try:
         from libreyolo import LibreYOLO9
     except ImportError as error:
-        raise ValueError("LibreYoloDetector needs libreyolo: pip install 'eldenet[yolo]'") from error
+        raise ValueError("LibreYoloDetector needs libreyolo: pip install libreyolo onnx") from error
     import torch
 
     if weights is not None:
