@@ -25,24 +25,49 @@ COMMANDS = {
 }
 #: Commands that are not the module of their name at the top of the package.
 MODULES = {"demo": "eldenet.cli.demo"}
-SHELLS = ("bash", "zsh")
-# Hydra completes the settings of a command: it reads COMP_LINE and drops its first word
-_COMPLETION = """\
+# Hydra completes the settings of a command: it reads COMP_LINE and drops its first word. Names of files may
+# hold anything, so no script here reads them: the shell itself completes and quotes them.
+_BASH = """\
 _eldenet() {
-    local word="${COMP_WORDS[COMP_CWORD]}" line="${COMP_LINE:0:$COMP_POINT}"
+    local line="${COMP_LINE:0:$COMP_POINT}" word="$2" typed each all=()
+    typed="${line##*[[:space:]]}"
+    COMPREPLY=()
     if [ "$COMP_CWORD" -le 1 ]; then
-        COMPREPLY=($(compgen -W "NAMES completion" -- "$word"))
-    else
-        line="${line#*[[:space:]]}"
-        COMPREPLY=($(COMP_LINE="$line" eldenet "${COMP_WORDS[1]}" -sc query=bash 2>/dev/null))
-        COMPREPLY=($(compgen -W "${COMPREPLY[*]}" -- "$word"))
+        all=(NAMES completion)
+    elif [[ "$typed" == *"$word" && "$typed" != *=[./~]* ]]; then
+        IFS=" " read -r -a all < <(
+            COMP_LINE="${line#*[[:space:]]}" eldenet "${COMP_WORDS[1]}" -sc query=bash 2>/dev/null
+        )
     fi
-    [[ "${#COMPREPLY[@]}" != 1 || "$COMPREPLY" == *[=./] ]] || COMPREPLY="$COMPREPLY "
+    for each in "${all[@]}"; do
+        [[ "$each" == "$typed"* && "$each" != *[!A-Za-z0-9_=./+~@:,-]* ]] || continue
+        [[ "$each" == *[=./] ]] || each+=" "
+        COMPREPLY+=("${each#"${typed%"$word"}"}")
+    done
+    [ "${#COMPREPLY[@]}" != 0 ] || compopt +o nospace 2>/dev/null
 }
-COMP_WORDBREAKS="${COMP_WORDBREAKS//=}"
+[[ "$COMP_WORDBREAKS" == *=* ]] || COMP_WORDBREAKS+="="
 complete -o nospace -o default -F _eldenet eldenet
 """
-_ZSH = "autoload -Uz +X compinit && compinit\nautoload -Uz +X bashcompinit && bashcompinit\n"
+_ZSH = """\
+(( $+functions[compdef] )) || { autoload -Uz compinit && compinit; }
+_eldenet() {
+    local -a all
+    if (( CURRENT == 2 )); then
+        all=(NAMES completion)
+    elif [[ "$PREFIX" != *=[./~]* ]]; then
+        all=("${(@s: :)$(
+            COMP_LINE="${(j: :)words[2,CURRENT-1]} $PREFIX" eldenet "$words[2]" -sc query=bash 2>/dev/null
+        )}")
+    fi
+    all=(${all:#*[^A-Za-z0-9_=./+~@:,-]*})
+    compadd -S "" -- ${(M)all:#*[=./]}
+    compadd -- ${all:#*[=./]}
+    (( compstate[nmatches] )) || { compset -P "*="; _files; }
+}
+compdef _eldenet eldenet
+"""
+SCRIPTS = {"bash": _BASH, "zsh": _ZSH}
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -85,10 +110,9 @@ def command_list() -> str:
 
 def completion(shell: str) -> str:
     """Return the script that makes a shell complete commands and their settings."""
-    if shell not in SHELLS:
+    if shell not in SCRIPTS:
         _fail('give bash or zsh, as in ~/.bashrc: eval "$(eldenet completion bash)"')
-    script = _COMPLETION.replace("NAMES", " ".join(COMMANDS))
-    return (_ZSH if shell == "zsh" else "") + script.rstrip()
+    return SCRIPTS[shell].replace("NAMES", " ".join(COMMANDS)).rstrip()
 
 
 def unknown(word: str) -> str:
@@ -102,7 +126,8 @@ def unknown(word: str) -> str:
 def _start(name: str, words: Sequence[str]) -> None:
     """Run a command as ``python -m`` does."""
     sys.argv = [f"eldenet {name}", *words]
-    if not ({"", os.getcwd()} & set(sys.path) or sys.flags.safe_path):
+    completes = "-sc" in words  # pressing Tab must import nothing that lies here
+    if not (completes or {"", os.getcwd()} & set(sys.path) or sys.flags.safe_path):
         sys.path.insert(0, os.getcwd())  # so that settings may name code that lies here
     importlib.import_module(module_of(name)).main()
 

@@ -1,5 +1,6 @@
 """The command ``eldenet``: its list, its sub-commands, completion, and where results go."""
 
+import ast
 import importlib
 import os
 import pty
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,13 +19,6 @@ from eldenet.cli.commands import COMMANDS, command_list, completion, module_of, 
 from eldenet.config import compose, config_folder
 
 LINE = [sys.executable, "-c", "from eldenet.cli.commands import main; main()"]
-
-TYPE = """
-type_and_tab() {
-    COMP_LINE="$1"; COMP_POINT=${#1}; COMP_WORDS=($1); [[ "$1" == *" " ]] && COMP_WORDS+=("")
-    COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=(); _eldenet; echo "${COMPREPLY[*]}"
-}
-"""
 
 
 def eldenet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -73,63 +68,92 @@ def test_a_mistyped_command_gets_the_nearest_one(tmp_path):
     )
 
 
-def test_bash_completes_commands_and_their_settings(tmp_path):
-    here = tmp_path / "eldenet"
-    here.write_text(f"#!{sys.executable}\n{LINE[-1]}\n")
-    here.chmod(0o755)
-    asked = [
-        "eldenet tra",
-        "eldenet train data=nyu_l",
-        "eldenet check-data fra",
-        "eldenet train optimizer=adam_",
-    ]
-    typed = "\n".join(f'type_and_tab "{words}"' for words in asked)
-    done = subprocess.run(
-        ["bash", "-c", f"{completion('bash')}\n{TYPE}\n{typed}"],
-        env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        capture_output=True, text=True, check=True, timeout=60,
-    )  # fmt: skip
-    assert [line.strip() for line in done.stdout.splitlines()] == [
-        "train",
-        "data=nyu_labelled",
-        "frames=",
-        "optimizer=adam_paper",
-    ]
+SHELLS = {"bash": ["bash", "--norc", "--noprofile", "-i"], "zsh": ["zsh", "-f", "-i"]}
+#: Answers the shell's questions, and notes with which words it was started.
+STAND_IN = f"""#!{sys.executable}
+import sys
+if "-sc" in sys.argv:
+    {LINE[-1]}
+    sys.exit()
+with open("started", "a") as file:
+    print(sys.argv[1:], file=file)
+"""
 
 
-def test_zsh_completes_what_is_typed(tmp_path):
-    """In an interactive zsh: the script is bash's, run by zsh's own bashcompinit."""
-    if shutil.which("zsh") is None:
-        pytest.skip("no zsh here")
-    here = tmp_path / "eldenet"
-    here.write_text(f"#!{sys.executable}\n{LINE[-1]}\n")
-    here.chmod(0o755)
-    (tmp_path / "script").write_text(completion("zsh"))
+def complete(shell: str, folder: Path, *lines: str) -> list[list[str]]:
+    """Type lines, each with Tab and Enter, into an interactive shell; return the words of each command."""
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    bin_folder = folder / "bin"
+    bin_folder.mkdir()
+    (bin_folder / "eldenet").write_text(STAND_IN)
+    (bin_folder / "eldenet").chmod(0o755)
+    (bin_folder / "script").write_text(completion(shell))
+    started = folder / "started"
+    started.touch()
     child, terminal = pty.fork()
     if not child:
-        os.environ["PATH"] = f"{tmp_path}:{os.environ['PATH']}"
-        os.chdir(tmp_path)
-        os.execvp("zsh", ["zsh", "-f", "-i"])
+        os.environ["PATH"] = f"{bin_folder}:{os.environ['PATH']}"
+        os.chdir(folder)
+        os.execvp(shell, SHELLS[shell])
     try:
-        os.write(terminal, b"source ./script; print rea''dy\n")
-        _read_until(terminal, "ready")
-        os.write(terminal, b"eldenet evalu\t")
-        shown = _read_until(terminal, "evaluate")
-        os.write(terminal, b" data=nyu_l\t")
-        shown += _read_until(terminal, "data=nyu_labelled")
+        os.write(terminal, b"source bin/script; echo rea''dy\n")
+        shown = _read_until(terminal, lambda shown: "ready" in shown)
+        for number, line in enumerate(lines, 1):
+            os.write(terminal, f"{line}\t\n".encode())
+            shown += _read_until(terminal, lambda _: started.read_text().count("\n") >= number)  # noqa: B023
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-    assert "evaluate" in shown
-    assert "data=nyu_labelled" in shown
+        os.close(terminal)
+    words = [ast.literal_eval(line) for line in started.read_text().splitlines()]
+    assert len(words) == len(lines), shown
+    return words
 
 
-def _read_until(terminal: int, text: str) -> str:
+def _read_until(terminal: int, done: Callable[[str], bool]) -> str:
     shown, end = "", time.monotonic() + 30
-    while text not in shown and time.monotonic() < end:
+    while not done(shown) and time.monotonic() < end:
         if select.select([terminal], [], [], 0.1)[0]:
             shown += os.read(terminal, 65536).decode(errors="replace")
     return shown
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_a_shell_completes_commands_settings_and_paths(shell, tmp_path):
+    (tmp_path / "my frames" / "left").mkdir(parents=True)
+    typed = {
+        "eldenet evalu": ["evaluate"],
+        "eldenet train data=nyu_l": ["train", "data=nyu_labelled"],
+        "eldenet train optimizer=adam_": ["train", "optimizer=adam_paper"],
+        "eldenet train +experiment=kitti_p": ["train", "+experiment=kitti_paper"],
+        "eldenet check-data data=folder data.ro": ["check-data", "data=folder", "data.root="],
+        "eldenet check-data data.root=m": ["check-data", "data.root=my frames"],
+        "eldenet check-data data.root=my\\ frames/l": ["check-data", "data.root=my frames/left"],
+        "eldenet check-data data.root=./m": ["check-data", "data.root=./my frames"],
+    }
+    words = complete(shell, tmp_path, *typed)
+    assert [[word.rstrip("/") for word in line] for line in words] == list(typed.values())
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_completion_runs_and_expands_no_name_of_a_file(shell, tmp_path):
+    names = ["a$(touch run)", "b`touch run`", "c${IFS}d", "e;touch run", "f\nline", "g'x\" *", "h$HOME"]
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name in names:
+        (folder / name).touch()
+    given = {f"{way}{name[0]}": f"{way}{name}" for name in names for way in ("./folder/", "folder/")}
+    given |= {way: way for way in ("./folder/", "folder/")}  # of several, none is chosen
+    words = complete(shell, tmp_path, *[f"eldenet check-data data.root={path}" for path in given])
+    assert words == [["check-data", f"data.root={path}"] for path in given.values()]
+    assert not list(tmp_path.rglob("run"))
+
+
+def test_completion_imports_nothing_that_lies_here(tmp_path):
+    (tmp_path / "hydra.py").write_text("open('run', 'w')\n")
+    complete("bash", tmp_path, "eldenet train data=nyu_l")
+    assert not (tmp_path / "run").exists()
 
 
 def test_completion_needs_a_shell(tmp_path):
