@@ -6,11 +6,10 @@ Public names are loaded when they are first used, which keeps ``import eldenet``
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from eldenet.config import list_models
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
-    from eldenet.weights import list_weights
+    from eldenet.weights import list_models, list_weights
     from eldenet.zoo import load
 
 __version__ = "0.1.0"
@@ -29,7 +28,7 @@ _MODULE_OF = {
     "DepthNet": "eldenet.model",
     "DepthPredictor": "eldenet.deploy.predictor",
     "EncoderDecoder": "eldenet.model",
-    "list_models": "eldenet.config",
+    "list_models": "eldenet.weights",
     "list_weights": "eldenet.weights",
     "load": "eldenet.zoo",
     "runtimes": "eldenet.deploy.runtimes",

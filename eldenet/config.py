@@ -4,7 +4,6 @@ First come what all commands share: composition, objects from nodes, settings, s
 section for each group of commands: ``build_<command>`` returns what ``eldenet/<command>.py`` runs.
 """
 
-import difflib
 import functools
 import logging
 import math
@@ -21,8 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.configurable import building_only, refuse_foreign_code
 from eldenet.system.checks import check_arguments, one_of
+from eldenet.system.files import shipped_folder
 from eldenet.system.resources import choose_resources, prepare_environment
-from eldenet.weights import BEST, list_weights
+from eldenet.weights import BEST, find_checkpoint, list_models
 
 prepare_environment()
 
@@ -75,16 +75,7 @@ PARTS = (
 
 def config_folder() -> Path:
     """Return the folder of the YAML files: ``configs/`` in a checkout, ``eldenet/configs`` in a wheel."""
-    package = Path(__file__).resolve().parent
-    for folder in (package / "configs", package.parent / "configs"):
-        if (folder / "train.yaml").is_file():
-            return folder
-    raise FileNotFoundError(f"no configs beside {package}: the installation is incomplete, reinstall eldenet")
-
-
-def list_models() -> list[str]:
-    """Return the names of networks that :func:`eldenet.load` builds."""
-    return sorted(path.stem for path in (config_folder() / "model").glob("*.yaml"))
+    return shipped_folder("configs", "train.yaml")
 
 
 def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
@@ -365,37 +356,7 @@ def check_sources(config: DictConfig, *names: str) -> None:
     """
     for name in names:
         if config[name] is not None:
-            check_source(str(config[name]), name)
-
-
-def check_source(source: str, setting: str = "source") -> None:
-    """Raise unless ``source`` is a network's name, a path that exists, or may be a Hub id.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        ValueError: there is no network of that name.
-    """
-    path = Path(source).expanduser()
-    if source in list_models() or source in list_weights() or path.exists():
-        return
-    if path.suffix in (".onnx", ".xml"):
-        raise FileNotFoundError(f"{setting}={source} does not exist: eldenet export writes such files")
-    if "/" not in source:
-        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
-        raise ValueError(
-            f"unknown model {source!r}: "
-            + (
-                f"did you mean {near[0]}? docs/weights.md and docs/networks.md list all names"
-                if near
-                else f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
-                f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
-            )
-        )
-    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
-        raise FileNotFoundError(
-            f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
-            "saved model"
-        )
+            find_checkpoint(str(config[name]), name)
 
 
 # --- data sets: splits, and check_data ----------------------------------------------------------------------
@@ -763,12 +724,7 @@ def _check_adaptation(config: DictConfig) -> None:
         ValueError: a setting is wrong, or the weights are not trained.
         FileNotFoundError: there are no such weights.
     """
-    check_sources(config, "weights")
-    if config.weights in list_models():
-        raise ValueError(
-            f"weights={config.weights} is a network without trained weights: give one of "
-            f"{', '.join(list_weights())}, a run folder, a saved model or a Hub id"
-        )
+    find_checkpoint(str(config.weights), "weights", trained=True)
     if not (isinstance(config.minutes, int | float) and 0 < config.minutes < math.inf):
         raise ValueError(f"minutes={config.minutes}: give a number above 0")
 
@@ -854,7 +810,8 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     if config.boxes:
         of_kitti = not given and not source.is_video and all(map(object_camera, map(Path, source.names)))
         boxes = _build_boxes(config, of_kitti=of_kitti, is_video=source.is_video)
-    by_torch = not runtimes.is_exported(checkpoint) and engine in ("auto", *runtimes.TORCH)
+    exported = find_checkpoint(checkpoint, "checkpoint").kind == "exported"
+    by_torch = not exported and engine in ("auto", *runtimes.TORCH)
     return _filled(
         PredictionSetup,
         config,
@@ -970,7 +927,7 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
     one_of("accuracy", str(config.accuracy), METRICS)
     models = list_models() if config.models is None else listed(config.models)
     for model in models:
-        check_source(str(model), "models")
+        find_checkpoint(str(model), "models")
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
 
     return _filled(

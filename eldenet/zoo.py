@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldenet.config import check_source, list_models
-from eldenet.weights import list_weights, located
+from eldenet.weights import find_checkpoint, list_weights
 
 if TYPE_CHECKING:
     from eldenet.losses.distillation import Teacher
@@ -50,7 +49,8 @@ def load(
                 f"a run folder, saved model or Hub id write eldenet.load({weights!r})"
             )
         source = f"{source}_{weights}"
-    if str(source) in list_models():
+    found = find_checkpoint(source)
+    if found.kind == "network":
         from eldenet.config import build_model, compose
 
         if revision is not None or trusted_modules:
@@ -60,12 +60,9 @@ def load(
         return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
     if overrides:
         raise ValueError(f"overrides apply to networks built by name, but {source} is a saved model")
-    check_source(str(source))
-    folder = located(source)
-    if revision is not None and folder.is_dir():
+    if revision is not None and found.kind != "hub":
         raise ValueError(f"revision={revision!r} applies to Hub ids, but {source} is a folder here")
-    found = folder if folder.is_dir() or folder.is_absolute() else source
-    return DepthNet.from_pretrained(found, trusted_modules=trusted_modules, revision=revision)
+    return DepthNet.from_pretrained(found.path, trusted_modules=trusted_modules, revision=revision)
 
 
 def build_teacher(
@@ -94,9 +91,6 @@ def build_teacher(
             "a teacher is missing: give a run folder, saved model or Hub id, for a loss as teacher=..., for "
             "photographs as data.sources.photographs.data.teacher.source=..."
         )
-    if source in list_models() and not overrides:
-        raise ValueError(
-            f"the teacher {source} is a network without trained weights: give a run folder of it"
-        )
+    find_checkpoint(source, "teacher", trained=not overrides)
     network = load(source, overrides=overrides, trusted_modules=trusted_modules)
     return Teacher(network, source=str(source), input_size=input_size)

@@ -21,8 +21,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Bottom up. A module imports from its own package and from the lines above its own, never from its line.
 ORDER = """
-types configurable renames weights uncertainty
+types configurable renames uncertainty
 system layers
+weights
 geometry heads
 boxes refinement losses visualization
 backbones decoders

@@ -34,7 +34,7 @@ REFERENCE = {
         "Networks by name, and the two classes that every network is made of.",
         (
             "eldenet.zoo.load",
-            "eldenet.config.list_models",
+            "eldenet.weights.list_models",
             "eldenet.weights.list_weights",
             "eldenet.model.DepthNet",
             "eldenet.model.EncoderDecoder",

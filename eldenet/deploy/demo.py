@@ -17,8 +17,8 @@ import numpy as np
 import eldenet
 from eldenet.deploy.exporting import UNTRAINED_SIZE
 from eldenet.geometry import BORDER_COLOR
-from eldenet.system.files import part_file, write_json
-from eldenet.weights import name_of
+from eldenet.system.files import part_file, shipped_folder, write_json
+from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -59,7 +59,7 @@ def demo(setup: DemoSetup) -> None:
 
     log = RunLog(setup.output)
     model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
-    if setup.checkpoint in eldenet.list_models():
+    if find_checkpoint(setup.checkpoint).kind == "network":
         log.say(untrained_note(setup.checkpoint))
     server = open_server(setup.output, setup.port) if setup.serve else None  # before minutes are spent
     build_page(model, setup, log)
@@ -106,11 +106,7 @@ def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dic
 
 def web_folder() -> Path:
     """Return the folder of the page: ``web/`` in a checkout, ``eldenet/web`` in a wheel."""
-    package = Path(eldenet.__file__).resolve().parent
-    for folder in (package / "web", package.parent / "web"):
-        if (folder / LOCK).is_file():
-            return folder
-    raise FileNotFoundError(f"no web beside {package}: the installation is incomplete, reinstall eldenet")
+    return shipped_folder("web", LOCK)
 
 
 def install_runtime(folder: Path, log: "RunLog") -> None:

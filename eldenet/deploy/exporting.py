@@ -14,7 +14,7 @@ from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.system.files import safe_stem
 from eldenet.uncertainty import DepthEstimate
-from eldenet.weights import name_of
+from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -71,7 +71,7 @@ def export(setup: ExportSetup) -> Path:
     model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
     target = target_of(setup, model)
     size, output, log = target.size, target.output, RunLog(target.output.parent)
-    if setup.checkpoint in eldenet.list_models():
+    if find_checkpoint(setup.checkpoint).kind == "network":
         log.say(untrained_note(setup.checkpoint))
     if setup.pictures is None:
         log.say("pictures for the check: rendered rooms (yours: pictures=folder)")

@@ -19,7 +19,7 @@ from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.videos import predict_video
 from eldenet.deploy.viewer import RerunViewer, open_recording
 from eldenet.uncertainty import NO_SIGMA
-from eldenet.weights import BEST
+from eldenet.weights import BEST, find_checkpoint
 
 if TYPE_CHECKING:
     from eldenet.deploy.predictor import DepthPredictor
@@ -187,7 +187,8 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
     resources = setup.resources
     network: DepthNet | Runtime
     device = None  # a runtime has its own
-    if runtimes.is_exported(checkpoint):
+    kind = find_checkpoint(checkpoint, "checkpoint").kind
+    if kind == "exported":
         network = runtimes.load(checkpoint, setup.engine, threads=resources.threads, device=resources.device)
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
     else:
@@ -209,7 +210,7 @@ def open_predictor(setup: PredictionSetup, log: "RunLog") -> "DepthPredictor":
         sharp=setup.sharp and not setup.source.is_video and setup.boxes is None,
         uncertainty=knows_sigma(setup, network),
     )
-    if checkpoint in eldenet.list_models():
+    if kind == "network":
         log.say(untrained_note(checkpoint))
     elif predictor.input_size is None:
         log.say(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import eldenet
+from eldenet.weights import find_checkpoint
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset
@@ -82,7 +83,7 @@ def evaluate(setup: EvaluationSetup) -> dict[str, Any]:
     model = open_checkpoint(setup, resources)
     setup.folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(setup.folder)
-    if setup.checkpoint in eldenet.list_models():
+    if find_checkpoint(setup.checkpoint).kind == "network":
         log.say(untrained_note(setup.checkpoint))
     size = chosen_size(setup, model, log)
     scoring = ScoreSetup(
@@ -114,7 +115,7 @@ def open_checkpoint(setup: EvaluationSetup, resources: "Resources") -> "DepthNet
     from eldenet.deploy import runtimes
     from eldenet.deploy.runtimes.module import RuntimeNetwork
 
-    if Path(setup.checkpoint).suffix in runtimes.READS:
+    if find_checkpoint(setup.checkpoint, "checkpoint").kind == "exported":
         device = "cpu" if setup.resources["device"] == "auto" else resources.device
         network = runtimes.load(
             setup.checkpoint, setup.engine, setup.precision, threads=resources.threads, device=device

@@ -27,6 +27,7 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.depth_camera import StereoArtifacts
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import as_estimate
+from eldenet.weights import find_checkpoint
 
 CAUTION = 0.8  # of the interval whose low end is how near things may be
 FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
@@ -185,15 +186,10 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
         return None
     import torch
 
-    import eldenet
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
 
-    if source in eldenet.list_models():
-        raise ValueError(
-            f"sensor.checkpoint={source} is a network without trained weights: give one of "
-            f"{', '.join(eldenet.list_weights())}, a run folder, a saved model, an exported file or a Hub id"
-        )
+    find_checkpoint(source, "sensor.checkpoint", trained=True)
     network = runtimes.load(source, threads=torch.get_num_threads())
     return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 

@@ -109,6 +109,23 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def shipped_folder(name: str, file: str) -> Path:
+    """Return a folder that comes with eldenet: beside the package in a checkout, in the package in a wheel.
+
+    Args:
+        name: of the folder.
+        file: that it holds.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / name, package.parent / name):
+        if (folder / file).is_file():
+            return folder
+    raise FileNotFoundError(f"no {name} beside {package}: the installation is incomplete, reinstall eldenet")
+
+
 def displayed(path: Path) -> Path:
     """Return the path as people read it: from the working directory where it lies below that."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

@@ -9,6 +9,7 @@ import eldenet
 from eldenet.results.fingerprints import differences
 from eldenet.system.resources import seed_everything
 from eldenet.training.normalization import keep_normalization
+from eldenet.weights import find_checkpoint
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,13 +44,7 @@ def initial_model(setup: "TrainingSetup", log: "RunLog", **normalization: Any) -
 def _take_over(setup: "TrainingSetup", model: "DepthNet", log: "RunLog", *, chosen: bool) -> None:
     """Copy all weights that fit into ``model``; ``chosen``: the user asked for its normalization."""
     weights = str(setup.weights)
-    if weights in eldenet.list_models():
-        raise ValueError(
-            f"weights={weights} names a network without trained weights: give a run of it, a saved model, "
-            f"a Hub id, or packaged weights ({', '.join(eldenet.list_weights())}); for a folder of that "
-            "name, give "
-            f"./{weights}"
-        )
+    find_checkpoint(weights, "weights", trained=True)
     start = eldenet.load(weights, trusted_modules=setup.trusted_modules)
     own = model.state_dict()
     fitting = {

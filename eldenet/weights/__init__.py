@@ -1,15 +1,22 @@
-"""Trained weights that come with the package; each ``config.json`` says what they have seen."""
+"""What ``checkpoint=`` may name, and the trained weights that come with the package.
 
-import hashlib
+The ``config.json`` of packaged weights says what they have seen.
+"""
+
+import difflib
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
+
+from eldenet.system.digests import file_digest
+from eldenet.system.files import shipped_folder
 
 PACKAGED = Path(__file__).resolve().parent
 BEST = "eldenet_l_indoor"  # for pictures of real rooms: what predict takes unless it is given others
 #: Where weights lie in the folder of a saved model and of a run.
 WEIGHT_FILES = ("model.safetensors", "model/model.safetensors")
+EXPORTED = (".onnx", ".xml")  # files for ONNX Runtime and OpenVINO
 
 
 def check_packaged(path: Path) -> None:
@@ -21,7 +28,7 @@ def check_packaged(path: Path) -> None:
     if path.resolve().parent == PACKAGED:
         lines = (PACKAGED / "SHA256SUMS").read_text().splitlines()
         sums = {name: digest for digest, name in (line.split() for line in lines)}
-        if sums.get(path.name) not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+        if sums.get(path.name) not in (None, file_digest(path)):
             raise ValueError(f"{path} is damaged (see SHA256SUMS beside it): install eldenet again")
 
 
@@ -30,24 +37,87 @@ def list_weights() -> list[str]:
     return sorted(path.parent.name for path in PACKAGED.glob("*/config.json"))
 
 
-def located(source: str | Path) -> Path:
-    """Return the folder or file of a source: the package's weights of that name, or else the path itself.
+def list_models() -> list[str]:
+    """Return the names of networks that :func:`eldenet.load` builds."""
+    return sorted(path.stem for path in (shipped_folder("configs", "train.yaml") / "model").glob("*.yaml"))
 
-    ``~`` is the home folder. ``./name`` is always a path, never the package's weights.
+
+class Checkpoint(NamedTuple):
+    """What a name stands for.
+
+    Attributes:
+        kind: "network" (a name of :func:`list_models`, not trained), "saved" (packaged weights, a saved model
+            or a run folder), "exported" (an ONNX or OpenVINO file) or "hub" (an id).
+        path: of the folder or file; of the other kinds the name itself.
+    """
+
+    kind: Literal["network", "saved", "exported", "hub"]
+    path: Path
+
+
+def find_checkpoint(name: str | Path, setting: str = "source", *, trained: bool = False) -> Checkpoint:
+    """Return what ``checkpoint=`` and similar settings name; nothing is loaded.
+
+    Args:
+        name: of a network or of packaged weights; a saved model, run folder or exported file; or a Hub id.
+        setting: for messages.
+        trained: refuse names of networks, which have random weights.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        ValueError: there is no network of that name, or it is not trained.
+    """
+    source, path = str(name), located(name)
+    if source in list_models():
+        if trained:
+            raise ValueError(
+                f"{setting}={source} is a network without trained weights: give one of "
+                f"{', '.join(list_weights())}, a run folder (./{source}), a saved model or a Hub id"
+            )
+        return Checkpoint("network", Path(source))
+    if path.suffix in EXPORTED:
+        if not path.is_file():
+            raise FileNotFoundError(f"{setting}={source} does not exist: eldenet export writes such files")
+        return Checkpoint("exported", path)
+    if path.exists():
+        return Checkpoint("saved", path)
+    if "/" not in source:
+        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
+        raise ValueError(
+            f"unknown model {source!r}: "
+            + (
+                f"did you mean {near[0]}? docs/weights.md and docs/networks.md list all names"
+                if near
+                else f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
+                f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
+            )
+        )
+    if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():
+        raise FileNotFoundError(
+            f"{setting}={source} is neither a local folder nor a Hub id 'owner/name': give a run folder or a "
+            "saved model"
+        )
+    return Checkpoint("hub", Path(source))
+
+
+def located(source: str | Path) -> Path:
+    """Return the folder of packaged weights of that name, or else the path itself.
+
+    ``~`` is the home folder. ``./name`` is always a path, never packaged weights.
 
     Warns:
-        UserWarning: a saved model here has the same name as the package's weights and is not used.
+        UserWarning: a saved model here has the same name as packaged weights and is not used.
     """
-    own, here = PACKAGED / source, Path(source).expanduser()
-    if "/" in str(source) or not (own / WEIGHT_FILES[0]).is_file():
-        return here
-    if any((here / name).is_file() for name in WEIGHT_FILES) and here.resolve() != own:
+    packaged, path = PACKAGED / source, Path(source).expanduser()
+    if "/" in str(source) or not (packaged / WEIGHT_FILES[0]).is_file():
+        return path
+    if any((path / name).is_file() for name in WEIGHT_FILES) and path.resolve() != packaged:
         warnings.warn(
             f"{source} is taken from the package, not from the local folder of that name: to use the folder, "
             f"give ./{source}",
             stacklevel=2,
         )
-    return own
+    return packaged
 
 
 def name_of(source: str, info: Mapping[str, Any]) -> str:

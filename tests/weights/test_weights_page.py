@@ -5,7 +5,7 @@ from pathlib import Path
 
 import eldenet
 from eldenet.cli.commands import COMMANDS
-from eldenet.config import config_folder, list_models
+from eldenet.config import config_folder
 from eldenet.weights import PACKAGED
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "weights.md"
@@ -49,7 +49,7 @@ def test_names_follow_the_pages_rule_or_the_page_says_which_do_not():
     of_parts = {f"{backbone}_{decoder}" for backbone in backbones for decoder in decoders}
     for name in eldenet.list_weights():
         network = json.loads((PACKAGED / name / "config.json").read_text())["info"]["model_name"]
-        assert network in {*list_models(), *of_parts}
+        assert network in {*eldenet.list_models(), *of_parts}
         if not name.startswith(f"{network}_"):
             assert f"`{name}`" in exception
             assert f"`{network}`" in exception

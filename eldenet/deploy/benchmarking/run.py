@@ -30,7 +30,7 @@ from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import safe_stem
-from eldenet.weights import name_of
+from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -204,7 +204,7 @@ def load_models(setup: BenchmarkSetup) -> Networks:
     models: dict[str, DepthNet] = {}
     for source in setup.models:
         torch.manual_seed(0)
-        trusted = () if source in eldenet.list_models() else setup.trusted_modules
+        trusted = () if find_checkpoint(source).kind == "network" else setup.trusted_modules
         model = eldenet.load(source, trusted_modules=trusted)
         name = name_of(source, model.info)
         if name in models:

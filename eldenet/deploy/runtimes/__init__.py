@@ -19,6 +19,7 @@ from eldenet.deploy.stream import DepthStream
 from eldenet.system.checks import one_of
 from eldenet.system.resources import available_cores
 from eldenet.system.timing import median_ms, time_interleaved
+from eldenet.weights import find_checkpoint
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -62,10 +63,8 @@ def load(
     """
     threads = available_cores() if threads is None else threads
     one_of("runtime", runtime, ("auto", *RUNTIMES))
-    if is_exported(source):
-        path = Path(source).expanduser()  # type: ignore[arg-type]
-        if not path.is_file():
-            raise FileNotFoundError(f"{path} does not exist: eldenet export writes such files")
+    if isinstance(source, str | Path) and (found := find_checkpoint(source)).kind == "exported":
+        path = found.path
         if runtime == "auto":
             return fastest(path, precision, threads=threads, device=device)
         if runtime not in READS[path.suffix]:
@@ -103,11 +102,6 @@ def load(
     with tempfile.TemporaryDirectory() as folder:
         path = write_onnx(model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=metadata)
         return _open(path, runtime, precision, threads, device)
-
-
-def is_exported(source: object) -> bool:
-    """Return whether a source is an exported file, judged by its extension."""
-    return isinstance(source, str | Path) and Path(source).suffix in READS
 
 
 def fastest(

@@ -15,7 +15,7 @@ from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.studies.tables import read_expected
 from eldenet.system.files import read_yaml
-from eldenet.zoo import list_models
+from eldenet.weights import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
 REPOSITORY = Path(__file__).resolve().parents[3]
