@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,26 +98,32 @@ def complete(shell: str, folder: Path, *lines: str) -> list[list[str]]:
         os.chdir(folder)
         os.execvp(shell, SHELLS[shell])
     try:
-        os.write(terminal, b"source bin/script; echo rea''dy\n")
-        shown = _read_until(terminal, lambda shown: "ready" in shown)
+        _wait(terminal, lambda: _edits(terminal))
+        os.write(terminal, b"source bin/script; echo > ready\n")
+        _wait(terminal, (folder / "ready").exists)
         for number, line in enumerate(lines, 1):
+            _wait(terminal, lambda: _edits(terminal))
             os.write(terminal, f"{line}\t\n".encode())
-            shown += _read_until(terminal, lambda _: started.read_text().count("\n") >= number)  # noqa: B023
+            _wait(terminal, lambda: started.read_text().count("\n") == number)  # noqa: B023
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         os.close(terminal)
-    words = [ast.literal_eval(line) for line in started.read_text().splitlines()]
-    assert len(words) == len(lines), shown
-    return words
+    return [ast.literal_eval(line) for line in started.read_text().splitlines()]
 
 
-def _read_until(terminal: int, done: Callable[[str], bool]) -> str:
-    shown, end = "", time.monotonic() + 30
-    while not done(shown) and time.monotonic() < end:
-        if select.select([terminal], [], [], 0.1)[0]:
+def _edits(terminal: int) -> bool:
+    """Whether the shell reads key by key: what is typed earlier may be lost."""
+    return not termios.tcgetattr(terminal)[3] & termios.ICANON
+
+
+def _wait(terminal: int, done: Callable[[], bool]) -> None:
+    """Wait until something is done; meanwhile the shell may print."""
+    shown, end = "", time.monotonic() + 60
+    while not done():
+        assert time.monotonic() < end, shown
+        if select.select([terminal], [], [], 0.05)[0]:
             shown += os.read(terminal, 65536).decode(errors="replace")
-    return shown
 
 
 @pytest.mark.parametrize("shell", SHELLS)
