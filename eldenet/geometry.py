@@ -1,4 +1,4 @@
-"""Pinhole geometry: intrinsics under image operations, back-projection, disparity.
+"""Pinhole geometry: intrinsics under image operations, back-projection, disparity, depth by focal length.
 
 Convention: pixel centers are whole numbers (the center of the first pixel is (0, 0)), x right, y down,
 z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5.
@@ -7,9 +7,12 @@ z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SAME_ASPECT = 0.02  # share by which a resize may stretch one side: what rounding to whole pixels does
 BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normalized it
@@ -254,3 +257,24 @@ class PinholeCamera:
         seen = self.to_camera(points)
         z = np.where(seen[..., 2:] > 1e-6, seen[..., 2:], np.nan)
         return np.asarray((seen / z) @ self.intrinsics.T)[..., :2]
+
+
+def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: float | None) -> "Tensor":
+    """Return meters of canonical depth ``(B, 1, H, W)``: times ``focal / canonical_px``.
+
+    Args:
+        depth: canonical depth.
+        focal: fx [px of the network's image], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
+        canonical_px: focal length of the canonical camera [px]; None: ``depth`` is in meters already.
+    """
+    if focal is None or canonical_px is None:
+        return depth
+    import torch
+
+    return depth * focal_ratio(torch.as_tensor(focal, device=depth.device), canonical_px)
+
+
+def focal_ratio(focal: "Tensor", canonical_px: float) -> "Tensor":
+    """Return meters per canonical meter ``(B, 1, 1, 1)`` for ``focal (B,)`` [px]; 1 where it is 0 or NaN."""
+    ratio = focal.float().reshape(-1, 1, 1, 1) / canonical_px
+    return ratio.where(ratio > 0, ratio.new_ones(ratio.shape))

@@ -205,22 +205,3 @@ def add_channels(network: nn.Module, count: int) -> None:
         norm.bias = nn.Parameter(torch.cat([norm.bias.detach(), torch.zeros(count)]))
         norm.running_mean = torch.cat([norm.running_mean, torch.zeros(count)])  # type: ignore[list-item]
         norm.running_var = torch.cat([norm.running_var, torch.ones(count)])  # type: ignore[list-item]
-
-
-def in_meters(depth: Tensor, focal: float | Tensor | None, canonical_px: float | None) -> Tensor:
-    """Return meters of canonical depth ``(B, 1, H, W)``: times ``focal / canonical_px``.
-
-    Args:
-        depth: canonical depth.
-        focal: fx [px of the network's image], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
-        canonical_px: focal length of the canonical camera [px]; None: ``depth`` is in meters already.
-    """
-    if focal is None or canonical_px is None:
-        return depth
-    return depth * focal_ratio(torch.as_tensor(focal, device=depth.device), canonical_px)
-
-
-def focal_ratio(focal: Tensor, canonical_px: float) -> Tensor:
-    """Return meters per canonical meter ``(B, 1, 1, 1)`` for ``focal (B,)`` [px]; 1 where it is 0 or NaN."""
-    ratio = focal.float().reshape(-1, 1, 1, 1) / canonical_px
-    return ratio.where(ratio > 0, torch.ones_like(ratio))

@@ -15,7 +15,8 @@ from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights, read_weights
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
-from eldenet.heads import Head, add_channels, in_meters
+from eldenet.geometry import in_meters
+from eldenet.heads import Head, add_channels
 from eldenet.renames import renamed
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests

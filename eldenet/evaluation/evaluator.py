@@ -14,7 +14,7 @@ from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.heads import in_meters
+from eldenet.geometry import in_meters
 from eldenet.model import eval_mode
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from eldenet.heads import in_meters
+from eldenet.geometry import in_meters
 from eldenet.losses.base import Autocast, Loss, LossInputs, WeightedTerm
 
 

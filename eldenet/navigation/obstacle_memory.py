@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from eldenet.navigation.pedestrians import AHEAD, MAX_MARKED, Walkers, marks
+from eldenet.navigation.pedestrian_tracking import AHEAD, MAX_MARKED, PedestrianTracker, marks
 from eldenet.simulation.robot import ROBOT
 
 MEMORY_REACH = 3.0  # distance up to which points are returned [m]
@@ -40,7 +40,7 @@ class Memory:
         self._points = np.full((robots, periods // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
         self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # scans that saw through a point so far
         self._scans = np.zeros(robots, np.intp)  # scans so far
-        self._walkers = [Walkers() for _ in range(robots)] if walkers else []
+        self._walkers = [PedestrianTracker() for _ in range(robots)] if walkers else []
         marked = MAX_MARKED * len(AHEAD) * 8 if walkers else 0
         self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
 
@@ -51,7 +51,7 @@ class Memory:
         self._marks[robot] = _NOWHERE
         for number in range(len(self._scans))[robot] if isinstance(robot, slice) else [robot]:
             if self._walkers:
-                self._walkers[number] = Walkers()
+                self._walkers[number] = PedestrianTracker()
 
     def add(
         self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray, cautious: np.ndarray | None = None

@@ -9,10 +9,10 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D, wrap_half
 from eldenet.geometry import PinholeCamera
+from eldenet.perception.box_methods import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
 from eldenet.perception.priors import PRIORS, ClassPrior, prior_of
-from eldenet.perception.solvers import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.system.checks import one_of
 from eldenet.uncertainty import DepthEstimate, as_estimate
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, clearance_map
 from eldenet.simulation.obstacle import SIDE, Obstacle, Point
+from eldenet.simulation.pedestrians import PERSON_RADIUS
 from eldenet.system.checks import one_of
 from eldenet.system.files import read_yaml
 
@@ -27,7 +28,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "vehicle": {"yaw": 0.0},
     "person": {"height": 1.7, "path": [], "speed": 0.6},
 }
-PERSON_RADIUS, VEHICLE_HALF, VEHICLE_HEIGHT = 0.25, (0.6, 0.35), 0.6  # [m], as in drawn arenas
+VEHICLE_HALF, VEHICLE_HEIGHT = (0.6, 0.35), 0.6  # [m], as in drawn arenas
 
 
 def read_arena(path: str | Path) -> Arena:

@@ -15,6 +15,7 @@ import numpy as np
 
 from eldenet.simulation.arena_walls import OPEN, Walls, draw_rooms, draw_trap
 from eldenet.simulation.obstacle import SIDE, Obstacle, Point
+from eldenet.simulation.pedestrians import PEDESTRIAN_CLEARANCE, PERSON_HEIGHTS, PERSON_RADIUS, draw_walk
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
@@ -26,7 +27,6 @@ KINDS = {"open": (), "rooms": (1,), "traps": (2,)}
 RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
-PEDESTRIAN_CLEARANCE = 3.0  # from the start to where a pedestrian's path begins [m]
 MAX_CLEARANCE = 1.6  # of a clearance map [m]
 
 
@@ -136,7 +136,7 @@ def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacl
             radius = round(draw.uniform(0.20, 0.45), 4)
             kind, half = "cylinder", (radius, radius)
         elif share < 0.5:
-            kind, half, height = "person", (0.25, 0.25), draw.uniform(1.5, 1.9)
+            kind, half, height = "person", (PERSON_RADIUS, PERSON_RADIUS), draw.uniform(*PERSON_HEIGHTS)
         elif share < 0.9:
             kind, half = "box", (round(draw.uniform(0.2, 0.5), 4), round(draw.uniform(0.2, 0.5), 4))
         else:
@@ -156,21 +156,9 @@ def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacl
 
 
 def _draw_pedestrian(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
-    """Draw a person who walks back and forth or around three to five corners, away from the start."""
-    limit = SIDE / 2 - 1.0
-    back_and_forth = draw.chance(0.5)
-    while True:
-        count = 2 if back_and_forth else draw.integer(3, 5)
-        path = tuple(
-            (round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4))
-            for _ in range(count)
-        )
-        x, y = path[0]
-        lengths = [math.dist(a, b) for a, b in zip(path, (*path[1:], path[0]), strict=True)]
-        if math.hypot(x - start[0], y - start[1]) > PEDESTRIAN_CLEARANCE and min(lengths) > 2.0:
-            break
-    speed, height = round(draw.uniform(0.3, 0.9), 4), round(draw.uniform(1.5, 1.9), 4)
-    return Obstacle("person", x, y, 0.0, (0.25, 0.25), height, path, speed)
+    path, speed = draw_walk(draw, start, SIDE)
+    half = (PERSON_RADIUS, PERSON_RADIUS)
+    return Obstacle("person", *path[0], 0.0, half, round(draw.uniform(*PERSON_HEIGHTS), 4), path, speed)
 
 
 def draw_start_and_goal(

@@ -1,12 +1,11 @@
 """An upright object on the floor of an arena."""
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import accumulate
 
 import numpy as np
+
+from eldenet.simulation.pedestrians import position_on
 
 SIDE = 20.0  # of the arena [m]
 WALL_HEIGHT = 2.0  # [m]
@@ -65,17 +64,4 @@ class Obstacle:
 
     def position(self, time: float) -> Point:
         """Return the center ``time`` [s] after the start."""
-        if not self.path:
-            return self.x, self.y
-        lengths, starts = self._legs
-        along = (time * self.speed) % starts[-1]
-        leg = min(bisect_right(starts, along) - 1, len(lengths) - 1)
-        share = (along - starts[leg]) / lengths[leg]
-        (x, y), (to_x, to_y) = self.path[leg], self.path[(leg + 1) % len(self.path)]
-        return x + share * (to_x - x), y + share * (to_y - y)
-
-    @cached_property
-    def _legs(self) -> tuple[list[float], list[float]]:
-        """Length of every leg of the path, and the distance walked before each and after the last [m]."""
-        lengths = [math.dist(a, b) for a, b in zip(self.path, (*self.path[1:], self.path[0]), strict=True)]
-        return lengths, [0.0, *accumulate(lengths)]
+        return position_on(self.path, self.speed, time) if self.path else (self.x, self.y)

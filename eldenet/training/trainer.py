@@ -14,7 +14,7 @@ from eldenet.data.loaders import EpochSampler, to_device, training_loader
 from eldenet.evaluation.evaluator import evaluate, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.heads import focal_ratio, in_meters
+from eldenet.geometry import focal_ratio, in_meters
 from eldenet.losses.base import LossInputs, WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS

@@ -48,7 +48,7 @@ class Track:
     columns: slice = field(default_factory=lambda: slice(0))
 
 
-class Walkers:
+class PedestrianTracker:
     """Tracks of one robot's scans."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldenet.navigation.observer import Observer, Senses
-from eldenet.navigation.pedestrians import MAX_AGE, RADIUS, Walkers
+from eldenet.navigation.pedestrian_tracking import MAX_AGE, RADIUS, PedestrianTracker
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
@@ -31,8 +31,10 @@ def points_of(world: ArenaWorld) -> tuple[np.ndarray, np.ndarray]:
     return eye + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1), ranges
 
 
-def drive(world: ArenaWorld, steps: int, speed: float = 0.0, turn: float = 0.0) -> tuple[Walkers, list]:
-    walkers, moving = Walkers(), []
+def drive(
+    world: ArenaWorld, steps: int, speed: float = 0.0, turn: float = 0.0
+) -> tuple[PedestrianTracker, list]:
+    walkers, moving = PedestrianTracker(), []
     for _ in range(steps):
         moving = walkers.update(*points_of(world))
         world.advance(speed, turn, ROBOT.period)
