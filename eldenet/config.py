@@ -974,13 +974,9 @@ def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
         raise ValueError(f"density={config.density}: give a whole number, or a list of them")
     counted = ("pedestrians", "world", "episodes", "robots")
     check_arguments(
-        {"record": modes.RecordSetup, "fit_noise": modes.NoiseSetup}.get(config.mode, modes.EvaluationSetup),
+        modes.RecordSetup if config.mode == "record" else modes.EvaluationSetup,
         {name: settings[name] for name in counted if name in settings},
     )
-    if config.mode == "fit_noise":
-        return modes.NoiseSetup(
-            **common, densities=densities, episodes=config.episodes, **settings["fit_noise"]
-        )
     policy = instantiate(config.policy)
     late = config.sensor.latency if config.predict_latency else 0.0
 

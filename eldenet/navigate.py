@@ -1,4 +1,4 @@
-"""``python -m eldenet.navigate``: record, evaluate or train a driver; analyze failures; fit range noise."""
+"""``python -m eldenet.navigate``: record, evaluate or train a driver."""
 
 import sys
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from eldenet.renames import VALUES
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-MODES = ("record", "evaluate", "analyze_failures", "fit_noise", "train")
+MODES = ("record", "evaluate", "train")
 
 
 def main() -> None:

@@ -62,8 +62,6 @@ KEYS = {
 #: Values that were renamed: (key, old value) -> new value.
 VALUES: dict[tuple[str, Any], str] = {
     ("encoding", "metres"): "meters",
-    ("mode", "diagnose"): "analyze_failures",
-    ("mode", "measure"): "fit_noise",
     ("mode", "watch"): "record",
     ("places", "crossings"): "episodes",
     ("space", "metres"): "meters",

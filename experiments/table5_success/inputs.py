@@ -39,7 +39,9 @@ def check_inputs(args: Namespace, sensors: Sequence[str]) -> None:
         if kind == "objects":
             detector_files(args.detector)
         if kind == "noisy" and not errors_file(args.errors).is_file():
-            raise ValueError(f"--errors {args.errors}: no such file; give one of mode=fit_noise, or packaged")
+            raise ValueError(
+                f"--errors {args.errors}: no such file; give one of fit_range_errors.py, or packaged"
+            )
 
 
 def depth_files(source: str | None) -> list[Path]:

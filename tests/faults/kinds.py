@@ -342,12 +342,11 @@ def _policy(path: Path) -> Any:
 
 
 def _write_errors(path: Path) -> None:
-    from eldenet.navigation.range_errors import EDGES, RangeErrors
+    from eldenet.navigation.range_errors import RangeErrors
 
-    zeros = (0.1,) * (len(EDGES) - 1)
     RangeErrors(
-        EDGES, bias=zeros, spread=zeros, miss=zeros, scale=0.5, smooth=0.7, column=0.6, memory=0.7,
-        far=(-0.2, 0.1),
+        (0.3, 1.0, 10.0), bias=(0.1, 0.1), spread=(0.1, 0.1), miss=(0.1, 0.1), scale=0.5,
+        smooth=0.7, column=0.6, memory=0.7, far=(-0.2, 0.1),
     ).write(path)  # fmt: skip
 
 

@@ -1,11 +1,13 @@
-"""Why episodes fail: arenas with a known cause."""
+"""experiments/table5_success/failures.py: arenas with a known cause."""
+
+import csv
 
 import numpy as np
 import pytest
+from support.scripts import load_scripts
 
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import as_rows, run_episodes
-from eldenet.navigation.failures import _witness, draw_worst, touched_spot, trace
 from eldenet.navigation.latency import Predictive
 from eldenet.navigation.planners.straight import Straight
 from eldenet.navigation.policy import Navigator
@@ -13,6 +15,9 @@ from eldenet.navigation.sensors import Ranges
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
+
+(failures,) = load_scripts("table5_success", "failures")
+trace, draw_worst, touched_spot = failures.trace, failures.draw_worst, failures.touched_spot
 
 
 def straight(robots: int) -> Straight:
@@ -89,22 +94,22 @@ def test_a_learnt_driver_s_failures_are_traced_too():
 def test_the_worst_are_drawn_and_listed():
     worlds = [arena(AHEAD), arena(goal=(9.0, 0.0)), arena(BEHIND, goal=(-6.0, 0.0), start=(0.0, 0.0, 3.14))]
     rows = run_episodes(worlds, straight, Ranges(), EpisodeSettings(time_limit=8.0))
-    failures = trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=8.0))
-    assert len(failures) == 3
-    picture = draw_worst(failures, across=2)
+    found = trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=8.0))
+    assert len(found) == 3
+    picture = draw_worst(found, across=2)
     assert picture.shape == (960, 960, 3)
     assert (picture[480:, 480:] == 255).all()  # an empty place
-    assert draw_worst(failures, most=1).shape == (480, 480, 3)
-    worst = max(failures, key=lambda failure: failure.remaining)
-    assert (draw_worst(failures, most=1) == worst.picture).all()
-    names, lines = as_rows(failures, without=["picture"])
+    assert draw_worst(found, most=1).shape == (480, 480, 3)
+    worst = max(found, key=lambda failure: failure.remaining)
+    assert (draw_worst(found, most=1) == worst.picture).all()
+    names, lines = as_rows(found, without=["picture"])
     assert "picture" not in names
     assert len(lines) == 3
 
 
 def test_a_driver_that_knows_its_latency_is_judged_by_its_own_observer():
     driver = Navigator.load(slows_within=1.0)
-    plain, predictive = _witness(driver), _witness(Predictive(driver, 0.2))
+    plain, predictive = failures._witness(driver), failures._witness(Predictive(driver, 0.2))
     assert type(predictive) is type(plain)
     assert predictive.options == plain.options
 
@@ -115,3 +120,15 @@ def test_a_large_robot_touches_with_its_own_edge():
         touched, spot = touched_spot(arena, np.array([9.6, 0.0, 0.0]), 0.0, size)
         assert touched == "wall"
         assert spot[0] == pytest.approx(9.6 + size * ROBOT.length / 2, abs=0.02)
+
+
+def test_the_script_writes_a_table_and_a_picture(tmp_path):
+    import cv2
+
+    failures.main(["policy=straight", "density=60", "episodes=4", "split=val", "physics=kinematic",
+                   f"output={tmp_path}"])  # fmt: skip
+    with (tmp_path / "failures_60.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows
+    assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
+    assert cv2.imread(str(tmp_path / "failures_60.png")).shape[0] % 480 == 0

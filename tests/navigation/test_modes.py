@@ -1,25 +1,21 @@
 """Modes of ``python -m eldenet.navigate``: their settings, errors, results and records."""
 
-import csv
 import hashlib
 import json
-import math
 
 import pytest
 
 from eldenet.config import compose, instantiate
 from eldenet.navigate import MODES
 from eldenet.navigation.modes import refuse_to_replace
-from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS, NoisyRanges
+from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity, sensor_identity
-from eldenet.navigation.range_errors import RangeErrors, check_edges
 from eldenet.renames import renamed
 from eldenet.weights import PACKAGED
 
-EVALUATES = ("evaluate", "analyze_failures")
-DRIVES = ("record", *EVALUATES)
+DRIVES = ("record", "evaluate")
 
 
 def sha256(content: bytes) -> str:
@@ -33,14 +29,13 @@ def read_run(folder) -> dict:
 @pytest.mark.parametrize(
     ("modes", "setting"),
     [
-        ((*DRIVES, "fit_noise"), "density=20"),
+        (DRIVES, "density=20"),
         (DRIVES, "checkpoint=runs/driver"),
         (DRIVES, "policy.walkers=true"),
         ((*DRIVES, "train"), "policy=paper_literal"),
-        ((*EVALUATES, "fit_noise"), "episodes=20"),
-        (EVALUATES, "robots=4"),
+        (("evaluate",), "episodes=20"),
+        (("evaluate",), "robots=4"),
         (("record",), "video=mp4"),
-        (("fit_noise",), "fit_noise.places=near"),
         (("train",), "learner.total_timesteps=100"),
         (MODES, "sensor=noisy"),
     ],
@@ -79,7 +74,7 @@ def test_settings_of_earlier_versions_are_renamed():
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["mode=fly"], "error: mode=fly: choose one of record, evaluate, analyze_failures, fit_noise, train\n"),
+    (["mode=fly"], "error: mode=fly: choose one of record, evaluate, train\n"),
     (["mode=watch"], "train; watch is now record"),
     (["density=500"], "density=500"),
     (["density=[5,20]"], "records one arena"),
@@ -160,55 +155,6 @@ def test_evaluate_writes_rows_and_a_record_of_driver_and_sensor(run_command, tmp
     assert run["inputs"] == {"errors": {"source": "packaged", "sha256": errors}}
 
 
-def test_analyze_failures_writes_a_table_and_a_picture(run_command, tmp_path):
-    import cv2
-
-    finished = run_command(
-        "navigate", "mode=analyze_failures", "policy=straight", "density=60", "episodes=4", "split=val",
-        "physics=kinematic", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    with (tmp_path / "run" / "failures_60.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
-    assert cv2.imread(str(tmp_path / "run" / "failures_60.png")).shape[0] % 480 == 0
-    run = read_run(tmp_path / "run")
-    assert (run["mode"], run["policy"], run["config"]["split"]) == ("analyze_failures", "straight", "val")
-    assert run["densities"]["60"]["worlds"] == 4
-    assert sum(run["densities"]["60"]["failures"].values()) == len(rows) > 0
-
-
-def test_fit_noise_writes_errors_that_noisy_reads(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "mode=fit_noise", "sensor=camera", "sensor.checkpoint=null", "sensor.size=[60,80]",
-        "density=40", "episodes=2", "time_limit=6", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    path = tmp_path / "run" / "range_errors.json"
-    errors = RangeErrors.read(path)
-    assert errors.measured["split"] == "val"
-    assert errors.measured["sensor"]["size"] == [60, 80]
-    assert abs(errors.bias[2]) < 0.05  # true depth from the renderer
-    assert max(errors.miss[:4]) < 0.02
-    assert "bias" in finished.stdout
-    run = read_run(tmp_path / "run")
-    assert (run["mode"], run["errors"], run["config"]["episodes"]) == ("fit_noise", "range_errors.json", 2)
-    NoisyRanges(errors=str(path))
-
-
-def test_fit_noise_scans_near_obstacles_with_the_packaged_network(run_command, tmp_path):
-    finished = run_command(
-        "navigate", "mode=fit_noise", "sensor=camera", "fit_noise.places=near", "fit_noise.scans=4",
-        "fit_noise.edges=[0.3,1.0,3.0,10.0]", "density=80", "episodes=8", "run_dir=run",
-    )  # fmt: skip
-    assert finished.returncode == 0, finished.stderr
-    errors = RangeErrors.read(tmp_path / "run" / "range_errors.json")
-    assert errors.measured["scans"] == 32
-    assert len(errors.bias) == 3
-    assert max(abs(bias) for bias in errors.bias) < 0.2
-    assert max(errors.spread) < 0.3
-
-
 def test_train_resumes_and_writes_a_policy(run_command, tmp_path):
     small = (
         "mode=train", "learner.total_timesteps=600", "learner.checkpoint_interval=300",
@@ -240,9 +186,3 @@ def test_drivers_and_sensors_are_identified_by_content(tmp_path):
         "detector": {"source": "x.onnx", "sha256": sha256(b"finds")},
         "depth": {"source": "owner/model", "sha256": None},  # of a Hub
     }
-
-
-@pytest.mark.parametrize("edges", [[1.0], [10.0, 3.0, 0.3], [0.3, math.nan, 3.0]])
-def test_edges_of_no_bins_are_refused_before_anything_is_scanned(edges):
-    with pytest.raises(ValueError, match=r"fit_noise\.edges=\[.*: give two or more finite distances, rising"):
-        check_edges("fit_noise.edges", edges)

@@ -1,19 +1,28 @@
 """Why episodes fail: every failure is run once more, alone, and its cause is looked up.
 
-An episode ends the same alone and among others, so the second run repeats the first.
+python experiments/table5_success/failures.py density=80 episodes=200 split=val
+python experiments/table5_success/failures.py density=20 pedestrians=10 policy.walkers=true
+
+Takes the settings of ``eldenet navigate mode=evaluate``. ``failures_80.csv`` has a row for each failure,
+``failures_80.png`` shows those that ended farthest from the goal. An episode ends the same alone and among
+others, so the second run repeats the first.
 """
 
 import math
+import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from eldenet.config import build_navigation, compose
 from eldenet.navigation.collision_arcs import STEP
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
-from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy
+from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy, as_rows, run_episodes
 from eldenet.navigation.observer import HORIZON, Observer
 from eldenet.navigation.planners.astar import from_robot, seen_points
 from eldenet.navigation.sensors import Sensor
@@ -21,6 +30,9 @@ from eldenet.navigation.visualization import Scene
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.files import write_rows
+from eldenet.system.resources import choose_resources
+from eldenet.visualization import write_picture
 
 KINDS = {
     "walker": "touched a pedestrian",
@@ -213,3 +225,29 @@ def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> 
     pictures += [np.full_like(pictures[0], 255)] * (-len(pictures) % across)
     rows = [np.concatenate(pictures[at : at + across], axis=1) for at in range(0, len(pictures), across)]
     return np.concatenate(rows, axis=0)
+
+
+def main(words: Sequence[str]) -> None:
+    """Run the episodes of the settings in ``words``; write a table and a picture of the failures."""
+    config = compose("navigate", ["mode=evaluate", "output=runs/failures", *words])
+    folder = Path(config.output)
+    setup = build_navigation(config, folder)
+    choose_resources(device="cpu", precision="fp32", threads=setup.threads)
+    sensor = setup.make_sensor()
+    for density in setup.densities:
+        arenas = setup.arenas(density)
+        rows = run_episodes(arenas, setup.make_policy, sensor, setup.episode, robots=setup.robots)
+        failures = trace(arenas, rows, setup.make_policy, sensor, setup.episode)
+        print(f"{density} obstacles: {len(failures)} of {len(rows)} episodes failed")
+        if failures:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_rows(folder / f"failures_{density}.csv", *as_rows(failures, without=["picture"]))
+            write_picture(folder / f"failures_{density}.png", draw_worst(failures))
+        counts = Counter(failure.kind for failure in failures)
+        for kind in KINDS:
+            if counts[kind]:
+                print(f"  {counts[kind]:3d}  {kind}: {KINDS[kind]}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
