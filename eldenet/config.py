@@ -688,8 +688,8 @@ def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
             "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
         )
     height, pitch = config.camera_height, config.camera_pitch
-    if not (isinstance(height, int | float) and 0 < height < math.inf):
-        raise ValueError(f"camera_height={height}: give the meters from the floor to the lens, above 0")
+    if not isinstance(height, int | float):
+        raise ValueError(f"camera_height={height}: give a number of meters")
     if pitch is not None and not (isinstance(pitch, int | float) and -90 < pitch < 90):
         raise ValueError(f"camera_pitch={pitch}: give degrees below the horizon, between -90 and 90, or null")
     if not (isinstance(config.frames, int) and config.frames >= 1):

@@ -17,7 +17,7 @@ from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import PinholeCamera, check_intrinsics, intrinsic_matrix, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
-from eldenet.results.before_after import compare, panel_size, record_change, say_changes
+from eldenet.results.before_after import check_scale, compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import choose_resources
@@ -36,6 +36,7 @@ LEAST_FLOOR_SCALE = 0.3  # log scale of floors; a smaller one may be an error of
 HELD_OUT, BLOCKS, GAP = 0.25, 20, 1  # share, blocks of time, frames left out beside one
 CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
 MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
+MIN_HEIGHT, MAX_HEIGHT = 0.05, 5.0  # of a camera [m]
 SHOWN = 3  # frames of the picture
 TITLES = ("image", "before", "after")
 
@@ -56,6 +57,9 @@ class CalibrationSetup:
         resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
         trusted_modules: packages whose classes the weights' ``config.json`` may name.
         settings: resolved, which ``run.json`` stores.
+
+    Raises:
+        ValueError: ``camera_height`` is not between ``MIN_HEIGHT`` and ``MAX_HEIGHT``.
     """
 
     folder: Path
@@ -70,12 +74,21 @@ class CalibrationSetup:
     trusted_modules: Sequence[str]
     settings: Mapping[str, Any]
 
+    def __post_init__(self) -> None:
+        height = self.camera_height
+        if not MIN_HEIGHT <= height <= MAX_HEIGHT:
+            looks = f"; {height:g} looks like centimeters: give {height / 100:g}"
+            raise ValueError(
+                f"camera_height={height:g}: give it in meters, from the floor to the lens, {MIN_HEIGHT} to "
+                f"{MAX_HEIGHT:g}" + looks * (MAX_HEIGHT < height <= 100 * MAX_HEIGHT)
+            )
+
 
 def calibrate(setup: CalibrationSetup) -> bool:
     """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
 
     Raises:
-        ValueError: too few frames show a floor.
+        ValueError: too few frames show a floor, or the factor of its depth is not plausible.
     """
     resources = choose_resources(**setup.resources)
     start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
@@ -87,6 +100,9 @@ def calibrate(setup: CalibrationSetup) -> bool:
     refuse_few(values)
     held, fitted = hold_out_floors(values, setup.seed)
     floors = float(np.nanmedian(values[fitted]))
+    check_scale(
+        float(np.exp(floors)), "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights"
+    )
     scale = scale_of_all(floors, known_pitch=known_pitch)
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
     changes = {"scale_error": compare("scale_error", before.tolist(), after.tolist())}

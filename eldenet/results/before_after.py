@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Stretches of time that held-out frames are drawn in.
 BLOCKS = 5
+#: A greater factor, or a smaller one than its inverse, is a mistake in what was given.
+MAX_SCALE = 3.0
 PICTURE_HEIGHT = 240  # [px] of a panel of before_after.png
 #: Facts about weights that a change makes untrue.
 MEASURED = ("test", "delta1", "abs_rel", "rmse")
@@ -71,6 +73,15 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
         lambda drawn: float(sums[drawn].sum() / counts[drawn].sum()), len(counts), draws=DRAWS
     )
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
+
+
+def check_scale(scale: float, settings: str) -> None:
+    """Raise ValueError for a factor that no camera needs, with the settings that may be wrong."""
+    if not 1 / MAX_SCALE <= scale <= MAX_SCALE:
+        raise ValueError(
+            f"depth would have to be multiplied by {scale:.3g}, and no factor above {MAX_SCALE:g} or below "
+            f"1/{MAX_SCALE:g} is kept: check {settings}"
+        )
 
 
 def panel_size(picture: np.ndarray) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
 from eldenet.results.before_after import (
     Change,
+    check_scale,
     compare,
     is_improvement,
     panel_size,
@@ -88,7 +89,8 @@ def adapt(setup: AdaptationSetup) -> bool:
     ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
 
     Raises:
-        ValueError: there are too few frames with depth, or the settings do not fit.
+        ValueError: there are too few frames with depth, the factor of their depth is not
+            plausible, or the settings do not fit.
     """
     started = time.monotonic()
     resources = choose_resources(**setup.resources)
@@ -106,6 +108,7 @@ def adapt(setup: AdaptationSetup) -> bool:
     before = _score(start, held_out, setup, resources)
     model = copy.deepcopy(start)
     scale = fit_scale(model, [plain_set[index] for index in known])
+    check_scale(scale, "data.encoding, intrinsics [px] and weights")
     model.rescale(scale)
     scaled = copy.deepcopy(model)
     loss = setup.make_loss()

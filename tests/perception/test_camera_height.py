@@ -132,10 +132,23 @@ def test_the_scale_is_stored_with_the_weights_and_held_out_frames_decide(walk, c
     assert (walk / "run/before_after.png").is_file()
 
 
+@pytest.mark.parametrize("height", [3.0, 0.1])
+def test_a_factor_that_no_camera_needs_is_refused(walk, height):
+    given = [f"source={walk / 'walk'}", f"intrinsics={list(CAMERA)}", f"camera_height={height}"]
+    given += ["camera_pitch=11.459", "runtime.threads=1"]
+    with pytest.raises(ValueError, match=r"multiplied by .* no factor above 3 .*: check camera_height \[m\]"):
+        calibrate(build_calibration(compose("adapt", given), walk / "run"))
+    assert not saved
+
+
 @pytest.mark.parametrize(
     ("overrides", "match"),
     [
-        (["camera_height=-1"], "camera_height=-1"),
+        (["camera_height=-1"], "camera_height=-1: give it in meters, .*0.05 to 5$"),
+        (["camera_height=0.04"], "camera_height=0.04: .* in meters"),
+        (["camera_height=80"], "in meters, .*0.05 to 5; 80 looks like centimeters: give 0.8$"),
+        (["camera_height=800"], "camera_height=800: .*, 0.05 to 5$"),
+        (["camera_height=inf"], "camera_height=inf: .* in meters"),
         (["camera_height=0.8", "camera_pitch=95"], "camera_pitch=95"),
         (["camera_height=0.8", "intrinsics=null"], "give intrinsics="),
         (["camera_height=0.8", "intrinsics=[50,0,32,24]"], r"intrinsics=.*: give .*fx and fy above 0"),

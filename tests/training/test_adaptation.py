@@ -22,7 +22,7 @@ def place(
     root: Path,
     count: int = 48,
     *,
-    factor: float = 3.0,
+    factor: float = 2.5,
     known: int | None = None,
     noise: float = 0.0,
     head: str = "linear",
@@ -64,12 +64,12 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert adapt(setup(place(tmp_path)))
     record = json.loads((tmp_path / "run/run.json").read_text())
     assert record["kept"]
-    assert record["scale"] == pytest.approx(3, rel=0.05)
+    assert record["scale"] == pytest.approx(2.5, rel=0.05)
     assert record["held_out"]["abs_rel"]["high"] < 0
     same = "run/training" if record["tuned"] == "all weights" else "start"
     kept, tuned = (eldenet.load(tmp_path / name) for name in ("run", same))
     assert all(torch.equal(kept.state_dict()[name], value) for name, value in tuned.state_dict().items())
-    assert kept.head.max_depth == pytest.approx(2 * 3, rel=0.05)
+    assert kept.head.max_depth == pytest.approx(2 * 2.5, rel=0.05)
     for name in ("before_after.png", "held_out.csv", "model/config.json"):
         assert (tmp_path / "run" / name).is_file()
     said = capsys.readouterr().out
@@ -105,6 +105,14 @@ def test_few_frames_and_few_points_are_refused_with_the_reason(tmp_path, count, 
     with pytest.raises(
         ValueError, match=r"few known distances do not calibrate .* differs from image to image"
     ):
+        adapt(setup(tmp_path))
+    assert not (tmp_path / "run/model").exists()
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.3])
+def test_depth_in_another_unit_is_refused(tmp_path, factor):
+    place(tmp_path, factor=factor)
+    with pytest.raises(ValueError, match=r"multiplied by .* no factor above 3 .*: check data.encoding"):
         adapt(setup(tmp_path))
     assert not (tmp_path / "run/model").exists()
 
