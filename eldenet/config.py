@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.configurable import building_only, refuse_foreign_code
 from eldenet.system.checks import check_arguments, one_of
+from eldenet.system.errors import USER_ERRORS
 from eldenet.system.files import shipped_folder
 from eldenet.system.resources import choose_resources, prepare_environment
 from eldenet.weights import BEST, find_checkpoint, list_models
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
 SPLITS = ("train", "val", "test")
 #: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
 FOCAL_RANGE = (0.4, 2.0)
-USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 # groups of a training's parts: what a study's settings may build
 PARTS = (
     "experiment",

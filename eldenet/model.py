@@ -20,7 +20,7 @@ from eldenet.heads import Head, add_channels
 from eldenet.renames import renamed
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests
-from eldenet.system.files import part_file, read_json, write_text
+from eldenet.system.files import read_json, write_bytes, write_text
 from eldenet.types import FeatureInfo
 from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
@@ -188,7 +188,7 @@ class DepthNet(Configurable, nn.Module):
         Raises:
             ValueError: a part of the network is not :class:`Configurable`, or ``info`` holds other values.
         """
-        from safetensors.torch import save_file
+        from safetensors.torch import save
 
         from eldenet import __version__
 
@@ -206,11 +206,9 @@ class DepthNet(Configurable, nn.Module):
             ) from error
         state = {name: value.detach().cpu().contiguous() for name, value in self.state_dict().items()}
         folder = Path(folder)
-        with part_file(folder / WEIGHTS_NAME) as unfinished:
-            mode = unfinished.stat().st_mode
-            save_file(state, unfinished, metadata={"format": "pt"})
-            unfinished.chmod(mode)  # safetensors makes files private
-            write_text(folder / CONFIG_NAME, json.dumps(with_digests(config, unfinished), indent=2) + "\n")
+        weights = save(state, metadata={"format": "pt"})
+        write_bytes(folder / WEIGHTS_NAME, weights)
+        write_text(folder / CONFIG_NAME, json.dumps(with_digests(config, weights), indent=2) + "\n")
         card = folder / CARD_NAME
         if not card.is_file() or MARK in card.read_text(errors="replace"):  # the user's own one stays
             write_text(card, model_card(config["info"], config["model"]))

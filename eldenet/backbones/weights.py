@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
 
 Weights = dict[str, Tensor]
 

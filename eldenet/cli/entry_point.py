@@ -3,7 +3,6 @@
 import functools
 import logging
 import os
-import re
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -20,12 +19,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, MissingMandatoryValue
 
 from eldenet.cli.help import advice, help_template, quote_paths
-from eldenet.config import USER_ERRORS, config_folder, resolver
-from eldenet.system.disk import disk_line, is_full
+from eldenet.config import config_folder, resolver
+from eldenet.system.errors import FULL, USER_ERRORS, line_of
 
 QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
-#: How torch hands over an error in a worker that loads data: with its traceback inside.
-IN_A_WORKER = re.compile(r"Caught (\w+) in DataLoader worker process \d+\..*\n\1: (.*)", re.DOTALL)
 
 
 def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
@@ -76,7 +73,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
                     held.truncate(0)
                     held.seek(0)
                     sys.stderr = stderr
-                    _print_error(_line(failed))
+                    _print_error(line_of(failed))
                     raise
                 may_be_unknown = not composed or any(word.startswith("+") for word in words)
                 line = advice(config_name, words) if end.code and may_be_unknown else ""
@@ -112,15 +109,9 @@ def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
         if isinstance(error, MissingMandatoryValue):
             _print_error(f"give {error.full_key}=... on the command line")
         else:
-            _print_error(_line(error))
+            _print_error(line_of(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
-        raise SystemExit(1) from None
-    except Exception as error:
-        line = disk_line(error)  # torch and others raise errors of their own for a full disk
-        if line is None or sweep:
-            raise
-        _print_error(line)
         raise SystemExit(1) from None
     finally:
         named = {"output", "run_dir"} & given_settings().keys()
@@ -137,18 +128,10 @@ def _in_one_line(text: str) -> str:
     return "" if "Traceback" in text else " ".join(lines)
 
 
-def _line(error: BaseException) -> str:
-    """Return the line for a user's mistake; the system's own errors name file and reason."""
-    line = disk_line(error)
-    if line is None and isinstance(error, OSError) and error.errno and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    in_a_worker = IN_A_WORKER.match(str(error))
-    return line or (in_a_worker[2].strip() if in_a_worker else str(error))
-
-
 def _thread_failed(failed: threading.ExceptHookArgs) -> None:
     """Keep quiet about a full disk in a thread: TensorBoard raises the error again in the main thread."""
-    if not is_full(failed.exc_value):
+    error = failed.exc_value
+    if not (isinstance(error, OSError) and error.errno in FULL):
         threading.__excepthook__(failed)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
 
 PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
 

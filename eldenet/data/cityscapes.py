@@ -11,13 +11,14 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_array, read_text, reading
+from eldenet.data.array_files import read_array, read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
 from eldenet.data.paths import find_root, incomplete, missing_files
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
+from eldenet.system.errors import reading
 from eldenet.system.files import parse_json
 from eldenet.types import Frame
 

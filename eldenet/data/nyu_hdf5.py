@@ -6,13 +6,14 @@ from typing import Any, BinaryIO, Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import check_pixels, reading
+from eldenet.data.array_files import check_pixels
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
 from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
 from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
+from eldenet.system.errors import reading
 from eldenet.types import Frame
 
 HDF5_TREE = """

@@ -6,7 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from eldenet.data.array_files import read_text, reading
+from eldenet.data.array_files import read_text
+from eldenet.system.errors import reading
 
 VARIABLE = "ELDENET_DATA"
 

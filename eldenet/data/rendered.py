@@ -13,7 +13,7 @@ from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
 from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
 from eldenet.system.checks import one_of
-from eldenet.system.disk import DiskError
+from eldenet.system.errors import DiskError
 from eldenet.types import Frame
 
 SPLITS = ("train", "val", "test")

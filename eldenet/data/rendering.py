@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
-from eldenet.system.disk import DiskError, disk_errors
+from eldenet.system.errors import DiskError, writing
 from eldenet.types import Frame
 
 #: Stored depth of rooms is a multiple of this [m]: two bytes would do, and reach 13.1 m.
@@ -110,7 +110,7 @@ class SceneStore:
         """Render and store one scene, unless it is there."""
         if self.has(scene):
             return
-        with disk_errors(self.folder, "a rendered frame"):
+        with writing(self.folder, "a rendered frame"):
             self._render(generator, scene)
 
     def _render(self, generator: Generator, scene: int) -> None:

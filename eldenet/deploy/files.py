@@ -20,8 +20,8 @@ from eldenet import __version__
 from eldenet.deploy.sealing import SEAL, sealed
 from eldenet.geometry import same_aspect, size_of_aspect
 from eldenet.system.checks import check_size
+from eldenet.system.errors import reading
 from eldenet.system.files import parse_json, part_file
-from eldenet.system.reading import reading
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

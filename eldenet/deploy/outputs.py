@@ -15,7 +15,7 @@ from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import natural_order, visible_files
 from eldenet.deploy.predictor import to_millimeters
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, resize_image
-from eldenet.system.disk import disk_errors
+from eldenet.system.errors import writing
 from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
@@ -282,7 +282,7 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             unfinished.replace(path)
 
     try:
-        with disk_errors(path.parent, path.name):
+        with writing(path.parent, path.name):
             yield add
             finish()
     except BaseException:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, back_project
-from eldenet.system.disk import disk_errors
+from eldenet.system.errors import writing
 from eldenet.system.files import part_path
 from eldenet.uncertainty import DepthEstimate, as_estimate
 
@@ -149,7 +149,7 @@ def open_recording(path: Path, *, points: bool) -> Iterator[RerunViewer]:
     layout = rrb.Blueprint(rrb.Horizontal(*views), collapse_panels=True)
     unfinished = part_path(path)
     viewer = RerunViewer(recording.log, recording.set_time)
-    with disk_errors(path.parent, path.name):
+    with writing(path.parent, path.name):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             recording.save(unfinished, default_blueprint=layout)

@@ -7,6 +7,7 @@ one-step targets the driver hardly learned at five decisions per second.
 """
 
 import copy
+import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ from torch import Tensor, nn
 
 from eldenet.backbones.weights import read_torch
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.system.files import part_file
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
+from eldenet.system.files import write_bytes
 
 CHECKPOINT = "dqn.pt"
 
@@ -235,8 +236,9 @@ class DQN:
             "num_timesteps": self.num_timesteps,
             "updates": self.updates,
         }
-        with part_file(path) as unfinished:
-            torch.save(state, unfinished)
+        content = io.BytesIO()
+        torch.save(state, content)
+        write_bytes(path, content.getbuffer())
 
     def restore(self, path: Path) -> None:
         """Load a checkpoint.

@@ -20,8 +20,7 @@ from eldenet.simulation.arena_files import read_arena
 from eldenet.simulation.arenas import Arena, arenas_hash, generate_arena, triangle_course
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
-from eldenet.system.files import write_json, write_rows
-from eldenet.system.locks import sole_writer
+from eldenet.system.files import sole_writer, write_json, write_rows
 from eldenet.system.resources import choose_resources
 
 

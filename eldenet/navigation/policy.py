@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import refuse_not_finite
@@ -23,8 +23,8 @@ from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.system.digests import KEY, canonical, digest_of
-from eldenet.system.files import parse_json, part_file
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
+from eldenet.system.files import parse_json, part_file, write_bytes
 from eldenet.weights import check_packaged
 
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
@@ -176,10 +176,7 @@ class Navigator(OnRobot):
         weights = {name: tensor.to(stored).contiguous() for name, tensor in self.network.state_dict().items()}
         notes = json.loads(json.dumps(notes))
         notes[KEY] = _digest(notes, weights)
-        with part_file(Path(path)) as unfinished:
-            mode = unfinished.stat().st_mode
-            save_file(weights, unfinished, metadata={"navigator": json.dumps(notes)})
-            unfinished.chmod(mode)  # safetensors makes files private
+        write_bytes(Path(path), save(weights, metadata={"navigator": json.dumps(notes)}))
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""

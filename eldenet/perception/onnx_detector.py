@@ -16,7 +16,7 @@ from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
 
 _STRIDES = (8, 16, 32)
 _INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from eldenet.results.loggers import LOGGERS, Logger
-from eldenet.system.disk import disk_errors
+from eldenet.system.errors import writing
 from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
 from eldenet.system.progress import Bar, open_console, progress_bar
@@ -66,7 +66,7 @@ class RunLog:
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write scalars under their names."""
         if not self.quiet:
-            with disk_errors(self.folder, "the log of TensorBoard"):
+            with writing(self.folder, "the log of TensorBoard"):
                 for logger in self._opened():
                     logger.scalars(step, values)
 
@@ -75,7 +75,7 @@ class RunLog:
         if not self.quiet:
             from eldenet.visualization import write_picture
 
-            with disk_errors(self.folder, "the log of TensorBoard"):
+            with writing(self.folder, "the log of TensorBoard"):
                 for logger in self._opened():
                     logger.picture(name, step, picture)
             write_picture(self.folder / f"{name}.png", picture)
@@ -126,7 +126,7 @@ class RunLog:
 
     def close(self) -> None:
         """Close the loggers."""
-        with disk_errors(self.folder, "the log of TensorBoard"):
+        with writing(self.folder, "the log of TensorBoard"):
             for logger in self._open or ():
                 logger.close()
         self._open = None

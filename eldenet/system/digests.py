@@ -28,10 +28,10 @@ def canonical(content: Mapping[str, Any]) -> bytes:
     return json.dumps({key: value for key, value in content.items() if key != KEY}, sort_keys=True).encode()
 
 
-def with_digests(config: Mapping[str, Any], weights: Path) -> dict[str, Any]:
+def with_digests(config: Mapping[str, Any], weights: bytes) -> dict[str, Any]:
     """Return a config with the digests of its own entries and of the weights beside it."""
     plain = json.loads(json.dumps(config))
-    digests = {"config": digest_of([canonical(plain)]), "weights": file_digest(weights)}
+    digests = {"config": digest_of([canonical(plain)]), "weights": digest_of([weights])}
     return {**plain, KEY: digests}
 
 

@@ -8,19 +8,44 @@ import platform
 import re
 import shutil
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from eldenet.system.disk import disk_errors
+from eldenet.system.errors import writing
 from eldenet.system.escaping import csv_cell
 
-MOST_VALUES, DEEPEST = 1_000_000, 50
-"""Values in a YAML or JSON file, with every alias in full, and how deep they may be nested."""
 MOST_YAML, MOST_JSON = 1_000_000, 100_000_000  # bytes
-_TOO_DEEP = f"it is nested deeper than {DEEPEST} levels"
+DEEPEST = 50  # levels of a JSON file: far more than a record has, far fewer than Python can follow
+LOCK = ".lock"
+
+
+class FolderInUse(ValueError):
+    """Another process writes into the folder."""
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Lock ``folder``, which is made if need be, until the block or its process ends, however it ends.
+
+    Raises:
+        FolderInUse: another process has the lock; the message names it.
+    """
+    from filelock import FileLock, Timeout
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOCK
+    try:
+        lock = FileLock(path, timeout=0).acquire()
+    except Timeout:
+        holder = path.read_text(errors="replace") or "another process"
+        raise FolderInUse(
+            f"{folder} is in use by {holder}: wait until that has ended, or give another folder"
+        ) from None
+    with lock:
+        path.write_text(f"process {os.getpid()} on {platform.node()}")
+        yield
 
 
 @contextmanager
@@ -34,7 +59,7 @@ def part_file(path: Path) -> Iterator[Path]:
     """
     folder = path.parent
     try:
-        with disk_errors(folder, path.name):
+        with writing(folder, path.name):
             folder.mkdir(parents=True, exist_ok=True)
             remove_unfinished(folder)
             unfinished = part_path(path)
@@ -85,10 +110,15 @@ def copy_file(source: Path, path: Path) -> None:
         shutil.copy2(source, unfinished)
 
 
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file; it appears whole."""
+    with part_file(path) as unfinished:
+        unfinished.write_bytes(content)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file (UTF-8); it appears whole."""
-    with part_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
 
 
 def safe_stem(name: str) -> str:
@@ -173,23 +203,19 @@ def read_yaml(path: Path) -> Any:
     """Return the plain values of a YAML file.
 
     Raises:
-        ValueError: the file is missing, not YAML, or larger than any settings are (:data:`MOST_VALUES`).
+        ValueError: the file is missing, not YAML, or larger than :data:`MOST_YAML`.
     """
     import yaml
 
-    with _readable(path, "YAML", (yaml.YAMLError,)):
-        loader = yaml.SafeLoader(_text(path, MOST_YAML))
-        node = loader.get_single_node()
-        _check_extent(node, _parts_of_node)  # of the nodes: building the values would expand all aliases
-        content = None if node is None else loader.construct_document(node)
-    return content
+    with _readable(path, "YAML", yaml.YAMLError):
+        return yaml.safe_load(_text(path, MOST_YAML))
 
 
 def read_json(path: Path) -> Any:
     """Return the plain values of a JSON file.
 
     Raises:
-        ValueError: the file is missing, not JSON, or larger than any record is (:data:`MOST_VALUES`).
+        ValueError: the file is missing, not JSON, larger than :data:`MOST_JSON` or nested too deep.
     """
     with _readable(path, "JSON"):
         return _json(_text(path, MOST_JSON))
@@ -199,73 +225,44 @@ def parse_json(text: str, source: object) -> Any:
     """Return the plain values of a JSON text; ``source`` is for messages.
 
     Raises:
-        ValueError: the text is not JSON, or larger than any record is (:data:`MOST_VALUES`).
+        ValueError: the text is not JSON, or nested too deep.
     """
     with _readable(source, "JSON"):
         return _json(text)
 
 
-def _json(text: str) -> Any:
-    content = json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)
-    _check_extent(content, lambda value: value.values() if isinstance(value, dict) else value)
-    return content
-
-
 @contextmanager
-def _readable(source: object, kind: str, errors: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def _readable(source: object, kind: str, *errors: type[Exception]) -> Iterator[None]:
     try:
         yield
-    except RecursionError as error:
-        raise ValueError(f"{source} can't be read as {kind}: {_TOO_DEEP}") from error
-    except (ValueError, TypeError, OSError, *errors) as error:  # type: ignore[misc]
-        reason = " ".join(str(error).split())[:300]
+    except (ValueError, TypeError, OSError, OverflowError, RecursionError, *errors) as error:  # type: ignore[misc]
+        too_deep = isinstance(error, RecursionError)
+        reason = "it is nested too deep" if too_deep else " ".join(str(error).split())[:300]
         raise ValueError(f"{source} can't be read as {kind}: {reason}") from error
 
 
 def _text(path: Path, most: int) -> str:
     size = path.stat().st_size
     if size > most:
-        raise ValueError(f"{size / 1e6:.1f} MB, more than {most // 1_000_000} MB, is no file of eldenet's")
+        raise ValueError(f"it has {size / 1e6:.1f} MB, more than the {most // 1_000_000} MB allowed")
     return path.read_text(encoding="utf-8")
 
 
+def _json(text: str) -> Any:
+    level = [content := json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)]
+    for _ in range(DEEPEST):
+        nested = (value for value in level if isinstance(value, dict | list))
+        level = [part for value in nested for part in (value.values() if isinstance(value, dict) else value)]
+    if level:
+        raise RecursionError
+    return content
+
+
 def _whole_number(digits: str) -> int:
-    _check_digits(digits)
-    return int(digits)
-
-
-def _check_digits(digits: str) -> None:
-    """Refuse numbers that no float holds: they raise OverflowError wherever they are used."""
-    if len(digits) > 300:
-        raise ValueError(f"it contains a number with {len(digits)} digits")
-
-
-def _parts_of_node(node: Any) -> Iterable[Any]:
-    """Return the parts of a node of a YAML file."""
-    if isinstance(node.value, str):
-        if node.tag.endswith((":int", ":float")):
-            _check_digits(node.value)
-        return ()
-    return (part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,)))
+    number = int(digits)
+    float(number)  # what no float holds raises OverflowError here, not wherever it is used
+    return number
 
 
 def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a number in JSON")
-
-
-def _check_extent(content: Any, parts: Callable[[Any], Iterable[Any]]) -> None:
-    """Refuse more values, with every alias in full, or deeper nesting than settings and records have."""
-    level, count = [content], 1
-    for _ in range(DEEPEST):
-        inner = (part for value in level if not _is_plain(value) for part in parts(value))
-        level = list(islice(inner, MOST_VALUES))
-        count += len(level)
-        if count > MOST_VALUES:
-            raise ValueError(f"it holds more than {MOST_VALUES:,} values")
-        if not level:
-            return
-    raise ValueError(_TOO_DEEP)
-
-
-def _is_plain(value: Any) -> bool:
-    return value is None or isinstance(value, str | int | float)

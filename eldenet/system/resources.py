@@ -4,8 +4,9 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from eldenet.system.checks import one_of
 
 MOST = 1024  # threads, or workers
 CGROUP = Path("/sys/fs/cgroup")
+LONGEST_WAIT = timedelta(days=2)  # for the process that prepares data: it may render for hours
 
 
 def prepare_environment() -> None:
@@ -173,20 +175,42 @@ def is_main_process() -> bool:
     return os.environ.get("RANK", "0") == "0"
 
 
+def join_processes(resources: Resources, seconds: float) -> None:
+    """Let the processes of a job find each other; a message that waits longer than ``seconds`` is an error.
+
+    So a process ends where another one hangs. Where one was killed, the next message fails at once, and
+    ``torchrun`` ends the others sooner than that.
+    """
+    if resources.processes == 1:
+        return
+    from accelerate import PartialState
+    from accelerate.state import AcceleratorState
+
+    AcceleratorState._reset_state(reset_partial_state=True)  # an earlier run of this process chose its own
+    PartialState(cpu=resources.device == "cpu", timeout=timedelta(seconds=seconds))
+
+
 @contextmanager
 def main_process_first(resources: Resources) -> Iterator[None]:
     """Run the block in a job's main process first, then in one per machine, then in the others.
 
-    So files that the block prepares (rendered frames, an index, a download) are prepared once.
+    So files that the block prepares (rendered frames, an index, a download) are prepared once. The others
+    wait up to :data:`LONGEST_WAIT`.
     """
-    with ExitStack() as stack:
-        if number_of_processes() > 1:
-            from accelerate import PartialState
-
-            state = PartialState(cpu=resources.device == "cpu")
-            stack.enter_context(state.main_process_first())
-            stack.enter_context(state.local_main_process_first())
+    if number_of_processes() == 1:
         yield
+        return
+    from accelerate import PartialState
+    from torch import distributed
+
+    state = PartialState(cpu=resources.device == "cpu")
+    group: Any = distributed.new_group(backend="gloo", timeout=LONGEST_WAIT)
+    turn = 0 if state.is_main_process else 1 if state.is_local_main_process else 2
+    for _ in range(turn):
+        distributed.barrier(group)
+    yield
+    for _ in range(turn, 2):
+        distributed.barrier(group)
 
 
 def seed_everything(seed: int) -> None:

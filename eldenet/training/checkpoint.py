@@ -1,6 +1,7 @@
 """Checkpoints: all state of a training as tensors and plain values, safe against a kill while writing."""
 
 import functools
+import io
 import json
 import math
 import os
@@ -15,8 +16,8 @@ from torch import Tensor, nn
 from eldenet.backbones.weights import read_torch
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
+from eldenet.system.errors import reading
 from eldenet.system.files import copy_file, parse_json, part_file
-from eldenet.system.reading import reading
 from eldenet.training.resume import checkpoint_file
 
 LAST, BEST = "last.pt", "best.pt"
@@ -199,8 +200,10 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
 
 def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
     """Write ``state`` to ``path`` atomically: a reader finds the old file or the new one."""
+    content = io.BytesIO()  # torch itself would not say that the disk is full
+    torch.save(dict(state), content)
     with part_file(path) as unfinished, unfinished.open("wb") as file:
-        torch.save(dict(state), file)
+        file.write(content.getbuffer())
         file.flush()
         os.fsync(file.fileno())
 

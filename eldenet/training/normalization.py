@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.system.errors import reading
 from eldenet.system.files import read_json, write_json
-from eldenet.system.reading import reading
 
 if TYPE_CHECKING:
     from eldenet.data.base import DepthDataset

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.geometry import same_aspect
-from eldenet.system.files import displayed, write_yaml
-from eldenet.system.locks import sole_writer
-from eldenet.system.resources import choose_resources, is_main_process, main_process_first
+from eldenet.system.files import displayed, sole_writer, write_yaml
+from eldenet.system.resources import choose_resources, is_main_process, join_processes, main_process_first
 from eldenet.training.resume import checkpoint_to_resume, finished_run, run_folder
 from eldenet.training.setup import TrainingSetup
-from eldenet.training.watch import watched_processes
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -61,9 +59,9 @@ def _train(setup: TrainingSetup) -> float:
 
     trainer, loss = setup.make_trainer(), make_loss(setup)
     refuse_untrained_sigma(initial_model(setup, RunLog(setup.folder, quiet=True)), loss)
-    with watched_processes(resources, setup.process_timeout):
-        progress, skipped, notes = _fit(setup, trainer, loss, resources, log, checkpoint)
-        trainer.accelerator.wait_for_everyone()
+    join_processes(resources, setup.process_timeout)
+    progress, skipped, notes = _fit(setup, trainer, loss, resources, log, checkpoint)
+    trainer.accelerator.wait_for_everyone()
     trainer.accelerator.end_training()  # a process that leaves with its group open may abort
     if trainer.accelerator.is_main_process:
         facts = {

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eldenet.config import USER_ERRORS
+from eldenet.system.errors import USER_ERRORS
 
 CLEAR, UNHARMED, SILENT, RAW, HANG = CLASSES = ("clear", "unharmed", "silent", "raw", "hang")
 SECONDS = 30.0  # for one attack; on a quiet machine none takes two

@@ -18,12 +18,12 @@ class Rank(NamedTuple):
 
 
 def start_ranks(folder: Path, *, seconds: float, waiting: int) -> list[Rank]:
-    """Start two processes that watch each other for ``seconds``; rank ``waiting`` waits for a message."""
+    """Start two processes that wait ``seconds`` for each other; rank ``waiting`` waits for a message."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         port = free.getsockname()[1]
     context = get_context("forkserver")
-    context.set_forkserver_preload(["torch.distributed", "eldenet.training.watch"])
+    context.set_forkserver_preload(["torch.distributed", "accelerate"])
     ranks = []
     for number in range(2):
         ours, theirs = context.Pipe()
@@ -42,13 +42,12 @@ def _watched(number: int, port: int, seconds: float, waits: bool, pipe: Connecti
     os.environ |= {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port)}
     from torch import distributed
 
-    from eldenet.system.resources import Resources
-    from eldenet.training.watch import watched_processes
+    from eldenet.system.resources import Resources, join_processes
 
-    with watched_processes(Resources("cpu", "fp32", 1, 0, 1, processes=2), seconds=seconds):
-        distributed.barrier()
-        pipe.send(os.getpid())
-        if waits:
-            pipe.recv()
-        distributed.barrier()
+    join_processes(Resources("cpu", "fp32", 1, 0, 1, processes=2), seconds)
+    distributed.barrier()
+    pipe.send(os.getpid())
+    if waits:
+        pipe.recv()
+    distributed.barrier()
     distributed.destroy_process_group()

@@ -14,7 +14,7 @@ from eldenet.data.rooms import Rooms
 from eldenet.deploy.files import write_onnx, write_openvino
 from eldenet.deploy.outputs import open_video
 from eldenet.results.run_log import RunLog
-from eldenet.system.disk import DiskError
+from eldenet.system.errors import DiskError
 from eldenet.training.checkpoint import save_checkpoint
 from eldenet.visualization import write_picture
 

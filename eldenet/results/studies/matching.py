@@ -12,7 +12,7 @@ from eldenet.results.fingerprints import run_differences
 from eldenet.results.record_checks import ADVICE, CHOICE, check_shape, require
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
-from eldenet.system.reading import reading
+from eldenet.system.errors import reading
 
 NEEDED: tuple[str, ...] = (
     "model",

@@ -13,8 +13,7 @@ from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import RUN_FILE, read_record, read_run
 from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
 from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
-from eldenet.system.files import part_file, write_json, write_text
-from eldenet.system.locks import FolderInUse, sole_writer
+from eldenet.system.files import FolderInUse, part_file, sole_writer, write_json, write_text
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]

@@ -17,7 +17,7 @@ from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
-from eldenet.system.locks import sole_writer
+from eldenet.system.files import sole_writer
 
 
 def add_to_plan(study: Path, text: str = "", old: str = "", new: str = "", one_seed: bool = False) -> None:
