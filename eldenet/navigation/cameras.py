@@ -59,20 +59,19 @@ class Camera:
             :class:`eldenet.deploy.predictor.DepthPredictor`, or an estimate with sigma; None: the renderer's
             own depth, as from a perfect network.
         lifter: from detections and depth to boxes; None: ranges from depth only.
-        detector: finds objects in a frame; None: the simulator gives the box of each object with enough
-            pixels, like an ideal detector.
+        detector: finds objects in a frame, for the lifter; None: the simulator gives the box of each object
+            with enough pixels, like an ideal detector.
         size: of the frame, ``(height, width)`` [px].
         light: brightness of the lamps, relative to a normal day.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].
-        artifacts: of a depth camera, on the renderer's own depth; None: that depth is exact.
+        artifacts: of a depth camera, on the renderer's own depth (no predictor); None: that depth is exact.
 
     Attributes:
         sources: name -> name and file of each network, for ``run.json``.
 
     Raises:
-        ValueError: a detector without a lifter, frames too narrow for the driver's columns, light out of
-            range, or artifacts of a depth camera with a depth network.
+        ValueError: frames too narrow for the driver's columns, or light out of range.
     """
 
     def __init__(
@@ -87,10 +86,6 @@ class Camera:
         latency: float = 0.0,
         artifacts: StereoArtifacts | None = None,
     ) -> None:
-        if artifacts is not None and predictor is not None:
-            raise ValueError("artifacts are those of a depth camera: leave the depth network out")
-        if detector is not None and lifter is None:
-            raise ValueError("a detector needs a lifter, which turns its detections into boxes")
         if not 0 < light <= MAX_LIGHT:
             raise ValueError(
                 f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"
@@ -217,13 +212,7 @@ def depth_camera(
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     latency: float = 0.0,
 ) -> Camera:
-    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`.
-
-    Raises:
-        ValueError: a frame has not so many columns, or as :class:`Camera`.
-    """
-    if not 0 <= dead_columns <= size[1]:
-        raise ValueError(f"sensor.dead_columns={dead_columns}: give 0 to {size[1]} columns, as the frame has")
+    """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`."""
     artifacts = StereoArtifacts(dead_columns=dead_columns)
     return Camera(size=size, light=light, drift=drift, latency=latency, artifacts=artifacts)
 

@@ -249,10 +249,6 @@ class DQN:
         state = read_torch(path)
         with reading(path, "checkpoint of this training", "remove it and train again"):
             steps = state.get("num_timesteps", state.get("done"))  # "done" in older checkpoints
-            most = self.settings.total_timesteps + self.env.num_envs
-            for name, count in (("num_timesteps", steps), ("updates", state["updates"])):
-                if type(count) is not int or not 0 <= count <= most:
-                    raise ValueError(f"{name} is {count!r}, but this training has {most}")
             self.policy_dqn.load_state_dict(state["policy_dqn"])
             self.target_dqn.load_state_dict(state["target_dqn"])
             self.optimizer.load_state_dict(state["optimizer"])
@@ -301,8 +297,6 @@ class ReplayBuffer:
         """Load what :meth:`state_dict` returned."""
         self.added = state.pop("added")
         for name, rows in state.items():
-            if len(rows) != len(self):
-                raise ValueError(f"{name} has {len(rows)} transitions instead of {len(self)}")
             getattr(self, name)[: len(rows)] = rows
 
 

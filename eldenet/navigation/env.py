@@ -40,14 +40,6 @@ def make_sensor(sensor: str | Sensor) -> Sensor:
     return Ranges() if sensor == "ranges" else NoisyRanges(errors="packaged")
 
 
-def check_arenas(arenas: object) -> None:
-    """Raise ``ValueError`` unless ``arenas`` are training arenas or None."""
-    if not isinstance(arenas, TrainingArenas | None):
-        raise ValueError(
-            f"arenas={arenas!r}: give TrainingArenas((5, 80)) of eldenet.navigation.tasks, or None"
-        )
-
-
 class ArenaNavVectorEnv(VectorEnv):
     """``num_envs`` robots, each in its own arena.
 
@@ -86,7 +78,6 @@ class ArenaNavVectorEnv(VectorEnv):
         self.observer = Observer(num_envs, **observer)
         settings = EpisodeSettings(physics, goal, time_limit)
         self.episodes = Episodes(num_envs, make_sensor(sensor), settings, randomization)
-        check_arenas(arenas)
         self.arenas = arenas or TrainingArenas()
         self._tasks: list[TrainingArenas] = []
         self._rngs: list[np.random.Generator] = []
@@ -102,16 +93,9 @@ class ArenaNavVectorEnv(VectorEnv):
 
         ``options={"progress": share}`` is the share of the training that is done, for a curriculum; it needs
         a seed after the first call.
-
-        Raises:
-            ValueError: the number of seeds is not that of the robots.
         """
         if seed is not None or not self._rngs:
             if isinstance(seed, list):
-                if len(seed) != self.num_envs:
-                    raise ValueError(
-                        f"{len(seed)} seeds for {self.num_envs} robots: give one per robot, or one number"
-                    )
                 streams = [np.random.SeedSequence(s) for s in seed]
             else:
                 # a list of one number: trainings stay the same bit for bit
@@ -159,8 +143,8 @@ class ArenaNavEnv(gym.Env):
     "box".
 
     Args:
-        arena: of every episode, such as :func:`~eldenet.simulation.arenas.triangle_course`; None: a new one
-            each time.
+        arena: of every episode, such as :func:`~eldenet.simulation.arenas.triangle_course` or what
+            :func:`~eldenet.simulation.arena_files.read_arena` reads; None: a new one each time.
         arenas: source of the new ones.
         render_mode: None or "rgb_array": a top view, with the camera's view beside it.
 
@@ -184,19 +168,12 @@ class ArenaNavEnv(gym.Env):
         render_mode: str | None = None,
         **observer: Any,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode={render_mode!r}: choose rgb_array or None")
+        one_of("render_mode", render_mode, (None, "rgb_array"))
         self.render_mode = render_mode
         self.observer = Observer(1, **observer)
         self.episodes = Episodes(1, make_sensor(sensor), EpisodeSettings(physics, goal, time_limit))
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Discrete(self.observer.actions)
-        if not isinstance(arena, Arena | None):
-            raise ValueError(
-                f"arena={arena!r}: give an Arena, such as triangle_course() of eldenet.simulation.arenas or "
-                "read_arena('mine.yaml') of eldenet.simulation.arena_files"
-            )
-        check_arenas(arenas)
         self._arena, self._arenas = arena, (arenas or TrainingArenas()).fresh()
         self._scene: Any = None
 

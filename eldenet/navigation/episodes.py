@@ -60,8 +60,8 @@ class EpisodeSettings:
         robot_friction: between its wheels and the floor, for physics="wheels"; no driver knows it.
 
     Raises:
-        ValueError: unknown physics or goal, a time limit, seed, size, speed or friction out of range, or a
-            friction without wheels.
+        ValueError: unknown physics or goal, a time limit, size, speed or friction out of range, or a friction
+            without wheels.
     """
 
     physics: str = "kinematic"
@@ -79,13 +79,10 @@ class EpisodeSettings:
         one_of("goal", self.goal, GOALS)
         if not 0 < self.time_limit < math.inf:
             raise ValueError(f"time_limit={self.time_limit}: give a finite number of seconds above 0")
-        if self.seed < 0:
-            raise ValueError(f"seed={self.seed}: give a whole number of 0 or more")
-        for name, value in (("size", self.robot_size), ("speed", self.robot_speed)):
-            if not 0.5 <= value <= 1.5:
-                raise ValueError(f"robot.{name}={value}: give a factor from 0.5 to 1.5")
-        if not 0.05 <= self.robot_friction <= 2:
-            raise ValueError(f"robot.friction={self.robot_friction}: give 0.05 to 2")
+        for name, low, high in (("size", 0.5, 1.5), ("speed", 0.5, 1.5), ("friction", 0.05, 2.0)):
+            value = getattr(self, f"robot_{name}")
+            if not low <= value <= high:
+                raise ValueError(f"robot.{name}={value}: give {low} to {high}")
         if self.robot_friction != FRICTION and self.physics != "wheels":
             raise ValueError(
                 f"robot.friction={self.robot_friction} has no effect with physics={self.physics}: choose "
@@ -99,7 +96,7 @@ class EpisodeSettings:
 
 @dataclass(frozen=True)
 class Randomization:
-    """What a training draws anew for each episode, each from a range (least, greatest).
+    """What a training draws for each episode, each from a range (least, greatest).
 
     Attributes:
         size: of the footprint, times ``settings.robot_size``; drawn for each arena.
@@ -326,6 +323,5 @@ class Episodes:
 
     def _world(self, slot: int) -> ArenaWorld:
         world = self.worlds[slot]
-        if world is None:
-            raise ValueError(f"slot {slot} has no arena: call start first")
+        assert world is not None, "call start first"
         return world

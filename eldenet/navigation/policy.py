@@ -87,9 +87,6 @@ class Navigator(OnRobot):
 
     Attributes:
         files: that it was loaded from.
-
-    Raises:
-        ValueError: network and observer do not fit together.
     """
 
     name = "dqn"
@@ -104,11 +101,6 @@ class Navigator(OnRobot):
     ) -> None:
         super().__init__()
         self.observer: Driver = Driver(robots, **observer)
-        if network.inputs != self.observer.size or network.actions != self.observer.actions:
-            raise ValueError(
-                f"the network has {network.inputs} inputs and {network.actions} actions, its observer "
-                f"{self.observer.size} and {self.observer.actions}: they were not trained together"
-            )
         # float64, so that a robot drives the same alone and among others: rounding breaks no tie
         self.network = network.double().eval()
         self.info = info or {}
@@ -215,9 +207,6 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
             (content["inputs"], content["actions"], *content["hidden"]),
             content.get("members", 1),
         )
-        sides = {side for tensor in weights.values() for side in tensor.shape}
-        if not (set(shape) <= sides and 1 <= members <= len(weights)):
-            raise ValueError(f"it does not hold {members} networks of shape {shape}")
         networks = [QNetwork(shape[0], shape[1], shape[2:]) for _ in range(members)]
         (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
         Driver(**content["observer"])

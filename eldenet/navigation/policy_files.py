@@ -11,13 +11,10 @@ def policy_files(path: str | Path | Sequence[str | Path] | None) -> list[Path]:
     """Files for :meth:`Navigator.load`: a run folder stands for its policy, None for the packaged one.
 
     Raises:
-        ValueError: an empty list.
         FileNotFoundError: there is no such file.
     """
     given = DEFAULT_WEIGHTS if path is None else path
     paths = [given] if isinstance(given, str | Path) else given
-    if not paths:
-        raise ValueError("checkpoint=[]: give at least one run folder or policy file")
     files = [Path(each) / POLICY if Path(each).is_dir() else Path(each) for each in paths]
     for file in files:
         if not file.is_file():

@@ -157,8 +157,7 @@ class Ranges:
         latency: from a scan until its command takes effect [s].
 
     Raises:
-        ValueError: a share is not in [0, 1], together they exceed 1, there are not so many columns, or
-            factor, lost or latency are out of range.
+        ValueError: an argument is out of range.
     """
 
     def __init__(
@@ -173,18 +172,16 @@ class Ranges:
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
-        if not (min(false_near, false_far) >= 0 and false_near + false_far <= 1):
-            raise ValueError(
-                f"false_near={false_near}, false_far={false_far}: give shares of the columns, 0 to 1 together"
-            )
-        if not 0 <= stuck <= ROBOT.columns:
-            raise ValueError(f"stuck={stuck}: give 0 to {ROBOT.columns} columns")
-        if not 0.5 <= factor <= 2:
-            raise ValueError(f"sensor.factor={factor}: give a factor from 0.5 to 2")
-        if not LEAST_VIEW <= view <= FULL_VIEW:
-            raise ValueError(f"sensor.view={view}: give {LEAST_VIEW:g} to {FULL_VIEW} degrees")
-        if not 0 <= lost <= 0.5:
-            raise ValueError(f"sensor.lost={lost}: give a share of the scans, 0 to 0.5")
+        for name, value, low, high in (
+            ("false_near", false_near, 0, 1),
+            ("false_far", false_far, 0, 1),
+            ("stuck", stuck, 0, ROBOT.columns),
+            ("factor", factor, 0.5, 2),
+            ("view", view, LEAST_VIEW, FULL_VIEW),
+            ("lost", lost, 0, 0.5),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"sensor.{name}={value}: give {low:g} to {high:g}")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
         self.factor, self.lost, self.view = factor, lost, view
         self.wrong_columns = bool(false_near or false_far or stuck)

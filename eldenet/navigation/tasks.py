@@ -8,7 +8,6 @@ import numpy as np
 from eldenet.simulation.arenas import (
     KINDS,
     Arena,
-    check_distance,
     clearance_map,
     draw_start_and_goal,
     generate_arena,
@@ -53,7 +52,6 @@ class TrainingArenas:
 
     def __post_init__(self) -> None:
         one_of("kind", self.kind, tuple(KINDS))
-        check_distance("min_distance", self.min_distance)
         low, high = self.densities
         shares = 0 <= self.dense_share <= 1 and 0 <= self.curriculum <= 1
         if not 0 <= low <= high <= 120 or self.repeats < 1 or not shares:

@@ -1,7 +1,7 @@
 """Arenas of one's own, as YAML files: obstacles, a start and way-points, checked before a robot drives."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,14 +51,12 @@ def _arena(content: Any) -> Arena:
     *place, degrees = _numbers("start", entries["start"], 3)
     start = _inside("start", (place[0], place[1]), side)
     waypoints = [
-        _inside(f"waypoints[{index}]", _pair(f"waypoints[{index}]", value), side)
-        for index, value in enumerate(_listed("waypoints", entries["waypoints"], MOST_WAYPOINTS))
+        _inside(name, _pair(name, value), side)
+        for name, value in _list_of("waypoints", entries["waypoints"], MOST_WAYPOINTS)
     ]
-    if not waypoints:
-        raise ValueError("waypoints is empty: give at least the goal, [[x, y]]")
     obstacles = [
-        _obstacle(f"obstacles[{index}]", value, side)
-        for index, value in enumerate(_listed("obstacles", entries["obstacles"], MOST_OBSTACLES))
+        _obstacle(name, value, side)
+        for name, value in _list_of("obstacles", entries["obstacles"], MOST_OBSTACLES)
     ]
     obstacles.sort(key=lambda obstacle: bool(obstacle.path))  # standing ones first
     standing = sum(not obstacle.path for obstacle in obstacles)
@@ -92,13 +90,11 @@ def _obstacle(name: str, content: Any, side: float) -> Obstacle:
     if kind == "vehicle":
         return Obstacle("vehicle", x, y, yaw, VEHICLE_HALF, VEHICLE_HEIGHT)
     corners = [
-        _inside(f"{name}.path[{index}]", _pair(f"{name}.path[{index}]", value), side)
-        for index, value in enumerate(_listed(f"{name}.path", entries["path"], MOST_WAYPOINTS))
+        _inside(place, _pair(place, value), side)
+        for place, value in _list_of(f"{name}.path", entries["path"], MOST_WAYPOINTS)
     ]
     speed = _number(f"{name}.speed", entries["speed"], LIMITS["speed"])
     path = ((x, y), *corners) if corners else ()  # from where the person stands, and back
-    if any(a == b for a, b in zip(path, (*path[1:], *path[:1]), strict=True)):
-        raise ValueError(f"{name}.path has the same corner twice in a row: give another")
     half = (PERSON_RADIUS, PERSON_RADIUS)
     return Obstacle("person", x, y, 0.0, half, height, path, speed if path else 0.0)
 
@@ -131,15 +127,21 @@ def _entries(name: str, content: Any, known: Mapping[str, Any]) -> dict[str, Any
         one_of(f"{name}: key", str(key), tuple(known))
     entries = {**known, **content}
     for key, value in entries.items():
-        if value is None:
+        if value is None or value == [] != known[key]:
             raise ValueError(f"{name} has no {key}: add it")
     return entries
 
 
-def _listed(name: str, value: Any, most: int) -> list[Any]:
-    if not isinstance(value, list) or len(value) > most:
-        raise ValueError(f"{name} must be a list of at most {most} entries")
+def _listed(name: str, value: Any, counts: range, what: str) -> list[Any]:
+    if not isinstance(value, list) or len(value) not in counts:
+        raise ValueError(f"{name}={value}: give {what}")
     return value
+
+
+def _list_of(name: str, value: Any, most: int) -> Iterator[tuple[str, Any]]:
+    """Each entry with its name."""
+    entries = _listed(name, value, range(most + 1), f"a list of at most {most}")
+    return ((f"{name}[{index}]", entry) for index, entry in enumerate(entries))
 
 
 def _pair(name: str, value: Any) -> Point:
@@ -148,10 +150,9 @@ def _pair(name: str, value: Any) -> Point:
 
 
 def _numbers(name: str, value: Any, count: int) -> list[float]:
-    shown = "[x, y] in meters" if count == 2 else "[x, y, heading] in meters and degrees"
-    if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"{name}={value}: give {shown}")
-    return [_number(name, one, (-1000.0, 1000.0)) for one in value]
+    what = "[x, y] in meters" if count == 2 else "[x, y, heading] in meters and degrees"
+    entries = _listed(name, value, range(count, count + 1), what)
+    return [_number(name, entry, (-1000.0, 1000.0)) for entry in entries]
 
 
 def _number(name: str, value: Any, limits: tuple[float, float]) -> float:

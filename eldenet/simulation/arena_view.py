@@ -164,10 +164,6 @@ def _photos(
     split: str, index: int, size: tuple[int, int], views: int, detail: bool = False
 ) -> Iterator[tuple[Arena, tuple[float, float, float], Photo]]:
     """Draw arena ``index`` of a split and yield it with the pose and photo of each frame."""
-    if split not in FIRST_ARENA:
-        raise ValueError(f"split={split!r}: use one of {list(FIRST_ARENA)}")
-    if not 0 <= index < FIRST_ARENA["val"]:
-        raise ValueError(f"index={index}: arenas are numbered from 0 to {FIRST_ARENA['val'] - 1}")
     cv2.setNumThreads(0)
     number = FIRST_ARENA[split] + index
     draw = Draw((FRAME_STREAM, number))

@@ -92,15 +92,15 @@ def generate_arena(
     Raises:
         ValueError: an argument is out of its range.
     """
-    if split not in SPLITS:
-        raise ValueError(f"split={split!r}: use one of {list(SPLITS)}")
-    one_of("arena.kind", kind, tuple(KINDS))
-    if index < 0 or not 0 <= density <= 120 or not 0 <= pedestrians <= 40:
-        raise ValueError(
-            f"density={density}, pedestrians={pedestrians}, index={index}: give 0 to 120 obstacles, "
-            "0 to 40 pedestrians, and an index from 0"
-        )
-    check_distance("min_distance", min_distance)
+    one_of("split", split, SPLITS)
+    one_of("arena.kind", kind, KINDS)
+    for name, value, most in (
+        ("density", density, 120),
+        ("pedestrians", pedestrians, 40),
+        ("min_distance", min_distance, SIDE),
+    ):
+        if not 0 <= value <= most:
+            raise ValueError(f"{name}={value}: give 0 to {most:g}")
     draw = Draw((SPLITS[split], density, pedestrians, index, *KINDS[kind]))
     while True:
         walls = {"open": lambda _: OPEN, "rooms": draw_rooms, "traps": draw_trap}[kind](draw)
@@ -115,12 +115,6 @@ def generate_arena(
         start, goal = endpoints
         walking = [_draw_pedestrian(draw, start) for _ in range(pedestrians)]
         return Arena(split, density, index, (*obstacles, *walking), start, (goal,), kind=kind)
-
-
-def check_distance(name: str, distance: float) -> None:
-    """Raise ``ValueError`` unless start and goal may be so far apart [m]."""
-    if not 0 <= distance <= SIDE:
-        raise ValueError(f"{name}={distance}: give 0 to {SIDE:g} m")
 
 
 def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacle, ...] | None:

@@ -15,6 +15,7 @@ from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw
 from eldenet.simulation.rendering.textures import variants
 from eldenet.simulation.street_furniture import StreetFurniture
+from eldenet.system.checks import one_of
 
 KINDS = ("street", "hall", "crossing")
 NAMES = ("car", "van", "truck", "person", "box", "pillar")  # cyclists are in crossings alone
@@ -54,15 +55,8 @@ def generate_scene(split: str, index: int, kind: str = "street", detail: bool = 
     """Generate scene ``index`` of a split; the first bodies of the model are its objects.
 
     With ``detail`` a street has sidewalks, trees, poles, signs and house fronts; a hall looks natural.
-
-    Raises:
-        ValueError: unknown split or kind, or negative index.
     """
-    if split not in SPLITS or kind not in KINDS or index < 0:
-        raise ValueError(
-            f"split={split!r}, kind={kind!r}, index={index}: give one of {list(SPLITS)}, one of "
-            f"{KINDS}, and a number from 0"
-        )
+    one_of("kind", kind, KINDS)
     details = Draw((STREAM, SPLITS[split], index, len(KINDS))) if detail else None
     return _Builder(Draw((STREAM, SPLITS[split], index, KINDS.index(kind))), kind, details).build()
 

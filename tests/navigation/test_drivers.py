@@ -72,8 +72,6 @@ def test_a_saved_policy_decides_the_same_once_loaded(tmp_path):
     save_file({"a": torch.zeros(1)}, str(tmp_path / "other.safetensors"))
     with pytest.raises(ValueError, match="is not a navigation policy"):
         Navigator.load(tmp_path / "other.safetensors")
-    with pytest.raises(ValueError, match="not trained together"):
-        Navigator(QNetwork(10, 5), {})
 
 
 def test_several_networks_drive_together_by_the_mean_of_their_values(tmp_path):
@@ -91,8 +89,6 @@ def test_several_networks_drive_together_by_the_mean_of_their_values(tmp_path):
     torch.testing.assert_close(again.network(rows), together.network(rows), rtol=0, atol=2e-3)
     assert again.observer.options == together.observer.options
     assert again.observer.options["slows_within"] == 1.0
-    with pytest.raises(ValueError, match="give at least one run folder"):
-        Navigator.load([])
     Navigator(QNetwork(39, 5, (8,)), {}).save(files[2])
     with pytest.raises(ValueError, match=r"\(39, 5, \(8,\)\), .*give networks of one shape"):
         Navigator.load(files)
@@ -214,8 +210,6 @@ def test_paired_tests_agree_with_scipy():
     assert (first, second) == (10, 2)
     assert p == pytest.approx(binomtest(10, 12).pvalue)
     assert mcnemar(a, a) == (0, 0, 1.0)
-    with pytest.raises(ValueError, match="same arenas"):
-        mcnemar(a, b[:-1])
     assert spl(
         np.array([True, True, False]), np.array([10.0, 20.0, 5.0]), np.array([10.0, 10.0, 5.0])
     ) == pytest.approx(0.5)

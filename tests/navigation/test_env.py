@@ -48,16 +48,6 @@ def test_make_vec_returns_the_vector_environment():
     assert env.metadata["autoreset_mode"] == gym.vector.AutoresetMode.SAME_STEP
 
 
-def test_names_in_place_of_arenas_are_refused_in_one_line():
-    with pytest.raises(ValueError, match=r"arena='foo': give an Arena, such as triangle_course\(\)"):
-        ArenaNavEnv(arena="foo")
-    for environment in (ArenaNavEnv, ArenaNavVectorEnv):
-        with pytest.raises(ValueError, match=r"arenas='foo': give TrainingArenas"):
-            environment(arenas="foo")
-        with pytest.raises(ValueError, match="physics='foo': give one of kinematic, wheels"):
-            environment(physics="foo")
-
-
 def test_observer_options_are_options_of_the_environment():
     assert ArenaNavVectorEnv(2, memory=30).observer.options["memory"] == 30
     with pytest.raises(TypeError, match="density"):

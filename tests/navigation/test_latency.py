@@ -115,7 +115,7 @@ def test_a_robot_may_be_larger_and_faster_than_its_driver_knows():
         ways[name] = episodes.travelled[0], episodes.poses[0, 2]
     assert ways["fast"][0] == pytest.approx(1.2 * ways["plain"][0], rel=0.05)
     assert ways["large"] == pytest.approx(ways["plain"], rel=0.1)
-    with pytest.raises(ValueError, match=r"robot\.size=3\.0: give a factor from 0\.5 to 1\.5"):
+    with pytest.raises(ValueError, match=r"robot\.size=3\.0: give 0\.5 to 1\.5"):
         EpisodeSettings(robot_size=3.0)
 
 

@@ -83,7 +83,6 @@ def test_settings_of_earlier_versions_are_renamed():
     (["mode=evaluate", "robots=0"], "robots=0: give at least 1 episode to run at once"),
     (["mode=train", "training.validate=-1"], "training.validate=-1: give a number of arenas, or 0 for none"),
     (["time_limit=0"], "time_limit=0: give a finite number of seconds above 0"),
-    (["mode=train", "seed=-1"], "seed=-1: give a whole number of 0 or more"),
     (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),

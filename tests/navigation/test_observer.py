@@ -132,7 +132,6 @@ def test_arc_tables_agree_with_moving_the_footprint():
     ({"turn_rates": (1.0,)}, "give one each"),
     ({"memory": -1}, "memory=-1"),
     ({"seen_through": -1}, "seen_through=-1"),
-    ({"speed": "paper", "turn_rates": (0.5, 0.0), "turn_factors": (0.7, 0.0)}, "speed=paper ignores them"),
 ])  # fmt: skip
 def test_options_out_of_range_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

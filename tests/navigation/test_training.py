@@ -124,7 +124,5 @@ def test_a_trap_keeps_its_own_start_and_goal():
 
 @pytest.mark.parametrize("distance", [-1.0, 27.0, math.nan])
 def test_start_and_goal_that_cannot_be_so_far_apart_are_refused(distance):
-    for make in (lambda: TrainingArenas(min_distance=distance),
-                 lambda: generate_arena("train", 10, 0, min_distance=distance)):  # fmt: skip
-        with pytest.raises(ValueError, match=f"min_distance={distance}: give 0 to 20 m"):
-            make()
+    with pytest.raises(ValueError, match=f"min_distance={distance}: give 0 to 20"):
+        generate_arena("train", 10, 0, min_distance=distance)

@@ -46,7 +46,7 @@ def test_the_example_of_the_page_is_an_arena(tmp_path):
     ({"start": [-9.9, 0, 0]}, "start=.* from an obstacle or wall"),
     ({"start": [5, 0.5, 0]}, r"start=\[5, 0.5\] lies 0\.25 m from a person who walks"),
     ({"start": [1, 2]}, r"start=\[1, 2\]: give \[x, y, heading\] in meters and degrees"),
-    ({"waypoints": []}, "waypoints is empty"),
+    ({"waypoints": []}, "has no waypoints: add it"),
     ({"side": 50}, "side=50: give a number from 4 to 20"),
     ({"obstacles": [{"kind": "tree", "at": [0, 0]}]}, "kind='tree': give one of cylinder, box"),
     ({"obstacles": [{"kind": "box", "at": [0, 0]}]}, r"obstacles\[0\] has no size"),

@@ -244,7 +244,6 @@ def test_pedestrians_walk_their_path_and_can_be_hit():
 @pytest.mark.parametrize(("arguments", "message"), [
     (("holiday", 5, 0), "split='holiday'"),
     (("test", 500, 0), "density=500"),
-    (("test", 5, -1), "index=-1"),
 ])  # fmt: skip
 def test_arguments_out_of_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):

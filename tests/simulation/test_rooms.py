@@ -44,12 +44,6 @@ def test_every_room_compiles_and_is_furnished():
         assert 2.0 < room.size[2] < 4.5
 
 
-@pytest.mark.parametrize(("split", "index"), [("training", 0), ("train", -1)])
-def test_unknown_splits_and_negative_indices_are_refused(split, index):
-    with pytest.raises(ValueError, match=r"split=|index="):
-        generate_room(split, index)
-
-
 def test_a_box_covers_the_pixels_that_it_projects_to():
     model, data = compiled(
         '<mujoco><worldbody><body pos="2 0 0"><geom type="box" size=".5 .2 .1"/></body></worldbody></mujoco>'

@@ -12,8 +12,8 @@ from eldenet.simulation.streets import generate_scene
 def test_scenes_are_reproducible_and_differ_by_split():
     first, again, other = (generate_scene(split, 0) for split in ("train", "train", "val"))
     assert first.room.text == again.room.text != other.room.text
-    with pytest.raises(ValueError, match="split"):
-        generate_scene("all", 0)
+    with pytest.raises(ValueError, match="kind='lane': give one of street, hall, crossing"):
+        generate_scene("train", 0, "lane")
 
 
 def test_the_pixels_of_an_object_lie_in_its_boxes(views):

@@ -346,12 +346,9 @@ FAMILIES: tuple[tuple[Pattern, int], ...] = (
 
 def variants(family: str) -> range:
     """Return the pattern numbers of a family, e.g. ``variants("planks")``."""
-    first = 0
-    for pattern, count in FAMILIES:
-        if pattern.__name__ == family:
-            return range(first, first + count)
-        first += count
-    raise ValueError(f"no texture family {family!r}: use one of {[p.__name__ for p, _ in FAMILIES]}")
+    place = [pattern.__name__ for pattern, _ in FAMILIES].index(family)
+    first = sum(count for _, count in FAMILIES[:place])
+    return range(first, first + FAMILIES[place][1])
 
 
 class Atlas:
