@@ -498,25 +498,8 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         check_ground_truth=build_protocol(config).check_ground_truth,
         frames=config.frames,
         samples=config.samples,
-        fingerprint=_digest_list(config),
         encoding=plain(config.data.get("encoding")),
     )
-
-
-def _digest_list(config: DictConfig) -> Path | None:
-    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
-    given = config.fingerprint
-    if given is None or given is False:
-        return None
-    if given is not True:
-        return Path(given).expanduser()
-    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
-    if root is None:
-        raise ValueError(
-            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
-            "fingerprint=/my/folder/list.sha256"
-        )
-    return Path(root).expanduser()
 
 
 # --- train, evaluate, adapt ---------------------------------------------------------------------------------

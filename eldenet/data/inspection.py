@@ -11,14 +11,6 @@ from typing import Any
 import numpy as np
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.digests import (
-    LIST_NAME,
-    compare_digests,
-    file_digests,
-    files_of,
-    read_digests,
-    write_digests,
-)
 from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
 from eldenet.data.mix import Mix
 from eldenet.data.splits import evenly_spaced
@@ -44,8 +36,7 @@ class CheckDataSetup:
         check_ground_truth: raises ValueError if the protocol cannot score this kind of ground truth.
         frames: read at most this many frames of each split, evenly spread; None reads all.
         samples: frames of each split on the contact sheet.
-        fingerprint: list of digests to write, or to check the files against if it exists; a folder gets
-            :data:`~eldenet.data.digests.LIST_NAME`. None: no digests.
+        encoding: of depth, as the config gives it; None: there is no such setting.
     """
 
     folder: Path
@@ -56,7 +47,6 @@ class CheckDataSetup:
     check_ground_truth: Callable[[str], None]
     frames: int | None = None
     samples: int = 0
-    fingerprint: Path | None = None
     encoding: Encoding | None = None
 
 
@@ -135,13 +125,11 @@ class DataCheck:
         splits: one check each.
         faults: everything that is wrong, one line each.
         panels: titled pictures for a contact sheet: image over depth.
-        fingerprint: what was done with the list of digests, one line; empty if none was asked for.
     """
 
     splits: list[SplitCheck] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     panels: list[tuple[str, np.ndarray]] = field(default_factory=list)
-    fingerprint: str = ""
 
 
 def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
@@ -151,14 +139,13 @@ def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
         setup: the splits, and how much of them to read.
         bar: opens a progress bar with a title and a total; its ``advance`` is called with 1 per frame.
     """
-    found, refused, opened = DataCheck(), [], []
+    found, refused = DataCheck(), []
     for split, open_split in setup.splits.items():
         try:
             dataset = open_split()
         except (ValueError, OSError) as error:
             found.splits.append(SplitCheck(split, fault=str(error)))
             continue
-        opened.append(dataset)
         total = len(evenly_spaced(len(dataset.names), setup.frames))
         with bar(f"checking {split}", total) as progress:
             check = check_split(split, dataset, frames=setup.frames, advance=progress.advance)
@@ -171,32 +158,7 @@ def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
                 refused.append(f"{split}: {error}")
     found.faults = [line for check in found.splits for line in check.faults]
     found.faults += refused + shared_frames(found.splits)
-    if setup.fingerprint is not None:
-        _fingerprint(found, setup.fingerprint, opened, bar)
     return found
-
-
-def _fingerprint(found: DataCheck, path: Path, splits: Sequence[DepthDataset], bar: Bar) -> None:
-    """Write the list of digests, or check the files against it and add what differs to the faults."""
-    files = files_of(splits)
-    path = path / LIST_NAME if path.is_dir() else path
-    if path.is_file():
-        with bar("comparing files", len(read_digests(path))) as progress:
-            differences = compare_digests(path, files, progress.advance)
-        for word, names in differences.items():
-            found.faults += _listed(str(path), f"files are {word}", names)
-        wrong = sum(map(len, differences.values()))
-        found.fingerprint = f"files compared with {path}: " + (
-            f"{wrong} differ; if you changed them yourself, remove the list and run again"
-            if wrong
-            else "equal"
-        )
-    elif found.faults:
-        found.fingerprint = f"{path} was not written: first fix what is wrong above"
-    else:
-        with bar("computing digests", len(files)) as progress:
-            write_digests(path, file_digests(files, progress.advance))
-        found.fingerprint = f"digests of {len(files)} files written to {path}: the next check compares"
 
 
 def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tuple[str, np.ndarray]]:

@@ -18,7 +18,6 @@ def check(setup: CheckDataSetup) -> bool:
         {
             "data": setup.name,
             "faults": found.faults,
-            "fingerprint": found.fingerprint,
             "same_frames": dict(setup.same),
             "splits": [split.as_dict() for split in found.splits],
             "config": setup.config,
@@ -46,8 +45,6 @@ def _show(log: RunLog, setup: CheckDataSetup, found: DataCheck) -> None:
             log.say(f"mean and std of the training images: 'normalization={{mean: [{mean}], std: [{std}]}}'")
     for line in found.faults:
         log.say(line)
-    if found.fingerprint:
-        log.say(found.fingerprint)
     guesses = [
         (split.split, *doubts(split.median, encoding_of(setup.encoding, split.split)))
         for split in found.splits

@@ -40,7 +40,6 @@ TREES: dict[str, Callable[[Path], list[str]]] = {
     "nyu_hdf5": lambda root: [f"data.root={layouts.hdf5(root, FULL)}"],
     "nyu_labelled": lambda root: [f"data.root={layouts.labeled(root, FULL)}"],
     "nyu_mat": lambda root: [f"data.root={mat_with_all_splits(root)}"],
-    "nyu_tar": lambda root: [f"data.root={layouts.tar(root, FULL)}", f"data.index={root / 'index'}"],
     "nyu_sync": lambda root: [
         f"data.root={layouts.sync(root / 'sync', FULL)}",
         f"data.test_root={layouts.sync(root / 'test', FULL, (('bathroom', '00045'),))}",

@@ -4,13 +4,11 @@ A further one is a function below with ``@hostile``: it writes into a folder and
 with it. Whatever happens, ``folder/ESCAPED`` must not come to be.
 """
 
-import io
 import json
 import os
 import pickle
 import re
 import struct
-import tarfile
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -207,20 +205,6 @@ def a_list_that_climbs_out(folder: Path) -> Attack:
 @hostile
 def a_list_of_absolute_paths(folder: Path) -> Attack:
     return _outside(folder, f"{folder}/secret/images/f000.png,{folder}/secret/depths/f000.png\n")
-
-
-@hostile
-def an_archive_that_climbs_out(folder: Path) -> Attack:
-    layouts.tar(folder)
-    file = folder / "data/train-000001.tar"
-    with tarfile.open(file, "a") as archive:
-        entry = tarfile.TarInfo("../../ESCAPED.h5")
-        entry.size = 4
-        archive.addfile(entry, io.BytesIO(b"text"))
-        link = tarfile.TarInfo("office_0002/00009.h5")
-        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
-        archive.addfile(link)
-    return file, lambda: frames(folder, "tar")
 
 
 @hostile

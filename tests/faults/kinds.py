@@ -1,7 +1,6 @@
 """Every kind of file that eldenet reads: how a small whole one is made, and how a user's command reads it."""
 
 import csv
-import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -93,7 +92,6 @@ DATA = (
     of_data_set("npy depth", "folder_npy"),
     of_data_set("npy picture (MTAN)", "mtan"),
     of_data_set("HDF5 frame", "hdf5"),
-    of_data_set("tar shard of HDF5 frames", "tar"),
     of_data_set("MATLAB file of frames", "mat", 0),
     of_data_set("MATLAB file of splits", "mat", 1),
     of_data_set("CSV list of frames", "folder_csv", named=("files are missing",)),
@@ -114,29 +112,6 @@ def _picture_kind(ending: str) -> FileKind:
         write_picture(path, layouts.SMALL.eight if ending == ".pgm" else layouts.SMALL.rgb)
 
     return one_file(f"{ending[1:].upper()} picture", f"picture{ending}", write, read_image)
-
-
-def _tar_index(root: Path) -> None:
-    """The index of a shard, as it stands in the cache once the shard was read from ``work``."""
-    from eldenet.data.nyu_tar import _walk
-
-    layouts.tar(root)
-    for shard in (root / "data").glob("train-*.tar"):
-        members, fault = _walk(shard)
-        path = str((root.parent / "work" / "data" / shard.name).resolve())
-        state = shard.stat()
-        content = {"shard": [path, state.st_size, state.st_mtime_ns], "members": members, "fault": fault}
-        name = "one.json" if "000001" in shard.name else "two.json"
-        (root / name).write_text(json.dumps(content))
-
-
-def _with_tar_index(root: Path) -> list[Any]:
-    for name, shard in (("one.json", "train-000001.tar"), ("two.json", "train-000000.tar")):
-        path = str((root / "data" / shard).resolve())
-        place = root / "index/tar_index" / f"{hashlib.sha256(path.encode()).hexdigest()[:16]}.json"
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(root / name, place)
-    return frames(root, "tar")
 
 
 def _store(path: Path) -> Any:
@@ -212,7 +187,6 @@ def _read_video(path: Path) -> Any:
 
 DATA += (
     *map(_picture_kind, (".bmp", ".ppm", ".pgm")),
-    FileKind("index of a tar shard", "one.json", _tar_index, _with_tar_index, named=("train-000001",)),
     one_file("frame cache", "frames.bin", _write_store, _read_store, digest=True),
     _of_kitti_objects("KITTI object labels", "label_2/000007.txt"),
     _of_kitti_objects("KITTI object calibration", "calib/000007.txt"),

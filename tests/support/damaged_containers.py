@@ -1,4 +1,4 @@
-"""What may happen to files that hold many frames: HDF5, MATLAB's .mat, tar."""
+"""What may happen to files that hold many frames: HDF5 and MATLAB's .mat."""
 
 from collections.abc import Callable
 from functools import partial
@@ -89,37 +89,3 @@ SPLITS_MAT = (
 def cut_split(path: Path, generator: np.random.Generator) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: generator.integers(130, len(content) - 60)])  # before the second list ends
-
-
-def tar_header(path: Path, _: np.random.Generator) -> None:
-    """The header of the file in it is zeros: that looks like the end of an archive."""
-    content = bytearray(path.read_bytes())
-    start = content.index(b"\x89HDF") - 512
-    content[start : start + 512] = bytes(512)
-    path.write_bytes(content)
-
-
-def tar_cut(path: Path, generator: np.random.Generator) -> None:
-    content = path.read_bytes()
-    path.write_bytes(content[: generator.integers(600, len(content) - 12000)])
-
-
-TAR = (empty, web_page, folder_instead, tar_header, tar_cut, tar_cut, tar_cut)
-
-
-def member(change: Damage) -> Damage:
-    """The one HDF5 file within a shard, damaged without changing its length."""
-
-    def damage(path: Path, generator: np.random.Generator) -> None:
-        content = bytearray(path.read_bytes())
-        start = content.index(b"\x89HDF")
-        size = int(content[start - 512 + 124 : start - 512 + 135], 8)
-        part = path.with_name("member.h5")
-        part.write_bytes(content[start : start + size])
-        change(part, generator)
-        new = part.read_bytes()
-        part.unlink()
-        content[start : start + size] = new[:size].ljust(size, b"\0")
-        path.write_bytes(content)
-
-    return damage

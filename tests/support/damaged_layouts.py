@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from support import layouts
-from support.damaged_containers import H5, MAT, SPLITS_MAT, TAR, cut_split, in_frame, member, zeros_in_tables
+from support.damaged_containers import H5, MAT, SPLITS_MAT, cut_split, in_frame
 from support.damages import (
     ANY,
     CAM_TO_CAM,
@@ -26,17 +26,13 @@ from support.damages import (
     TEXT,
     VELO_TO_CAM,
     Damage,
-    cut,
-    empty,
     exr,
     gray,
     halved,
     pfm,
     text,
     turned,
-    web_page,
     without_gone,
-    wrong_start,
 )
 
 
@@ -164,19 +160,6 @@ LAYOUTS = {
                 "nyu_depth_v2_labeled.mat",
                 [in_frame(3, change) for change in (np.negative, lambda a: a * np.nan, lambda a: a * 1000)],
                 "0003",
-            ),
-        ),
-    ),
-    "tar": Layout(
-        "nyu_tar",
-        layouts.tar,
-        (*TRAINVAL, "data.index={root}/index"),
-        (
-            Target("data/train-000001.tar", TAR, "data/train-000001.tar"),
-            Target(
-                "data/train-000001.tar",
-                [member(damage) for damage in (empty, web_page, zeros_in_tables, wrong_start, cut)],
-                "train/office_0002/00001",
             ),
         ),
     ),

@@ -2,8 +2,6 @@
 
 import json
 import os
-import shutil
-import tarfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,19 +80,6 @@ def hdf5(root: Path, frame: Content = SMALL) -> Path:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(root / f"{name}.h5", "w") as file:
             file["rgb"], file["depth"] = frame.rgb.transpose(2, 0, 1), frame.meters
-    return root
-
-
-def tar(root: Path, frame: Content = SMALL) -> Path:
-    """The Hub's shards: the same files as :func:`hdf5`, the scenes dealt to two shards."""
-    files = hdf5(root / "unpacked", frame)
-    (root / "data").mkdir()
-    for shard, part in (("train-000000", "train/kitchen_0001"), ("train-000001", "train/office_0002")):
-        with tarfile.open(root / f"data/{shard}.tar", "w") as archive:
-            archive.add(files / part, arcname=part.removeprefix("train/"))
-    with tarfile.open(root / "data/val-000000.tar", "w") as archive:
-        archive.add(files / "val/official", arcname="official")
-    shutil.rmtree(files)
     return root
 
 
