@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.config import build_adaptation, build_calibration
+from eldenet.system.files import sole_writer
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -18,14 +19,16 @@ def main(config: "DictConfig", folder: Path) -> None:
         tuned = build_adaptation(config, folder)
         from eldenet.training.adaptation import adapt
 
-        adapt(tuned)
+        with sole_writer(folder):
+            adapt(tuned)
     else:
         unread = ("data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "protocol", "minutes")
         refuse_unread(unread, "camera_height fits the scale alone, from source=")
         scaled = build_calibration(config, folder)
         from eldenet.perception.camera_height import calibrate
 
-        calibrate(scaled)
+        with sole_writer(folder):
+            calibrate(scaled)
 
 
 if __name__ == "__main__":
