@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, to_corner
+from eldenet.system.checks import one_of
 
 #: "tight": around the visible object (COCO's detectors); "projected": around the eight corners (KITTI).
 BoxStyle = Literal["tight", "projected"]
@@ -74,9 +75,6 @@ class Detections2D(ArrayRows):
                 f"xyxy {self.xyxy.shape}, score {self.score.shape}, label {self.label.shape}: give (N, 4), "
                 "(N,), (N,)"
             )
-        for name, extra in (("mask", self.mask), ("track_id", self.track_id)):
-            if extra is not None and len(extra) != count:
-                raise ValueError(f"{name} has {len(extra)} entries for {count} boxes: give one for each")
         if count and not 0 <= self.label.min() <= self.label.max() < len(self.names):
             raise ValueError(
                 f"labels up to {self.label.max()}, but {len(self.names)} class names: name every class"
@@ -88,8 +86,7 @@ class Detections2D(ArrayRows):
             raise ValueError(
                 f"box {wrong[0].tolist()}: give left, top, right, bottom with left <= right and top <= bottom"
             )
-        if self.box_style not in ("tight", "projected"):
-            raise ValueError(f"box_style={self.box_style!r}: give 'tight' or 'projected'")
+        one_of("box_style", self.box_style, ("tight", "projected"))
 
     def __len__(self) -> int:
         return len(self.score)

@@ -227,10 +227,12 @@ class PinholeCamera:
 
     def __post_init__(self) -> None:
         shapes = tuple(np.shape(part) for part in (self.intrinsics, self.rotation, self.translation))
-        if shapes != ((3, 3), (3, 3), (3,)):
-            raise ValueError(f"intrinsics, rotation, translation are {shapes}: give (3, 3), (3, 3), (3,)")
-        if not (self.intrinsics[0, 0] > 0 and self.intrinsics[1, 1] > 0):
-            raise ValueError("intrinsics need focal lengths above 0: see eldenet.geometry.pinhole")
+        focal_lengths = np.diag(self.intrinsics)[:2] if shapes[0] == (3, 3) else np.zeros(2)
+        if shapes != ((3, 3), (3, 3), (3,)) or not (focal_lengths > 0).all():
+            raise ValueError(
+                f"intrinsics, rotation, translation are {shapes}: give (3, 3) with focal lengths above 0, "
+                "(3, 3), (3,); eldenet.geometry.pinhole makes the first"
+            )
 
     @classmethod
     def from_projection(cls, projection: np.ndarray) -> "PinholeCamera":

@@ -14,6 +14,7 @@ from eldenet.backbones.weights import (
     rename_timm,
 )
 from eldenet.layers import ConvNormAct, DepthwiseSeparable, init_kaiming
+from eldenet.system.checks import one_of
 
 # Per network: the last layer in torchvision's ``features`` at strides 2, 4, 8, 16, 32, and its channels.
 _STAGES = {
@@ -138,8 +139,7 @@ class MobileNetV3(_TorchvisionMobileNet):
     """
 
     def __init__(self, size: str = "large", *, pretrained: bool | str = False) -> None:
-        if size not in ("small", "large"):
-            raise ValueError(f"MobileNetV3 has no size {size!r}; choose small or large")
+        one_of("size", size, ("small", "large"))
         super().__init__(f"mobilenet_v3_{size}")
         if pretrained:
             load_torchvision_weights(self, f"mobilenet_v3_{size}", pretrained)

@@ -40,9 +40,6 @@ class TimmBackbone(Backbone):
 
         weights = read_weights(pretrained) if isinstance(pretrained, str) else None
         overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None
-        if not timm.is_model(name):
-            similar = ", ".join(timm.list_models(f"*{name.split('_')[0]}*")[:10])
-            raise ValueError(f"timm has no network {name!r}; similar names: {similar or 'none'}")
         try:
             self.body = timm.create_model(
                 name, pretrained=bool(pretrained), features_only=True, pretrained_cfg_overlay=overlay
@@ -52,17 +49,13 @@ class TimmBackbone(Backbone):
                 f"could not download timm's weights of {name} ({error}). Download them on a machine "
                 "with internet access and give the file: pretrained: /path/to/file"
             ) from error
-        except RuntimeError as error:  # shapes that differ
-            raise ValueError(f"{name} cannot load the weights {pretrained!r}: {error}") from error
+        except RuntimeError as error:  # an unknown name, or shapes that differ
+            raise ValueError(f"timm cannot make {name} with pretrained={pretrained}: {error}") from error
         if weights is not None:
             self._check_all_loaded(weights, f"{pretrained} into {name}")
 
         info: Any = self.body.feature_info
         channels, strides = info.channels(), info.reduction()
-        if strides != sorted(set(strides)):
-            raise ValueError(
-                f"{name} has features of strides {strides}; a decoder needs increasing, distinct strides"
-            )
         self.feature_info = tuple(map(FeatureInfo, channels, strides))
         # Swin and its kin put channels last.
         self.channels_last = str(getattr(self.body, "output_fmt", "NCHW")).endswith("NHWC")

@@ -195,17 +195,12 @@ def rename_by_order(weights: Weights, expected: Weights, source: str) -> Weights
     Raises:
         ValueError: the numbers or the shapes of the tensors differ; the message names ``source``.
     """
-    if len(weights) != len(expected):
+    found, wanted = ([tuple(tensor.shape) for tensor in one.values()] for one in (weights, expected))
+    if found != wanted:
+        place = next((i for i, (a, b) in enumerate(zip(found, wanted, strict=False)) if a != b), None)
+        what = "" if place is None else f"; {list(weights)[place]} would become {list(expected)[place]}"
         raise ValueError(
-            f"the names in {source} differ from this network's, and it has {len(weights)} tensors instead of "
-            f"{len(expected)}"
+            f"the names in {source} differ from this network's, and its {len(found)} tensors do not fit its "
+            f"{len(wanted)} in order{what}"
         )
-    pairs = zip(weights.items(), expected.items(), strict=True)
-    for (name, tensor), (expected_name, expected_tensor) in pairs:
-        if tensor.shape != expected_tensor.shape:
-            raise ValueError(
-                f"the names in {source} differ from this network's, and its tensors do not fit in order: "
-                f"{name} "
-                f"{tuple(tensor.shape)} would become {expected_name} {tuple(expected_tensor.shape)}"
-            )
     return dict(zip(expected, weights.values(), strict=True))

@@ -63,13 +63,11 @@ class FastUpConvDecoder(Decoder):
         self.strides = [deepest // 2 ** (step + 1) for step in range(modules)]
         reached = [stride for stride in self.strides if stride in self.channels_at]
         if kernels is not None:
-            if lateral_strides is not None or fusion == "none":
+            if not 1 < len(kernels) <= len(reached) + 1 or lateral_strides is not None or fusion == "none":
                 raise ValueError(
-                    f"kernels={kernels} already choose which features are used: remove "
-                    "lateral_strides and fusion=none"
+                    f"kernels={kernels}: give 2 to {len(reached) + 1}, the last for the deepest feature, and "
+                    "neither lateral_strides nor fusion=none"
                 )
-            if not 1 < len(kernels) <= len(reached) + 1:
-                raise ValueError(f"kernels={kernels}: give 2 to {len(reached) + 1}, the last for the deepest")
             lateral_strides = sorted(reached)[: len(kernels) - 1]
         wanted = reached if lateral_strides is None else list(lateral_strides)
         if not set(wanted) <= set(reached):

@@ -36,8 +36,7 @@ def fit_temperature(
         ValueError: the network predicts no sigma.
     """
     head = model.head
-    if not isinstance(head, UncertainHead):
-        raise ValueError(NO_SIGMA)
+    assert isinstance(head, UncertainHead), NO_SIGMA
     power = 1 if head.distribution == "laplace" else 2
     means = []
     device = device_of(model)

@@ -99,24 +99,22 @@ class EvalProtocol:
         self._set("crop_fractions", float, self.crop_fractions)
         if self.crop is not None and self.size is None:
             self._refuse(f"crop={self.crop} needs size, the ground truth's (height, width)")
-        for field, limits, words in (
+        for field, limits, where in (
             ("frame_box", (math.inf, math.inf), "[px]"),
             ("crop", self.size, f"within size={self.size}"),
             ("crop_fractions", (1, 1), "between 0 and 1"),
         ):
             box = getattr(self, field)
             if box is not None and limits is not None and not _is_box(box, limits):
-                self._refuse(f"{field}={box} must be (top, bottom, left, right) {words}")
-        if self.crop is not None and self.crop_fractions is not None:
-            self._refuse("give crop or crop_fractions, not both")
+                self._refuse(f"{field}={box} must be (top, bottom, left, right) {where}")
         if self.paste and (self.frame_crop is None or self.frame_box or self.resize or self.frame_size):
             self._refuse(
                 "paste=True pastes predictions of frame_crop into the whole ground truth: give frame_crop, "
                 "and no frame_box, resize or frame_size"
             )
 
-    def _refuse(self, words: str) -> NoReturn:
-        raise ValueError(f"protocol {self.name}: {words}")
+    def _refuse(self, reason: str) -> NoReturn:
+        raise ValueError(f"protocol {self.name}: {reason}")
 
     def _set(self, field: str, kind: type, value: Sequence[float] | None) -> None:
         if value is not None:

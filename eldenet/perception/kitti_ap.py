@@ -65,7 +65,7 @@ def average_precision(
     Args:
         truths: labels of every frame.
         detections: results of the same frames, in the same order.
-        kind: "Car", "Pedestrian" or "Cyclist".
+        kind: "Car", "Pedestrian" or "Cyclist"; any class with ``min_overlap``.
         difficulty: "easy", "moderate" or "hard".
         metric: "2d", "bev" or "3d".
         min_overlap: IoU above which a detection matches; None: the official one.
@@ -75,12 +75,8 @@ def average_precision(
     """
     one_of("difficulty", difficulty, tuple(DIFFICULTIES))
     one_of("metric", metric, METRICS)
-    if len(truths) != len(detections):
-        raise ValueError(
-            f"{len(truths)} frames of labels, but {len(detections)} of detections: give equally many"
-        )
-    if min_overlap is None and kind not in STRICT:
-        raise ValueError(f"kind={kind!r} has no official overlap: give min_overlap")
+    if min_overlap is None:
+        one_of("kind", kind, STRICT)
     overlap = STRICT[kind] if min_overlap is None else min_overlap
     rules = DIFFICULTIES[difficulty]
     frames = [_prepare(t, d, kind, rules, metric) for t, d in zip(truths, detections, strict=True)]

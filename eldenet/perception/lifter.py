@@ -78,8 +78,6 @@ class BoxLifter:
         occlusion_mask: bool = True,
     ) -> None:
         one_of("method", method, METHODS)
-        if not (ground is None or ground == "fit" or isinstance(ground, GroundPlane)):
-            raise ValueError(f"ground={ground!r}: give 'fit', a GroundPlane or None")
         if camera_height is not None and camera_height <= 0:
             raise ValueError(f"camera_height={camera_height}: give meters above 0, or None")
         for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
@@ -113,7 +111,7 @@ class BoxLifter:
             camera: of the image.
 
         Raises:
-            ValueError: the depth is not a map, or the detections or their masks do not fit it.
+            ValueError: the depth is not a map, or the detections do not fit it.
         """
         estimate = as_estimate(depth)
         depth = np.asarray(estimate.depth)
@@ -128,11 +126,6 @@ class BoxLifter:
             raise ValueError(
                 f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, depth is {height} x {width}: "
                 "give both for the same image"
-            )
-        if detections.mask is not None and detections.mask.shape[1:] != depth.shape:
-            raise ValueError(
-                f"masks of {detections.mask.shape[1:]}, but depth of {depth.shape}: give both for the "
-                "same image"
             )
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]

@@ -148,8 +148,6 @@ class OnnxDetector:
         for name, share in (("threshold", threshold), ("nms", nms), ("between_classes", between_classes)):
             if not 0 <= share <= 1:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
-        if threads < 0:
-            raise ValueError(f"threads={threads}: give a number above 0, or 0 for ONNX Runtime's own choice")
         self.path = path = Path(path).expanduser()
         self.session = _open(path, threads, providers)
         metadata = self.session.get_modelmeta().custom_metadata_map
@@ -254,8 +252,6 @@ def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
 
 
 def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:
-    if len(shape) != 4 or (shape[1] not in (3, None) and not isinstance(shape[1], str)):
-        raise ValueError(f"{path} takes {shape}: give a detector that takes (1, 3, height, width)")
     fixed = all(isinstance(side, int) for side in shape[2:])
     if wanted is None and not fixed:
         raise ValueError(f"{path} leaves its input size open: give input_size=[height, width]")

@@ -72,9 +72,6 @@ class BoxTracker:
         acceleration: of the objects, standard deviation [m/s2].
         report_unseen: also report tracks that have no detection in this frame.
         still_camera: the frame of the boxes stands still. False: yaw stays known modulo pi.
-
-    Raises:
-        ValueError: a number out of range.
     """
 
     def __init__(
@@ -90,9 +87,6 @@ class BoxTracker:
     ) -> None:
         self.max_distance, self.min_hits, self.max_age = max_distance, min_hits, max_age
         self.position_sigma, self.acceleration = position_sigma, acceleration
-        for name, value in vars(self).items():
-            if value <= 0:
-                raise ValueError(f"{name}={value}: give a number above 0")
         self.report_unseen, self.still_camera = report_unseen, still_camera
         self.tracks: list[Track] = []
         self._last_number = 0

@@ -166,11 +166,11 @@ def test_mobilenet_v2_reads_files_with_other_names_by_order(tmp_path: Path) -> N
     assert_same_tensors(MobileNetV2(pretrained=str(path)), source)
 
     torch.save(renamed | {"layer0": torch.zeros(32, 3, 5, 5)}, path)
-    with pytest.raises(ValueError, match="do not fit in order"):
+    with pytest.raises(ValueError, match="layer0 would become features"):
         MobileNetV2(pretrained=str(path))
     del renamed["layer0"]
     torch.save(renamed, path)
-    with pytest.raises(ValueError, match="311 tensors instead of 312"):
+    with pytest.raises(ValueError, match="its 311 tensors do not fit its 312 in order"):
         MobileNetV2(pretrained=str(path))
 
 
@@ -278,7 +278,7 @@ def test_unknown_depths_and_sizes_are_refused_with_the_known_ones() -> None:
         EfficientNetLite(7)
     with pytest.raises(ValueError, match="18, 34, 50"):
         ResNet(19)
-    with pytest.raises(ValueError, match="small or large"):
+    with pytest.raises(ValueError, match="give one of small, large"):
         MobileNetV3("medium")
 
 
@@ -309,8 +309,7 @@ def test_a_file_without_fitting_weights_is_refused(
 @pytest.mark.parametrize(
     ("name", "pretrained", "message"),
     [
-        ("vit_tiny_patch16_224", False, "increasing, distinct strides"),
-        ("mobilenet_v17", False, "no network 'mobilenet_v17'; similar names: mobilenet"),
+        ("mobilenet_v17", False, "timm cannot make mobilenet_v17 .*: Unknown model"),
         ("lcnet_050", "/nowhere/at/all.pth", "no weights at"),
     ],
 )

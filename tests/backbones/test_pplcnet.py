@@ -161,7 +161,6 @@ def test_published_weights_are_downloaded_by_name(scale: float, monkeypatch: pyt
     [
         ({"scale": 0.6}, r"scale=0\.6: give one of 0\.25"),
         ({"scale": 2.0, "pretrained": True}, r"x2\.0; choose a scale of 0\.5, 0\.75, 1\.0"),
-        ({"pretrained": "lcnet_100.ra2_in1k"}, r"lcnet_100.ra2_in1k do not fit scale 0\.5"),
         ({"pretrained": "imagenet"}, "or an existing file"),
         (
             {"pretrained": True, "shortcuts": True},

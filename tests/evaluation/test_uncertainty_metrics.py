@@ -20,7 +20,6 @@ from eldenet.evaluation.uncertainty_metrics import (
     sparsification,
 )
 from eldenet.heads import LinearHead, UncertainHead
-from eldenet.uncertainty import NO_SIGMA
 
 STEPS = PROTOCOL.steps
 
@@ -147,11 +146,6 @@ def test_the_temperature_corrects_a_sigma_that_is_too_small(distribution: str, m
     protocol = EvalProtocol("p", max_depth=100.0, ground_truth="dense")
     assert fit_temperature(model, None, protocol) == pytest.approx(2.5, abs=0.05)
     assert fit_temperature(model, None, protocol) == pytest.approx(2.5, abs=0.05)  # fitted again, it stays
-
-
-def test_a_network_without_sigma_has_no_temperature() -> None:
-    with pytest.raises(ValueError, match=NO_SIGMA):
-        fit_temperature(small_net(), None, None)
 
 
 def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:

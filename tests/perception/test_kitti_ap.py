@@ -116,13 +116,8 @@ def test_only_2d_ignores_detections_in_dont_care_areas(metric, expected):
 
 @pytest.mark.parametrize("wrong", [{"difficulty": "medium"}, {"metric": "4d"}, {"kind": "Tram"}])
 def test_unknown_words_are_refused(wrong):
-    with pytest.raises(ValueError, match="min_overlap" if "kind" in wrong else next(iter(wrong))):
+    with pytest.raises(ValueError, match=f"{next(iter(wrong))}="):
         ap(cars(1), cars(1), **wrong)
-
-
-def test_labels_and_detections_need_as_many_frames():
-    with pytest.raises(ValueError, match="frames"):
-        average_precision([frame(*cars(1))], [])
 
 
 # --- a literal implementation, rule by rule ---

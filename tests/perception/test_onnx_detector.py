@@ -29,7 +29,7 @@ def test_classes_and_scores_can_be_chosen(tmp_path):
     assert OnnxDetector(path, threshold=0.8)(FRAME).classes == ["dog"]
     assert len(OnnxDetector(path, threshold=0.95)(FRAME)) == 0
     assert len(OnnxDetector(path, nms=0.999)(FRAME)) == 4
-    for name, wrong in (("threshold", 30), ("nms", -1), ("between_classes", 2), ("threads", -3)):
+    for name, wrong in (("threshold", 30), ("nms", -1), ("between_classes", 2)):
         with pytest.raises(ValueError, match=name):
             OnnxDetector(path, **{name: wrong})
     with pytest.raises(ValueError, match="horse"):

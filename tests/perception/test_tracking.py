@@ -68,8 +68,6 @@ def test_tracks_begin_survive_gaps_keep_their_class_and_end():
     assert not tracker.tracks
     with pytest.raises(ValueError, match="seconds"):
         tracker(boxes(here), 0.0)
-    with pytest.raises(ValueError, match="max_distance"):
-        BoxTracker(max_distance=0)
 
 
 def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
