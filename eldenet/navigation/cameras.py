@@ -9,7 +9,7 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera
-from eldenet.navigation.ranges import columns_of, depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.ranges import CAUTION, columns_of, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import (
     FED_BY,
     Drift,
@@ -29,7 +29,6 @@ from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import as_estimate
 from eldenet.weights import find_checkpoint
 
-CAUTION = 0.8  # of the interval whose low end is how near things may be
 FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
 MAX_LIGHT = 10.0  # relative to a normal day; frames of 3 are glaring
 IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else

@@ -14,9 +14,11 @@ from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.ranges import check_meters, depth_to_ranges
+from eldenet.navigation.ranges import CAUTION, check_meters, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
+from eldenet.uncertainty import DepthEstimate
 
+MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 
 
@@ -59,6 +61,7 @@ class OnRobot:
         goal: Sequence[float],
         odometry: Sequence[float],
         *,
+        sigma: np.ndarray | None = None,
         intrinsics: np.ndarray | Sequence[Any] | None = None,
         camera_height: float = ROBOT.camera_height,
         scanned_from: Sequence[float] | None = None,
@@ -69,14 +72,18 @@ class OnRobot:
 
         A depth map that comes twice counts as two scans that agree.
 
-        Without finite input it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it
-        drives on as soon as the input is finite again.
+        Without finite input, or where a network is unsure of nearly the whole view, as behind a covered lens,
+        it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it drives on as soon as
+        that is over.
 
         Args:
             depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
                 [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
             odometry: x, y [m] and heading [rad] in any fixed frame.
+            sigma: standard deviation of a network's depth map ``(H, W)`` [m], read as Laplace's. The robot
+                drives as slowly as the low end of the depth's interval asks for, and forgets remembered
+                obstacles only up to there. None: the depth is as it says, as a depth camera's.
             intrinsics: ``(3, 3)`` or ``(fx, fy, cx, cy)`` of the depth map [px].
             camera_height: of its optical center above the floor [m].
             scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
@@ -86,13 +93,14 @@ class OnRobot:
 
         Returns:
             Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if a pose, goal or intrinsics
-            are not finite, or no value of ``depth`` is known. Single unknown values (0, nan) read as near,
-            and inf as free.
+            are not finite, no value of ``depth`` is known, or the view is unsure. Single unknown values (0,
+            nan) read as near, and inf as free.
 
         Raises:
-            ValueError: the driver has several robots, ``depth`` has another shape or is in millimeters, a
-                pose, goal or intrinsics have another length, a depth map has no intrinsics, its camera sees
-                less than 25 degrees to each side, or ``latency`` or ``max_speed`` is out of range.
+            ValueError: the driver has several robots, ``depth`` has another shape or is in millimeters,
+                ``sigma`` is not of its shape, a pose, goal or intrinsics have another length, a depth map has
+                no intrinsics, its camera sees less than 25 degrees to each side, or ``latency`` or
+                ``max_speed`` is out of range.
         """
         if len(self.observer.last) != 1:
             raise ValueError(f"step drives one robot, and this driver has robots={len(self.observer.last)}")
@@ -100,6 +108,7 @@ class OnRobot:
         if not 0 < max_speed < math.inf:
             raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
         depth = np.asarray(depth)  # its own type, which as_ranges checks
+        sigma = None if sigma is None else np.asarray(sigma, np.float64)
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
@@ -107,10 +116,14 @@ class OnRobot:
             self.stop_reason = "intrinsics not finite"
         elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
             self.stop_reason = "no value of depth is known"
+        elif sigma is not None and (unsure := unsure_share(depth, sigma)) > MOST_UNSURE:
+            self.stop_reason = f"{unsure:.0%} of the view is unsure: a covered lens, darkness or a bare wall"
         else:
-            ranges = as_ranges(depth, intrinsics, camera_height)
+            ranges = low = as_ranges(depth, intrinsics, camera_height)
+            if sigma is not None:
+                low = as_ranges(depth, intrinsics, camera_height, low=nearest_depth(depth, sigma))
             unseen = np.isnan(ranges)
-            ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, ranges)
+            ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
             self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
         self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][
             -round(MAX_LATENCY / ROBOT.period) :
@@ -148,19 +161,42 @@ def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray
     return row[None]
 
 
+def unsure_share(depth: np.ndarray, sigma: np.ndarray) -> float:
+    """Return the share of a depth map ``(H, W)`` [m] whose ``sigma (H, W)`` [m] is too large or unknown.
+
+    Raises:
+        ValueError: ``sigma`` has another shape, or ``depth`` is no map.
+    """
+    if depth.ndim != 2 or sigma.shape != depth.shape:
+        raise ValueError(f"sigma has shape {sigma.shape}, depth {depth.shape}: give both as (H, W) [m]")
+    return float(np.mean(np.isnan(sigma) | DepthEstimate(depth, sigma).unsure))
+
+
+def nearest_depth(depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return how near things may be ``(H, W)`` [m], of a depth map with ``sigma (H, W)`` [m].
+
+    It is 0 where sigma is nan, and inf where depth is unknown.
+    """
+    with np.errstate(all="ignore"):
+        low = DepthEstimate(depth, sigma, "laplace").interval(CAUTION)[0]
+    return np.where(depth > 0, np.where(np.isnan(low), 0.0, low), np.inf)
+
+
 def as_ranges(
     depth: np.ndarray,
     intrinsics: np.ndarray | Sequence[Any] | None,
     camera_height: float = ROBOT.camera_height,
+    *,
+    low: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors.
 
-    Columns beside the view of a depth map are nan.
+    Columns beside the view of a depth map are nan. ``low (H, W)`` [m] is how near its things may be.
     """
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
-        return depth_to_ranges(depth, intrinsics, camera_height=camera_height)
+        return depth_to_ranges(depth, intrinsics, camera_height=camera_height, low=low)
     if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"

@@ -14,6 +14,7 @@ QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
 HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
+CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
 LARGEST = 100.0  # of depth in meters: a camera also sees something near
 _BEYOND = 100.0  # stands for infinite [m]
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+import eldenet
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.latency import Predictive
@@ -12,6 +13,7 @@ from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.robot import ROBOT, arc
 
 CAMERA = (460.0, 460.0, 320.0, 240.0)
@@ -63,6 +65,52 @@ def test_it_drives_by_a_depth_map_and_stops_without_one(make):
     assert driver.step(np.full(40, 6.0), (5.0, math.nan), (0.1, 0.0, 0.0)) == (0.0, 0.0)
     driver.step(np.full(40, 6.0), (5.0, 0.0), (0.1, 0.0, 0.0))
     assert driver.stop_reason is None
+
+
+@pytest.fixture(scope="module")
+def indoor():
+    return eldenet.DepthPredictor(eldenet.load("eldenet_indoor"), uncertainty=True)
+
+
+@DRIVERS
+def test_it_stands_behind_a_covered_lens_and_drives_by_an_ordinary_picture(make, indoor):
+    driver = make()
+    for gray in (0, 255, 128):
+        depth, sigma, _ = indoor(np.full((480, 640, 3), gray, np.uint8), intrinsics=CAMERA)
+        command = driver.step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), sigma=sigma, intrinsics=CAMERA)
+        assert command == (0.0, 0.0)
+        assert driver.stop_reason == "100% of the view is unsure: a covered lens, darkness or a bare wall"
+        assert len(driver.observer.memory.points(0)) == 0
+    views = render_arena("test", 5, (240, 320), views=2)
+    camera = views.intrinsics[1]
+    depth, sigma, _ = indoor(views.image[1], intrinsics=camera)
+    command = driver.step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), sigma=sigma, intrinsics=camera)
+    assert driver.stop_reason is None
+    assert command[0] > 0.1
+
+
+@DRIVERS
+def test_sigma_is_how_near_things_may_be(make):
+    """As an arena's camera says: the 80 % interval of Laplace's distribution, 1.138 sigma to each side."""
+    seen = []
+    for sigma in (None, 0.5, np.nan):
+        driver = make()
+        driver.commands = lambda senses: seen.append(senses) or np.zeros((1, 2))
+        depth = np.full((480, 640), 2.0)
+        unsure = None if sigma is None else np.where(np.arange(640) < 320, sigma, 0.0) * np.ones((480, 1))
+        driver.step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), sigma=unsure, intrinsics=CAMERA)
+    for senses, factor in zip(seen, (1.0, math.exp(-1.138 * 0.5 / 2), 0.0), strict=True):
+        np.testing.assert_allclose(senses.ranges[0], 2 / np.cos(ROBOT.column_angles), rtol=0.05)
+        right, left = senses.cautious[0, 3:17], senses.cautious[0, 23:37]
+        np.testing.assert_allclose(right, senses.ranges[0, 3:17], rtol=1e-3)
+        near = np.maximum(factor * senses.ranges[0, 23:37], ROBOT.near)
+        np.testing.assert_allclose(left, near, rtol=1e-3)
+
+
+def test_sigma_is_a_map_like_the_depth():
+    for depth, sigma in ((np.ones((48, 64)), np.ones((24, 32))), (np.ones(40), np.ones(40))):
+        with pytest.raises(ValueError, match=r"sigma has shape .* depth .*: give both as \(H, W\) \[m\]"):
+            Navigator.load().step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), sigma=sigma)
 
 
 @DRIVERS

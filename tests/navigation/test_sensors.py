@@ -14,7 +14,6 @@ from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.navigation.cameras import (
-    CAUTION,
     Camera,
     CameraInstance,
     camera,
@@ -24,7 +23,7 @@ from eldenet.navigation.cameras import (
 )
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.range_errors import RangeErrors, segments
-from eldenet.navigation.ranges import depth_to_ranges
+from eldenet.navigation.ranges import CAUTION, depth_to_ranges
 from eldenet.navigation.sensors import Ranges
 from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter

@@ -30,6 +30,7 @@ class Node:
     def __init__(self, name: str) -> None:
         self.name, self.logger, self.sent, self.callbacks = name, MagicMock(), {}, {}
         self.parameters: dict = {}
+        self.published: set = set()  # by other nodes
         self.now = 12.3
 
     def declare_parameter(self, name, default):
@@ -45,6 +46,12 @@ class Node:
 
     def create_subscription(self, kind, topic, callback, queue) -> None:
         self.callbacks[topic] = callback
+
+    def resolve_topic_name(self, topic):
+        return f"/{topic}"
+
+    def count_publishers(self, topic):
+        return int(topic in self.published)
 
     def create_timer(self, *arguments) -> None: ...
 
@@ -133,6 +140,32 @@ def test_the_driver_moves_and_stops_while_its_data_are_not_finite(drive) -> None
         assert word in drive.logger.info.call_args.args[0]
         good()
         assert decision(drive)[0] > 0
+
+
+@pytest.mark.parametrize("sigma_first", [True, False])
+def test_the_driver_stands_while_a_network_is_unsure_of_what_it_sees(drive, sigma_first) -> None:
+    drive.published = {"/depth/sigma"}
+    for number, (sigma, moves) in enumerate([(0.5, True), (3.0, False), (0.5, True)], 1):
+        drive.now = when = 12.3 + 0.2 * number
+        both = [
+            lambda when=when: drive.on_depth(depth_image(6.0, when)),
+            lambda when=when, sigma=sigma: drive.on_sigma(depth_image(sigma, when)),
+        ]
+        for act in reversed(both) if sigma_first else both:
+            act()
+        drive.on_odometry(odometry(0.0, when))
+        assert (decision(drive)[0] > 0) == moves
+        assert ("100% of the view is unsure" in str(drive.logger.info.call_args)) == (not moves)
+        drive.logger.reset_mock()
+
+
+def test_depth_whose_sigma_is_missing_does_not_count(drive) -> None:
+    drive.published = {"/depth/sigma"}
+    drive.now = 12.9
+    drive.on_odometry(odometry(0.1, 12.9))
+    drive.on_depth(depth_image(6.0, 12.9))
+    assert decision(drive) == (0.0, 0.0)
+    assert "depth is 0.7 s old" in drive.logger.info.call_args.args[0]
 
 
 @pytest.mark.parametrize("silent", ["depth", "odometry"])

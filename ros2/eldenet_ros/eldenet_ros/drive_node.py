@@ -37,7 +37,7 @@ PARAMETERS = {
 
 
 class DriveNode(Node):
-    """``depth/image``, ``depth/camera_info``, ``odom``, ``goal_pose`` -> ``cmd_vel``."""
+    """``depth/image``, ``.../camera_info``, ``.../sigma``, ``odom``, ``goal_pose`` -> ``cmd_vel``."""
 
     def __init__(self) -> None:
         super().__init__("eldenet_drive")
@@ -54,10 +54,13 @@ class DriveNode(Node):
             stale=chosen.stale,
         )
         self.info: Any = None
+        self.depth: Any = None
+        self.sigma: Any = None
         self.create_subscription(
             message("sensor_msgs/msg/CameraInfo"), "depth/camera_info", self.on_info, LATEST
         )
         self.create_subscription(message("sensor_msgs/msg/Image"), "depth/image", self.on_depth, LATEST)
+        self.create_subscription(message("sensor_msgs/msg/Image"), "depth/sigma", self.on_sigma, LATEST)
         self.create_subscription(message("nav_msgs/msg/Odometry"), "odom", self.on_odometry, LATEST)
         self.create_subscription(message("geometry_msgs/msg/PoseStamped"), "goal_pose", self.on_goal, 1)
         kind = "geometry_msgs/msg/TwistStamped" if chosen.stamped else "geometry_msgs/msg/Twist"
@@ -71,9 +74,28 @@ class DriveNode(Node):
     @reported
     def on_depth(self, image: Any) -> None:
         """Store a depth image."""
+        self.depth = image
+        self.see()
+
+    @reported
+    def on_sigma(self, image: Any) -> None:
+        """Store how unsure a network is of its depth."""
+        self.sigma = image
+        self.see()
+
+    def see(self) -> None:
+        """Give the pilot the depth image, with its sigma if a network publishes that too."""
+        image, sigma = self.depth, None
+        if image is None:
+            return
+        if self.count_publishers(self.resolve_topic_name("depth/sigma")):
+            if self.sigma is None or self.sigma.header.stamp != image.header.stamp:
+                return  # the other one comes soon
+            sigma = read_depth(self.sigma)
+        self.depth = None  # each image counts once
         depth = read_depth(image)
         intrinsics = None if self.info is None else read_intrinsics(self.info, depth.shape)
-        self.pilot.see(depth, intrinsics, seconds(image.header.stamp))
+        self.pilot.see(depth, intrinsics, seconds(image.header.stamp), sigma)
 
     def on_odometry(self, odometry: Any) -> None:
         """Store the pose."""

@@ -56,6 +56,7 @@ class Pilot:
         self.driver, self.camera_height = driver, camera_height
         self.max_speed, self.latency, self.stale = max_speed, latency, stale
         self.depth: np.ndarray | None = None
+        self.sigma: np.ndarray | None = None
         self.intrinsics: np.ndarray | None = None
         self.poses: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=POSES)  # with stamps
         self.frame: str | None = None
@@ -64,9 +65,15 @@ class Pilot:
         self._decided: np.ndarray | None = None  # depth of the last decision
         self._command = Command()  # of that decision
 
-    def see(self, depth: np.ndarray, intrinsics: np.ndarray | None, stamp: float) -> None:
-        """Take a depth image ``(H, W)`` [m] and its intrinsics ``(3, 3)`` [px]; ``stamp`` [s]."""
-        self.depth, self.intrinsics = depth, intrinsics
+    def see(
+        self,
+        depth: np.ndarray,
+        intrinsics: np.ndarray | None,
+        stamp: float,
+        sigma: np.ndarray | None = None,
+    ) -> None:
+        """Take a depth image, a network's sigma of it ``(H, W)`` [m], intrinsics [px] and ``stamp`` [s]."""
+        self.depth, self.intrinsics, self.sigma = depth, intrinsics, sigma
         self.stamps["depth"] = stamp
 
     def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
@@ -132,6 +139,7 @@ class Pilot:
                 self.depth,
                 (distance, bearing),
                 (x, y, yaw),
+                sigma=self.sigma,
                 intrinsics=self.intrinsics,
                 camera_height=self.camera_height,
                 scanned_from=self._pose_at(self.stamps["depth"]),
