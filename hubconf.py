@@ -7,7 +7,7 @@ as ``overrides=["model.head.max_depth=80"]``, and returns a freshly initialized 
 
 from functools import partial as _partial  # torch.hub lists every callable without an underscore
 
-from eldenet.config import config_folder as _config_folder
+from eldenet.compose import config_folder as _config_folder
 from eldenet.weights import list_models as _list_models
 from eldenet.zoo import load as _load
 

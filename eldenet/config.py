@@ -1,40 +1,22 @@
-"""The one place where a config is composed; it leaves as plain objects, OmegaConf ends here.
-
-First come what all commands share: composition, objects from nodes, settings, splits of a data set. Then a
-section for each group of commands: ``build_<command>`` returns what ``eldenet/<command>.py`` runs.
-"""
+"""What commands whose settings are not a dataclass yet are built from."""
 
 import functools
-import logging
 import math
-import os
-import pkgutil
-import re
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields
-from datetime import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.configurable import building_only, refuse_foreign_code
-from eldenet.system.checks import check_arguments, one_of
-from eldenet.system.errors import USER_ERRORS
-from eldenet.system.files import shipped_folder
-from eldenet.system.resources import choose_resources, prepare_environment
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from eldenet.compose import listed, plain
+from eldenet.configurable import check_arguments
+from eldenet.configurable import instantiate as build_part
+from eldenet.data.splits import SPLITS, check_folders, subset_of
+from eldenet.system.checks import one_of
+from eldenet.system.resources import choose_resources
 from eldenet.weights import BEST, find_checkpoint, list_models
-
-prepare_environment()
-
-import hydra  # noqa: E402
-from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
-from hydra._internal.utils import create_config_search_path  # noqa: E402
-from hydra.core.config_search_path import SearchPathQuery  # noqa: E402
-from hydra.core.hydra_config import HydraConfig  # noqa: E402
-from hydra.errors import HydraException  # noqa: E402
-from hydra.types import RunMode  # noqa: E402
-from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,222 +26,19 @@ if TYPE_CHECKING:
     from eldenet.deploy.demo import DemoSetup
     from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
-    from eldenet.deploy.scoring import EvaluationSetup
     from eldenet.navigation.modes import ModeSetup
     from eldenet.perception.camera_height import CalibrationSetup
     from eldenet.results.comparison import ReportSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
     from eldenet.training.adaptation import AdaptationSetup
-    from eldenet.training.setup import TrainingSetup
-
-SPLITS = ("train", "val", "test")
-#: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
-FOCAL_RANGE = (0.4, 2.0)
-# groups of a training's parts: what a study's settings may build
-PARTS = (
-    "experiment",
-    "model",
-    "data",
-    "loss",
-    "optimizer",
-    "scheduler",
-    "augmentation",
-    "trainer",
-    "protocol",
-)
-
-
-# --- composition --------------------------------------------------------------------------------------------
-
-
-def config_folder() -> Path:
-    """Return the folder of the YAML files: ``configs/`` in a checkout, ``eldenet/configs`` in a wheel."""
-    return shipped_folder("configs", "train.yaml")
-
-
-def compose(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
-    """Compose a config as the command line would, without touching Hydra's global state.
-
-    So it works inside somebody else's Hydra application. Inside a command of ours it finds what the command
-    finds: what ``--config-dir`` and ``hydra.searchpath`` add.
-
-    Raises:
-        ValueError: there is no such config, or an override does not fit it.
-    """
-    config = _load(config_name, overrides)
-    with open_dict(config):
-        config.pop("hydra", None)
-    return config
-
-
-def groups(config_name: str) -> dict[str, list[str]]:
-    """Return the groups of YAML files that a command chooses from, with the names of their files."""
-    modes = [[f"mode={path.stem}"] for path in (config_folder() / "mode").glob("*.yaml")]
-    loaded = [_load(config_name, words) for words in (modes if config_name == "navigate" else [[]])]
-    chosen = {name.partition("/")[0] for config in loaded for name in config.hydra.runtime.choices}
-    if "model" in chosen:
-        chosen.add("experiment")
-    files = sorted(path.relative_to(config_folder()) for path in config_folder().rglob("*.yaml"))
-    found: dict[str, list[str]] = {}
-    for file in files:
-        if file.parts[0] in chosen:
-            found.setdefault(file.parent.as_posix(), []).append(file.stem)
-    return found
-
-
-def _load(config_name: str, overrides: Sequence[str]) -> DictConfig:
-    """Compose a config, with Hydra's own part."""
-    search_path = create_config_search_path(str(config_folder()))
-    for source in added_sources():
-        search_path.prepend("command-line", source, anchor=SearchPathQuery(provider="schema"))
-    loader = ConfigLoaderImpl(search_path)
-    try:
-        return loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
-    except HydraException as error:
-        raise ValueError(str(error)) from error
-
-
-def added_sources() -> list[str]:
-    """Return where the running eldenet command finds configs beside our own; none outside of a command."""
-    if not HydraConfig.initialized():
-        return []
-    sources = HydraConfig.get().runtime.config_sources
-    ours = any(source.provider == "main" and Path(source.path) == config_folder() for source in sources)
-    added = ("command-line", "hydra.searchpath")  # the latter names where it was given, too
-    return [
-        f"{source.schema}://{source.path}"
-        for source in sources
-        if ours and source.provider.startswith(added) and source.path
-    ]
-
-
-def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function that YAML files call as ``${name:argument,...}``."""
-
-    def register(function: Callable[..., Any]) -> Callable[..., Any]:
-        OmegaConf.register_new_resolver(name, function, replace=True)
-        return function
-
-    return register
-
-
-if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its applications alone
-
-    @resolver("now")
-    def _now(pattern: str) -> str:
-        """``${now:%Y%m%d-%H%M%S}``: the time."""
-        return datetime.now().strftime(pattern)
-
-
-@resolver("test_part")
-def _test_part(test_root: str | None, root: str | None) -> str:
-    """``${test_part:test_root,root}``: "val" of the training's own folder, "all" of another one."""
-    places = {folder and Path(folder).expanduser().resolve() for folder in (test_root, root)}
-    return "val" if len(places) == 1 else "all"
-
-
-@resolver("sweep_folder")
-def _sweep_folder(overrides: Sequence[str], default: str) -> str:
-    """``${sweep_folder:overrides,default}``: the folder that ``output=`` names, of a sweep's runs."""
-    given = [word.partition("=")[2] for word in overrides if word.startswith(("output=", "run_dir="))]
-    return given[-1].strip("'\"") if given else default
-
-
-@resolver("canonical_near")
-def _canonical_near(depth: float, canonical_focal: float | None) -> float:
-    """``${canonical_near:depth,canonical_focal}``: canonical ``depth`` [m] of the longest lens."""
-    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[1]
-
-
-@resolver("canonical_far")
-def _canonical_far(depth: float, canonical_focal: float | None) -> float:
-    """``${canonical_far:depth,canonical_focal}``: canonical ``depth`` [m] of the widest lens."""
-    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[0]
-
-
-@resolver("zoom")
-def _zoom(canonical_focal: float | None) -> str:
-    """``${zoom:canonical_focal}``: what an augmentation's zoom changes."""
-    return "depth" if canonical_focal is None else "focal"
-
-
-def plain(config: Any, *, resolve: bool = True) -> Any:
-    """Return plain dicts, lists and values, as ``run.json`` stores them; by default resolved."""
-    return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
-
-
-def listed(config: Any) -> list[Any]:
-    """Return a setting that takes several values as a list; a single value becomes a list of one."""
-    values = plain(config)
-    return values if isinstance(values, list) else [values]
-
-
-# --- objects from config nodes ------------------------------------------------------------------------------
-
-
-@contextmanager
-def settings_of_a_study(trusted_modules: Sequence[str]) -> Iterator[None]:
-    """Within the block, :func:`instantiate` builds only what the settings of a stranger's study may build.
-
-    That is what our own YAML files of a training's parts name, and those of ``--config-dir``. A command line
-    is its user's own and may name anything.
-
-    Args:
-        trusted_modules: packages or modules that settings may name beyond that.
-    """
-    folders = [config_folder(), *(Path(source.removeprefix("file://")) for source in added_sources())]
-    files = [file for folder in folders for part in PARTS for file in (folder / part).rglob("*.yaml")]
-    texts = [file.read_text(errors="replace") for file in files]
-    known = frozenset(target for text in texts for target in re.findall(r"_target_: *([\w.]+)", text))
-    with building_only(known, trusted_modules):
-        yield
 
 
 def instantiate(config: Any, **arguments: Any) -> Any:
-    """Build what a config node describes; the object gets plain lists and dicts, never OmegaConf's.
-
-    Raises:
-        ValueError: a class or argument in the config does not exist, a value is of another type than the
-            class's, the class refused its arguments, or the node is of a study and names code that it may
-            not run.
-    """
-    from hydra.errors import InstantiationException
-
-    refuse_foreign_code(plain(config))
-
-    if OmegaConf.is_config(config):
-        _check_values(plain(config), config._get_full_key(None), arguments)
-    try:
-        return hydra.utils.instantiate(config, _convert_="all", **arguments)
-    except InstantiationException as error:
-        cause = error.__cause__
-        if isinstance(cause, USER_ERRORS):
-            raise cause from None
-        raise ValueError(str(error)) from error
-
-
-def _check_values(node: Any, name: str, arguments: Mapping[str, Any] | None = None) -> None:
-    """Compare the values of a node, and of those below it, with what their classes are annotated with."""
-    if isinstance(node, list):
-        node = dict(enumerate(node))
-    if not isinstance(node, dict):
-        return
-    prefix = f"{name}." if name else ""
-    if "_target_" in node:
-        try:
-            target = pkgutil.resolve_name(node["_target_"])
-        except (ImportError, AttributeError, ValueError):  # Hydra's own error says more
-            return
-        check_arguments(target, {key: value for key, value in node.items() if value != "???"}, prefix)
-        check_arguments(target, arguments or {})
-    for key, value in node.items():
-        _check_values(value, f"{prefix}{key}")
-
-
-def build_model(config: Any, **arguments: Any) -> Any:
-    """Build a :class:`~eldenet.model.DepthNet` from a node of ``configs/model`` and further arguments."""
-    return instantiate(config, **arguments)
+    """Build what a node describes."""
+    return build_part(
+        plain(config), config._get_full_key(None) if OmegaConf.is_config(config) else "", **arguments
+    )
 
 
 def build_protocol(config: DictConfig) -> Any:
@@ -268,12 +47,29 @@ def build_protocol(config: DictConfig) -> Any:
     return instantiate(chosen if chosen is not None else config.data.protocol)
 
 
+def build_split(
+    config: DictConfig, split: str, protocol: Any, *, augment: bool = False, **options: Any
+) -> Any:
+    """Open one split, as :func:`eldenet.evaluation.splits.open_split` does."""
+    from eldenet.evaluation.splits import open_split
+
+    augmentation = plain(config.augmentation) if augment else None
+    return open_split(plain(config.data), split, protocol, augmentation=augmentation, **options)
+
+
+def check_sources(config: DictConfig, *names: str) -> None:
+    """Check the networks that these settings name."""
+    for name in names:
+        if config[name] is not None:
+            find_checkpoint(str(config[name]), name)
+
+
 # --- settings that several commands read --------------------------------------------------------------------
 
 
 def _settings_in(folder: Path, config: DictConfig) -> Any:
     """Return the resolved settings of a run in ``folder``, as ``run.json`` stores them."""
-    return plain(OmegaConf.merge(config, {"output": str(folder), "run_dir": str(folder)}))
+    return plain(OmegaConf.merge(config, {"output": str(folder)}))
 
 
 def _filled(setup: Any, config: DictConfig, **given: Any) -> Any:
@@ -332,131 +128,7 @@ def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, 
     return given[0], given[1]
 
 
-def check_data_folders(config: DictConfig) -> None:
-    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
-
-    Rendered data sets, which have no ``on_error``, make their folder themselves.
-    """
-    splits = [plain(config.data.get(split)) for split in SPLITS]
-    roots = [node.get("root") for node in splits if isinstance(node, dict) and "on_error" in node]
-    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
-        return
-    if roots[0] is not None:
-        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
-    if not os.environ.get("ELDENET_DATA"):
-        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
-
-
-def check_sources(config: DictConfig, *names: str) -> None:
-    """Check the networks that these settings name: a mistake in a path then costs no imports.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        ValueError: there is no network of that name.
-    """
-    for name in names:
-        if config[name] is not None:
-            find_checkpoint(str(config[name]), name)
-
-
 # --- data sets: splits, and check_data ----------------------------------------------------------------------
-
-
-def build_split(
-    config: DictConfig,
-    split: str,
-    protocol: Any,
-    *,
-    augment: bool = False,
-    score: bool = False,
-    seed: int = 0,
-    input_size: Sequence[int] | None = None,
-    frames: int | None = None,
-) -> Any:
-    """Data set of one split: augmented and resized for training, or with its own ground truth for scoring.
-
-    Args:
-        config: the whole config, with ``data`` and, to augment, ``augmentation``.
-        split: "train", "val" or "test": an entry of ``config.data``.
-        protocol: whose frame geometry (resize, center crop) is applied first.
-        augment: for training.
-        score: keep the ground truth's own resolution, as "val" and "test" always do.
-        seed: of the augmentation.
-        input_size: ``(height, width)`` [px] that the network sees; None: what ``data.input_size`` says.
-        frames: for rendered scenes, the number of first frames of the split to use instead of its own choice.
-    """
-    from eldenet.data.base import Compose
-    from eldenet.evaluation.protocol_frames import frame_geometry
-
-    node, places = _split_node(config, split), subset_of(config).get(split)
-    steps: list[Any] = []
-    if protocol.changes_frames:
-        whole = protocol.paste and (score or split != "train")
-        steps.append(frame_geometry(protocol, keep_depth=whole))
-    changes: dict[str, Any] = {}
-    if input_size is not None:
-        changes["input_size"] = list(input_size)
-    if frames is not None:
-        changes["frames"] = frames
-    if node.get("resize_on_load") is not None and (score or protocol.changes_frames):
-        changes |= {"resize_on_load": None, "cache": "none"}
-        if protocol.changes_frames:
-            # the protocol speaks of the camera's frame: it must not find a smaller one (or keep whole ones)
-            logging.getLogger("eldenet").info(
-                "%s: resize_on_load and cache are off, because protocol %s resizes or crops the frames first",
-                split,
-                protocol.name,
-            )
-    if augment and config.get("augmentation"):  # augmentation=none is an empty node
-        steps.append(instantiate(config.augmentation))
-    dataset = instantiate(
-        node,
-        **changes,
-        transform=Compose(steps) if steps else None,
-        resize_depth=split == "train" and not score,
-        seed=seed,
-    )
-    if score or split != "train":  # only the protocol says what is scored
-        protocol.check_ground_truth(dataset.ground_truth)
-        dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
-    if dataset.on_error == "skip":
-        dataset.leave_out_unreadable()
-    if places is not None and frames is None:
-        dataset.draw_subset(plain(places), config.data.get("subset_seed", 0))
-    if dataset.skipped:
-        logging.getLogger("eldenet").warning(
-            "%s: %d of %d frames left out, such as %s",
-            split,
-            len(dataset.skipped),
-            len(dataset.skipped) + len(dataset.names),
-            "; ".join(f"{name} ({reason})" for name, reason in list(dataset.skipped.items())[:3]),
-        )
-    return dataset
-
-
-def _split_node(config: DictConfig, split: str) -> DictConfig:
-    """Return the settings of one split's data set."""
-    node = config.data.get(split)
-    if not OmegaConf.is_dict(node):
-        raise ValueError(f"data={config.data.name} has no split '{split}': choose train, val or test")
-    if "_target_" not in node:  # a part of ${data.val} was overridden, so nothing else is left
-        raise ValueError(
-            f"data.{split} in data={config.data.name} refers to another split's settings: override "
-            f"those (data.val...), or give every setting of data.{split}"
-        )
-    return node
-
-
-def subset_of(config: DictConfig) -> dict[str, Any]:
-    """Return how many frames of each split are used; a split without an entry uses all.
-
-    Raises:
-        ValueError: ``data.subset`` is no table.
-    """
-    subset = plain(config.data.get("subset")) or {}
-    if not isinstance(subset, dict):
-        raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")
-    return subset
 
 
 def build_check_data(config: DictConfig) -> "CheckDataSetup":
@@ -469,11 +141,11 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
     for name, least in (("frames", 1), ("samples", 0)):
         if config[name] is not None and config[name] < least:
             raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
-    check_data_folders(config)
+    check_folders(plain(config.data))
     from eldenet.data.inspection import CheckDataSetup
 
     nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
-    subset = subset_of(config)
+    subset = subset_of(plain(config.data))
     same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
     for split in nodes:
         first = next(
@@ -490,7 +162,7 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         return dataset
 
     return CheckDataSetup(
-        folder=Path(config.run_dir).expanduser(),
+        folder=Path(config.output).expanduser(),
         name=config.data.name,
         config=plain(config.data),
         splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
@@ -498,106 +170,34 @@ def build_check_data(config: DictConfig) -> "CheckDataSetup":
         check_ground_truth=build_protocol(config).check_ground_truth,
         frames=config.frames,
         samples=config.samples,
+        fingerprint=_digest_list(config),
         encoding=plain(config.data.get("encoding")),
     )
 
 
-# --- train, evaluate, adapt ---------------------------------------------------------------------------------
+def _digest_list(config: DictConfig) -> Path | None:
+    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
+    given = config.fingerprint
+    if given is None or given is False:
+        return None
+    if given is not True:
+        return Path(given).expanduser()
+    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
+    if root is None:
+        raise ValueError(
+            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
+            "fingerprint=/my/folder/list.sha256"
+        )
+    return Path(root).expanduser()
 
 
-def build_training(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> "TrainingSetup":
-    """Return the setup of ``python -m eldenet.train`` in ``folder``; ``overrides``: of the command line."""
-    check_data_folders(config)
-    if not (folder / "run.json").is_file():  # a finished run needs them no more
-        check_sources(config, "weights", "teacher")
-    from eldenet.training.setup import TrainingSetup
-
-    _check_types(config, TrainingSetup, "seed", "process_timeout")
-    settings = _settings_in(folder, config)
-    return TrainingSetup(
-        folder=folder,
-        name=config.model_name,
-        seed=config.seed,
-        data=config.data.name,
-        input_size=settings["data"]["input_size"],
-        protocol=build_protocol(config),
-        make_split=functools.partial(build_split, config),
-        make_model=functools.partial(instantiate, config.model, **canonical_camera(config)),
-        own_normalization=bool({"mean", "std"} & config.model.keys()),
-        make_loss=functools.partial(instantiate, config.loss),
-        make_trainer=functools.partial(_build_trainer, config),
-        resources=settings["runtime"],
-        process_timeout=config.process_timeout,
-        normalization=settings["normalization"],
-        weights=config.weights,
-        teacher=config.teacher,
-        ckpt_path=config.ckpt_path,
-        trusted_modules=[*_named_modules(settings["model"]), *listed(config.trusted_modules)],
-        settings=settings,
-        overrides=overrides,
-        loggers=[name for name in listed(config.logger) if name == "tensorboard"],
-    )
+# --- train, evaluate, adapt, train_detector -----------------------------------------------------------------
 
 
 def _build_trainer(config: DictConfig, **changes: Any) -> Any:
     optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
     own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
     return instantiate(config.trainer, **own, loggers=listed(config.get("logger", [])), **changes)
-
-
-def canonical_camera(config: DictConfig) -> dict[str, Any]:
-    """Return ``canonical_focal`` and ``canonical_width`` of the network to train; nothing without them.
-
-    Raises:
-        ValueError: the input's width is unknown.
-    """
-    if config.canonical_focal is None:
-        return {}
-    if config.data.input_size is None:
-        raise ValueError(
-            "canonical_focal is in widths of the input, but data.input_size=null leaves the width open: give "
-            "data.input_size=[height,width], or canonical_focal=null"
-        )
-    return {"canonical_focal": config.canonical_focal, "canonical_width": config.data.input_size[1]}
-
-
-def _named_modules(settings: Any) -> list[str]:
-    """Return the modules that the user's own settings name; these are trusted, a downloaded config's not."""
-    if not isinstance(settings, dict):
-        return []
-    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
-    return named + [module for value in settings.values() for module in _named_modules(value)]
-
-
-def build_evaluation(config: DictConfig, folder: Path) -> "EvaluationSetup":
-    """Return the setup of ``python -m eldenet.evaluate``, which writes its results into ``folder``."""
-    check_data_folders(config)
-    check_sources(config, "checkpoint")
-    _split_node(config, config.split)
-    from eldenet.deploy.scoring import EvaluationSetup
-
-    _check_types(config, EvaluationSetup, "batch_size")
-    if config.input_size not in ("model", "data"):
-        _size(config, "input_size", "model or data")
-    settings = _settings_in(folder, config)
-    return EvaluationSetup(
-        folder=folder,
-        checkpoint=str(config.checkpoint),
-        data=config.data.name,
-        split=config.split,
-        input_size=settings["input_size"],
-        data_input_size=settings["data"]["input_size"],
-        training_frames=(settings["data"].get("train") or {}).get("frames"),
-        protocol=build_protocol(config),
-        make_split=functools.partial(build_split, config),
-        engine=config.engine,
-        precision=config.precision,
-        resources=settings["runtime"],
-        batch_size=config.batch_size,
-        calibrated=None if config.calibrated is None else Path(config.calibrated).expanduser(),
-        trusted_modules=settings["trusted_modules"],
-        settings=settings,
-    )
 
 
 def build_adaptation(config: DictConfig, folder: Path) -> "AdaptationSetup":
@@ -612,7 +212,7 @@ def build_adaptation(config: DictConfig, folder: Path) -> "AdaptationSetup":
             "give data.root=<folder with images/ and depths/>, or camera_height= with source= if you have no "
             "depth frames"
         )
-    check_data_folders(config)
+    check_folders(plain(config.data))
     _check_adaptation(config)
     from eldenet.training.adaptation import AdaptationSetup
 
@@ -920,7 +520,7 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         models=tuple(map(str, models)),
         sizes=tuple(map(tuple, sizes)),
         output=Path(config.output).expanduser(),
-        composition=training_composition(lists["trusted_modules"]),
+        composition=training_composition(),
     )
 
 
@@ -1006,42 +606,36 @@ def _build_learner(config: DictConfig, sensor: Any) -> Any:
 # --- study and report ---------------------------------------------------------------------------------------
 
 
-def training_composition(trusted_modules: Sequence[str] = ()) -> "Composition":
-    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks.
-
-    Args:
-        trusted_modules: packages beyond eldenet whose code a study's settings may run.
-    """
+def training_composition() -> "Composition":
+    """Return the functions that turn a study's overrides of ``eldenet.train`` into settings and networks."""
+    from eldenet.compose import compose as settings_of
     from eldenet.results.studies.plan import Composition
+    from eldenet.train import TrainSettings
 
-    def build(model: Any) -> Any:
-        with settings_of_a_study(trusted_modules):
-            return build_model(model)
+    def settings(overrides: Sequence[str]) -> dict[str, Any]:
+        return asdict(settings_of(TrainSettings, overrides))
 
-    return Composition(lambda overrides: plain(compose("train", overrides)), build)
+    return Composition(settings, lambda model: build_part(model, "model"))
 
 
-def study_training(trusted_modules: Sequence[str] = ()) -> "Training":
-    """Return how a study's runs are trained: as ``eldenet.train`` trains, but with its own code alone.
-
-    Args:
-        trusted_modules: packages beyond eldenet whose code a study's settings may run.
-    """
+def study_training() -> "Training":
+    """Return how a study's runs are trained: as ``eldenet.train`` trains."""
+    from eldenet.compose import compose as settings_of
+    from eldenet.results.run_record import read_run
     from eldenet.results.studies.runner import Training
+    from eldenet.train import TrainSettings, train
+    from eldenet.training.resume import check_finished
 
-    def train_run(overrides: Sequence[str], folder: Path) -> None:
-        from eldenet.training.run import train
+    def settings(overrides: Sequence[str], folder: Path) -> TrainSettings:
+        return settings_of(TrainSettings, [*overrides, f"output='{folder}'"])
 
-        with settings_of_a_study(trusted_modules):
-            train(build_training(compose("train", overrides), folder))
-
-    def check_finished(overrides: Sequence[str], stored: Path) -> None:
-        from eldenet.training.resume import finished_run
-
-        with settings_of_a_study(trusted_modules):
-            finished_run(build_training(compose("train", overrides), stored))
-
-    return Training(train_run, check_finished, training_composition(trusted_modules))
+    return Training(
+        lambda overrides, folder: train(settings(overrides, folder)),
+        lambda overrides, stored: check_finished(
+            stored, read_run(stored), asdict(settings(overrides, stored))
+        ),
+        training_composition(),
+    )
 
 
 def build_study(config: DictConfig) -> "StudySetup":

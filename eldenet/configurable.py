@@ -1,20 +1,19 @@
-"""Parts of models that record how they were built, and a safe builder for such records.
+"""Parts that record how they were built, and what builds parts from such records.
 
 A part's ``config`` has the form of its YAML file, such as
 ``{"_target_": "eldenet.heads.LinearHead", "max_depth": 10.0}``.
-Saved models come from other people, so :func:`build` checks the name of a target's module *before* it imports
-anything, and then accepts only subclasses of :class:`Configurable`.
-
-Studies come from other people, too, and Hydra builds whatever their settings name. :func:`building_only` and
-:func:`refuse_foreign_code` keep that to known parts.
+:func:`instantiate` builds what the user's own settings describe. Saved models come from other people, so
+:func:`build` checks the name of a target's module *before* it imports anything, and then accepts only
+subclasses of :class:`Configurable`.
 """
 
 import functools
 import importlib
 import inspect
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+import pkgutil
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 TRUSTED_MODULES = (
@@ -25,6 +24,16 @@ TRUSTED_MODULES = (
     "eldenet.model",
     "eldenet.refinement",
 )
+LARGEST = 2**32  # of a whole number: numpy's seeds end there too
+WORDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    types.NoneType: "null",
+    dict[str, Any]: "a section, {...}",
+}
+COUNTS = ("size", "frames")  # a setting whose name ends so counts something: 1 or more
 
 
 class Configurable:
@@ -139,52 +148,114 @@ def _refuse_text(trusted_modules: Sequence[str]) -> None:
         raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
 
 
-# --- settings of studies ------------------------------------------------------------------------------------
-
-_allowed: ContextVar[tuple[Collection[str], Sequence[str]] | None] = ContextVar("_allowed", default=None)
+# --- the user's own settings --------------------------------------------------------------------------------
 
 
-@contextmanager
-def building_only(targets: Collection[str], trusted_modules: Sequence[str] = ()) -> Iterator[None]:
-    """Within the block, :func:`refuse_foreign_code` lets these targets pass; outside of any, all.
+def instantiate(settings: Any, name: str = "", **arguments: Any) -> Any:
+    """Build what the user's own settings describe; their targets may be any class or function.
 
     Args:
-        targets: each as ``_target_`` names it.
-        trusted_modules: packages or modules of which everything passes.
+        settings: nested mappings with ``_target_`` (and ``_partial_``), as YAML files hold them; other values
+            are returned as they are.
+        name: of the section, for errors: "trainer".
+        arguments: replace those of the outermost part.
 
     Raises:
-        ValueError: ``trusted_modules`` is no list.
+        ValueError: a class or argument does not exist, or a value is of another type than the class's.
     """
-    _refuse_text(trusted_modules)
-    token = _allowed.set((targets, trusted_modules))
+    prefix = f"{name}." if name else ""
+    if isinstance(settings, list):
+        return [instantiate(item, f"{prefix}{place}") for place, item in enumerate(settings)]
+    if not isinstance(settings, Mapping):
+        return settings
+    target = None
+    if "_target_" in settings:
+        try:
+            target = pkgutil.resolve_name(str(settings["_target_"]))
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"{prefix}_target_={settings['_target_']}: {error}") from error
+        given = {key: value for key, value in settings.items() if key not in arguments}
+        if missing := next((key for key, value in given.items() if value == "???"), None):
+            raise ValueError(f"give {prefix}{missing}=... on the command line")
+        check_arguments(target, given, prefix)
+        check_arguments(target, arguments)
+    parts = {
+        key: instantiate(value, f"{prefix}{key}")
+        for key, value in settings.items()
+        if key not in arguments and key not in ("_target_", "_partial_")
+    } | arguments
+    if target is None:
+        return parts
+    if settings.get("_partial_"):
+        return functools.partial(target, **parts)
     try:
-        yield
-    finally:
-        _allowed.reset(token)
+        return target(**parts)
+    except TypeError as error:
+        raise ValueError(f"{name or 'settings'} of {settings['_target_']}: {error}") from error
 
 
-def refuse_foreign_code(settings: Any) -> None:
-    """Raise ValueError for a setting, at any depth, that names code which may not be built here.
+def modules_named_in(settings: Any) -> list[str]:
+    """Return the modules that the user's own settings name: a saved model may name their classes, too."""
+    if not isinstance(settings, Mapping):
+        return []
+    named = [str(settings["_target_"]).rpartition(".")[0]] if "_target_" in settings else []
+    return named + [module for value in settings.values() for module in modules_named_in(value)]
 
-    A teacher's ``trusted_modules`` is such a setting, too: its saved config may name their classes.
+
+def check_arguments(target: Callable[..., Any], arguments: Mapping[str, Any], prefix: str = "") -> None:
+    """Compare plain values with the annotations of what they are passed to.
 
     Args:
-        settings: resolved, plain.
+        target: class or function.
+        arguments: name -> value; objects pass, and so does a name that ``target`` does not annotate.
+        prefix: of the settings' names in the error, as "trainer.".
+
+    Raises:
+        ValueError: a value of another type, a whole number out of range, or a size below 1.
     """
-    allowed = _allowed.get()
-    if allowed is None:
+    try:
+        parameters = inspect.signature(target).parameters
+    except (TypeError, ValueError):  # built in
         return
-    targets, trusted_modules = allowed
-    if isinstance(settings, list):
-        for item in settings:
-            refuse_foreign_code(item)
-    for key, value in settings.items() if isinstance(settings, Mapping) else ():
-        names = {"_target_": [value], "trusted_modules": value if isinstance(value, list) else [value]}
-        for name in map(str, filter(None, names.get(key, ()))):
-            if not _within(name, trusted_modules) and not (key == "_target_" and name in targets):
-                module = name.rpartition(".")[0] or name
-                raise ValueError(
-                    f"refused {key}={name}: a study's settings may only name eldenet's own parts. If you "
-                    f"have read that code and trust it, give trusted_modules=[{module}]"
-                )
-        refuse_foreign_code(value)
+    for name, value in arguments.items():
+        kind = parameters[name].annotation if name in parameters else Any
+        if not _fits(value, kind):
+            raise ValueError(f"{prefix}{name}={value}: give {described(kind)}")
+        whole = [one for one in (value if isinstance(value, list) else [value]) if type(one) is int]
+        if any(abs(one) >= LARGEST for one in whole):
+            raise ValueError(f"{prefix}{name}={value}: give a whole number below 2^32")
+        if name.rpartition("_")[2] in COUNTS and any(one < 1 for one in whole):
+            raise ValueError(f"{prefix}{name}={value}: give whole numbers of 1 or more")
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a plain value is of an annotated type; True where the annotation says too little."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in inner)
+    if kind in (None, types.NoneType):
+        return value is None
+    if kind is float:
+        return type(value) in (int, float)
+    if kind in (int, bool):
+        return type(value) is kind
+    if kind is str:
+        return isinstance(value, str)
+    if origin in (list, tuple, Sequence):
+        if not isinstance(value, list | tuple):
+            return False
+        kinds = inner if origin is tuple and Ellipsis not in inner else inner[:1] * len(value)
+        return len(kinds) == len(value) and all(map(_fits, value, kinds))
+    return getattr(kind, "__name__", "") != "Tensor" or hasattr(value, "shape")
+
+
+def described(kind: Any) -> str:
+    """Return what a type takes, in words: "a whole number or null"."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        words = dict.fromkeys(described(one) for one in inner if getattr(one, "__name__", "") != "Tensor")
+        return " or ".join(words)
+    if origin in (list, tuple, Sequence):
+        count = f"{len(inner)} values" if origin is tuple and Ellipsis not in inner else "values"
+        return f"a list of {count}, each {described(inner[0])}"
+    return WORDS.get(type(None) if kind is None else kind, getattr(kind, "__name__", str(kind)))

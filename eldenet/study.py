@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet import config as cfg
 from eldenet.cli.entry_point import entry_point
+from eldenet.compose import resolver
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 
-@cfg.resolver("study_rows")
+@resolver("study_rows")
 def study_rows(study: str, rows: Any) -> str:
     """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
     from eldenet.results.studies.plan import read_study
@@ -29,7 +30,7 @@ def main(config: "DictConfig", folder: Path) -> None:
         raise ValueError(
             "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
         )
-    training = cfg.study_training(cfg.listed(config.trusted_modules))
+    training = cfg.study_training()
     run_study(cfg.build_study(config), training, RunLog(folder))
 
 

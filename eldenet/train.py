@@ -1,39 +1,182 @@
-"""``python -m eldenet.train``: train, score the best epoch, write ``run.json`` and show the table."""
+"""``python -m eldenet.train``: train a network, score its best epoch, write ``run.json`` and show the table.
+
+python -m eldenet.train                                     ELDE-Net on rendered rooms
+python -m eldenet.train data=nyu_labelled model=resnet18_upconv seed=1
+python -m eldenet.train +experiment=nyu_labelled            a run described in configs/experiment
+python -m eldenet.train -m seed=0,1,2 model=eldenet,eldenet_s   a sweep
+"""
 
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
+
+from omegaconf import MISSING
 
 from eldenet.cli.entry_point import entry_point, given_settings
-from eldenet.config import build_training
+from eldenet.compose import listed
+from eldenet.configurable import instantiate, modules_named_in
+from eldenet.data.splits import check_folders
+from eldenet.system.files import sole_writer, write_yaml
+from eldenet.system.resources import choose_resources, is_main_process, join_processes, main_process_first
 from eldenet.system.signals import as_ctrl_c
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+from eldenet.weights import find_checkpoint
 
 
-@entry_point("train")
-def main(config: "DictConfig", folder: Path) -> float:
-    """Train in ``folder``; the best value of ``trainer.monitor`` is what a sweep may optimize."""
+@dataclass(frozen=True)
+class TrainSettings:
+    """What ``python -m eldenet.train`` reads; ``configs/train.yaml`` names the defaults of the sections."""
+
+    data: dict[str, Any] = MISSING
+    model: dict[str, Any] = MISSING
+    loss: dict[str, Any] = MISSING
+    optimizer: dict[str, Any] = MISSING
+    scheduler: dict[str, Any] = MISSING
+    augmentation: dict[str, Any] = field(default_factory=dict)
+    trainer: dict[str, Any] = MISSING
+    runtime: dict[str, Any] = MISSING
+    protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
+    # such as 0.8: the network predicts depth for a camera of this focal length [widths of its input], so that
+    # its meters are right for any lens; null: only for the training's lens
+    canonical_focal: float | None = None
+    # imagenet, dataset (from training frames), or {mean: [r, g, b], std: [r, g, b]}
+    normalization: Any = "imagenet"
+    model_name: str = "${chosen:model}"  # name of the row in tables
+    seed: int = 0  # of weights, order and augmentation
+    # the run folder; for a sweep, the folder of its runs
+    output: str = "runs/${data.name}-${model_name}-${now:%Y%m%d-%H%M%S}"
+    logger: Any = (
+        "tensorboard"  # tensorboard, mlflow, wandb, trackio, or several: [tensorboard,mlflow]; []: none
+    )
+    # how long a process waits for the others (torchrun, accelerate launch) before it ends [s]
+    process_timeout: float = 50
+    ckpt_path: str | None = None  # run folder or .pt file to resume; auto: resume output if it holds a run
+    teacher: str | None = None  # run, model folder or Hub id that loss=ssim_l1_distill learns from
+    trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
+    # run, model folder, Hub id or packaged weights to start from: copies the tensors that fit, and their
+    # normalization
+    weights: str | None = None
+
+
+def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
+    """Train, score the best epoch and record it; with ``ckpt_path="auto"`` a finished run is left as it is.
+
+    Args:
+        s: the settings; ``s.output`` is the run folder.
+        overrides: of the command line, such as ``loss=l1``; rows of a sweep are named by them.
+
+    Returns:
+        The best value of ``trainer.monitor``; NaN where no validation had one.
+
+    Raises:
+        ValueError: the settings do not fit each other, or the folder holds another run, or another process
+            trains in it.
+        FileNotFoundError: there are no such frames or weights.
+        FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
+    """
+    folder, settings = Path(s.output), asdict(s)
+    with sole_writer(folder) if is_main_process() else nullcontext():
+        check_folders(s.data)
+        if not (folder / "run.json").is_file():  # a finished run needs them no longer
+            for name in ("weights", "teacher"):
+                if settings[name] is not None:
+                    find_checkpoint(settings[name], name)
+        return _train(s, folder, settings, overrides)
+
+
+def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], overrides: Sequence[str]) -> float:
+    from eldenet.evaluation.splits import open_splits
+    from eldenet.results.fingerprints import fingerprints
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.score import score_best
+    from eldenet.results.tables import closing_table
+    from eldenet.training import notes
+    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, model_info
+    from eldenet.training.normalization import normalization, write_normalization
+    from eldenet.training.resume import checkpoint_to_resume, finished_value, run_folder
+    from eldenet.training.trainer import TrainingData
+
+    loggers = listed(s.logger)
+    log = RunLog(
+        folder, quiet=not is_main_process(), loggers=[name for name in loggers if name == "tensorboard"]
+    )
+    if (best_value := finished_value(folder, s.ckpt_path, settings)) is not None:
+        log.say(f"{folder}: already finished")
+        return best_value
+    checkpoint = checkpoint_to_resume(folder, s.ckpt_path, settings)
+    resources = choose_resources(**s.runtime)
+    protocol = instantiate(s.protocol or s.data["protocol"], "protocol")
+    loss = instantiate(s.loss, "loss")
+    trainer = instantiate(
+        s.trainer,
+        "trainer",
+        optimizer=instantiate(s.optimizer, "optimizer"),
+        scheduler=instantiate(s.scheduler, "scheduler"),
+        seed=s.seed,
+        loggers=loggers,
+    )
+    network = s.model | canonical_camera(s.canonical_focal, s.data["input_size"])
+    trusted = [*modules_named_in(s.model), *listed(s.trusted_modules)]
+    # before the data, which may take minutes to render: a wrong setting shows at once
+    check_loss(loss, initial_model(network, s.seed, s.weights, trusted), s.teacher)
+
+    join_processes(resources, s.process_timeout)
+    with main_process_first(resources):  # it renders or prepares what the others then find
+        splits = open_splits(s.data, protocol, s.augmentation, seed=s.seed, labeled=loss.needs_depth)
+    resumed = None if checkpoint is None else run_folder(checkpoint)
+    chosen = normalization(s.normalization, splits.train, resumed=resumed)
+    model = initial_model(network, s.seed, s.weights, trusted, chosen, log)
+    if is_main_process():
+        write_yaml(folder / "config.yaml", settings)
+        write_normalization(folder, s.normalization, chosen)
+    for note in notes.before(splits, loss, model, s.data, resources, folder):
+        log.say(note)
+    progress = trainer.fit(
+        model,
+        loss,
+        TrainingData(splits.train, splits.val, protocol),
+        folder,
+        resources,
+        ckpt_path=checkpoint,
+        info=model_info(s.model_name, s.seed, s.weights, s.data, protocol, splits.train),
+        sources=fingerprints(settings),
+    )
+    trainer.accelerator.wait_for_everyone()
+    trainer.accelerator.end_training()  # a process that leaves with its group open may abort
+    if trainer.accelerator.is_main_process:
+        facts = {
+            "training": asdict(progress) | {"effective_batch": trainer.effective_batch},
+            "skipped": {"train": splits.train.skipped, "val": splits.val.skipped},
+            "teacher": dict(loss.signature),
+            "overrides": list(overrides),
+        }
+        record = score_best(folder, settings, protocol, resources, log, facts, trusted)
+        closing_table(log, record)
+        for note in notes.after(splits, trainer, record):
+            log.say(note)
+    return progress.best_value
+
+
+@entry_point(TrainSettings)
+def main(s: TrainSettings) -> float:
+    """Train in ``s.output``; the best value of ``trainer.monitor`` is what a sweep may optimize."""
     with as_ctrl_c():
         try:
-            from eldenet.training.run import train
-
-            setup = build_training(config, folder, list(given_settings().values()))
-            return train(setup)
+            return train(s, list(given_settings().values()))
         except KeyboardInterrupt:
             status: str | int | None = 130  # as shells count it
         except SystemExit as end:  # of a signal
             status = end.code
-    print(f"stopped; to continue: {resume_command(folder)}", file=sys.stderr)  # noqa: T201
+    print(f"stopped; to continue: {resume_command(s.output)}", file=sys.stderr)  # noqa: T201
     raise SystemExit(status)
 
 
-def resume_command(folder: Path) -> str:
+def resume_command(folder: str) -> str:
     """Return the command line that continues the training in ``folder``."""
-    own = ("output", "run_dir", "ckpt_path")
-    words = [word for key, word in given_settings().items() if key not in own]
+    words = [word for key, word in given_settings().items() if key not in ("output", "ckpt_path")]
     start = sys.argv[0] if sys.argv[0].startswith("eldenet ") else "python -m eldenet.train"
     return f"{start} {shlex.join([*words, f'output={folder}', 'ckpt_path=auto'])}"
 

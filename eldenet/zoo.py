@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldenet.compose import compose_config, plain
+from eldenet.configurable import instantiate
 from eldenet.weights import find_checkpoint, list_weights
 
 if TYPE_CHECKING:
@@ -51,13 +53,12 @@ def load(
         source = f"{source}_{weights}"
     found = find_checkpoint(source)
     if found.kind == "network":
-        from eldenet.config import build_model, compose
-
         if revision is not None or trusted_modules:
             raise ValueError(
                 f"revision and trusted_modules apply to saved models, but {source} is built by name"
             )
-        return build_model(compose("zoo", [f"model={source}", *overrides]).model).eval()
+        network = compose_config("zoo", [f"model={source}", *overrides]).model
+        return instantiate(plain(network), "model").eval()
     if overrides:
         raise ValueError(f"overrides apply to networks built by name, but {source} is a saved model")
     if revision is not None and found.kind != "hub":

@@ -9,31 +9,35 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, MissingMandatoryValue
+from omegaconf import DictConfig
 
 from eldenet.cli.help import advice, help_template, quote_paths
-from eldenet.config import config_folder, resolver
+from eldenet.compose import command_of, config_folder, register, resolver, to_settings
 from eldenet.system.errors import FULL, USER_ERRORS, line_of
 
+S = TypeVar("S")
 QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
 
 
-def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]], Callable[[], None]]:
-    """Make ``main(config, run_folder)`` a command with Hydra's command line.
+def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[], None]]:
+    """Make ``main(settings)`` a command with Hydra's command line; ``settings``: its dataclass.
 
     A user's mistake (a wrong value, a missing file) ends in one line and exit code 1; ``hydra.verbose=true``
     shows its traceback. Any other error is a bug and shows its traceback. A sweep continues with its other
     jobs.
     """
+    config_name = settings if isinstance(settings, str) else command_of(settings)
+    if not isinstance(settings, str):
+        register(settings)
 
-    def decorate(main: Callable[[DictConfig, Path], Any]) -> Callable[[], None]:
+    def decorate(main: Callable[[S], Any]) -> Callable[[], None]:
         composed = False
         held, stderr = StringIO(), sys.stderr  # Hydra's own lines, which ours replace where there is one
 
@@ -42,7 +46,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             nonlocal composed
             composed = True
             release()
-            return _run(main, config)
+            return _run(main, settings, config)
 
         def release() -> None:
             sys.stderr = stderr
@@ -55,7 +59,7 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
             nonlocal stderr
             stderr = sys.stderr
             about = sys.modules[main.__module__].__doc__ or ""
-            resolver("command_help")(lambda: help_template(config_name, about))
+            resolver("command_help")(lambda: help_template(settings, about))
             words = sys.argv[1:] = quote_paths(sys.argv[1:])
             if stderr.isatty() and not any(word in QUIET for word in words):
                 stderr.write(f"eldenet {config_name} starts ...\r")  # at once: the imports take seconds
@@ -92,30 +96,28 @@ def entry_point(config_name: str) -> Callable[[Callable[[DictConfig, Path], Any]
     return decorate
 
 
-def _run(main: Callable[[DictConfig, Path], Any], config: DictConfig) -> Any:
+def _run(main: Callable[[S], Any], settings: type[S], config: DictConfig) -> Any:
     """Run a job and turn a user's mistake into one line."""
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
     sweep = hydra_config.mode == RunMode.MULTIRUN
     threading.excepthook = _thread_failed
     try:
-        if {"output", "run_dir"} <= given_settings().keys():
-            raise ValueError("output and run_dir are the same setting: give output alone")
-        return main(config, folder)
-    except (MissingMandatoryValue, *USER_ERRORS) as error:
+        if isinstance(settings, str):
+            return main(config, folder)  # type: ignore[call-arg]
+        # a command with a run folder, which a sweep numbers: 0, 1, ...
+        changes = {} if hydra_config.run.dir == "." else {"output": str(folder)}
+        return main(to_settings(settings, config, **changes))
+    except USER_ERRORS as error:
         if isinstance(error, BrokenPipeError):
             raise
         logging.getLogger("eldenet").debug("", exc_info=True)
-        if isinstance(error, MissingMandatoryValue):
-            _print_error(f"give {error.full_key}=... on the command line")
-        else:
-            _print_error(line_of(error))
+        _print_error(line_of(error))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
         raise SystemExit(1) from None
     finally:
-        named = {"output", "run_dir"} & given_settings().keys()
-        if not (sweep or named) and folder != Path.cwd():
+        if not (sweep or "output" in given_settings()) and folder != Path.cwd():
             with suppress(OSError):
                 folder.rmdir()  # Hydra made it; a mistake leaves it empty
 

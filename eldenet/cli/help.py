@@ -1,6 +1,8 @@
 """Help texts of the commands, and advice on settings that do not exist."""
 
 import difflib
+import inspect
+import json
 import os
 import re
 import shutil
@@ -10,9 +12,10 @@ from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
+from omegaconf import OmegaConf
 
 from eldenet.cli.commands import module_of
-from eldenet.config import compose, config_folder, groups, plain
+from eldenet.compose import choices, command_of, compose_config, config_folder, groups, plain
 from eldenet.renames import KEYS, OPTIONS
 
 MEANT = {  # settings as other tools call them
@@ -21,7 +24,10 @@ MEANT = {  # settings as other tools call them
     "input": "source",
     "image": "source",
     "video": "source",
+    "run_dir": "output",
 }
+WRONG_VALUE = re.compile(r"^[\w.]+=.*: give ")
+FIELD = re.compile(r"(?P<name>\w+): .+?(?P<comment>  # .*)?$")  # of a dataclass
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
@@ -31,22 +37,51 @@ QUOTES = (
 )
 
 
-def help_template(config_name: str, about: str) -> str:
-    """Return Hydra's help template of a command: what it does, its YAML file with comments, all choices."""
-    settings = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
-    if "\n  - mode: " in settings:  # each mode adds settings of its own
-        for file in sorted((config_folder() / "mode").glob("*.yaml")):
-            settings += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
-    choices = "\n".join(
+def help_template(settings: type | str, about: str) -> str:
+    """Return Hydra's help template of a command: what it does, its settings with comments, all choices.
+
+    Args:
+        settings: the command's dataclass.
+        about: what the command does, with examples.
+    """
+    if isinstance(settings, str):
+        config_name = settings
+        shown = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
+        if "\n  - mode: " in shown:  # each mode adds settings of its own
+            for file in sorted((config_folder() / "mode").glob("*.yaml")):
+                shown += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
+    else:
+        config_name, shown = command_of(settings), settings_help(settings)
+    listed = "\n".join(
         fill(f"{group}: {', '.join(names)}", shutil.get_terminal_size().columns, subsequent_indent="  ")
         for group, names in groups(config_name).items()
     )
-    if choices:
-        choices = f"Choices of its groups:\n{choices}\n\n"
+    if listed:
+        listed = f"Choices of its groups:\n{listed}\n\n"
     return (
-        f"{about.replace('``', '').strip()}\n\n{settings}\n\n{choices}"
+        f"{about.replace('``', '').strip()}\n\n{shown}\n\n{listed}"
         f"Every setting: python -m {module_of(config_name)} --cfg job"
     ).replace("$", "$$")
+
+
+def settings_help(settings: type) -> str:
+    """Return a command's settings, a line each, with their defaults and the comments beside them."""
+    defaults = plain(OmegaConf.structured(settings), resolve=False)
+    defaults |= {name: file for name, file in choices(command_of(settings)).items() if name in defaults}
+    lines: list[str] = []
+    comments: list[str] = []
+    for line in inspect.getsource(settings).splitlines():
+        text = line.strip()
+        if text.startswith("def "):
+            break
+        field = FIELD.match(text)
+        if text.startswith("# "):
+            comments.append(text)
+        elif field:
+            value = json.dumps(defaults[field["name"]]).strip('"').replace("???", "(required)")
+            lines += [*comments, f"{field['name']}: {value}{field['comment'] or ''}"]
+            comments = []
+    return "\n".join(lines)
 
 
 def advice(config_name: str, words: Sequence[str]) -> str:
@@ -67,7 +102,7 @@ def advice(config_name: str, words: Sequence[str]) -> str:
             return renamed
         for job in _jobs(words):
             words = job
-            compose(config_name, job)
+            compose_config(config_name, job)
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
             return _choice(choice["group"], choice["name"], choice["options"].split())
@@ -75,6 +110,8 @@ def advice(config_name: str, words: Sequence[str]) -> str:
         if unknown:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
             return _nearest(unknown[1], _settings(config_name, others))
+        if WRONG_VALUE.search(str(error)):
+            return str(error)
     return ""
 
 
@@ -156,7 +193,7 @@ def _settings(config_name: str, words: Sequence[str]) -> dict[str, Any]:
     config = None
     for chosen in ([word for word in words if "." not in word.partition("=")[0]], []):
         try:
-            config = compose(config_name, chosen)
+            config = compose_config(config_name, chosen)
             break
         except ValueError:  # a wrong choice
             continue

@@ -1,16 +1,19 @@
-"""Validation frames held out of a training part by whole scenes, the same ones on every machine.
+"""The parts of a data set: their settings, and validation frames held out of a training part.
 
-Neighboring frames of a recording look nearly the same: a frame-by-frame split would validate on what was
-trained.
+Whole scenes are held out, the same ones on every machine: neighboring frames of a recording look nearly the
+same, so a frame-by-frame split would validate on what was trained.
 """
 
 import hashlib
+import os
 import re
-from collections.abc import Callable, Sequence
-from pathlib import PurePosixPath
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
+SPLITS = ("train", "val", "test")
 VAL_SHARE = 0.05
 
 
@@ -66,3 +69,47 @@ def evenly_spaced(count: int, wanted: int | None) -> list[int]:
     """Return at most ``wanted`` of ``count`` indices, first and last among them; all of them for None."""
     wanted = count if wanted is None else min(wanted, count)
     return [int(i) for i in np.unique(np.linspace(0, count - 1, wanted).round())]
+
+
+def split_settings(data: Mapping[str, Any], split: str) -> Mapping[str, Any]:
+    """Return the settings of one part of a data set, with its class as ``_target_``.
+
+    Raises:
+        ValueError: the data set has no such part.
+    """
+    settings = data.get(split)
+    if not isinstance(settings, Mapping):
+        raise ValueError(f"data={data['name']} has no split '{split}': choose train, val or test")
+    if "_target_" not in settings:  # a part of ${data.val} was overridden, so nothing else is left
+        raise ValueError(
+            f"data.{split} in data={data['name']} refers to another split's settings: override "
+            f"those (data.val...), or give every setting of data.{split}"
+        )
+    return settings
+
+
+def subset_of(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return how many frames of each split are used; a split without an entry uses all.
+
+    Raises:
+        ValueError: ``data.subset`` is no table.
+    """
+    subset = data.get("subset") or {}
+    if not isinstance(subset, Mapping):
+        raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")
+    return subset
+
+
+def check_folders(data: Mapping[str, Any]) -> None:
+    """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
+
+    Rendered data sets, which have no ``on_error``, make their folder themselves.
+    """
+    splits = [data.get(split) for split in SPLITS]
+    roots = [part.get("root") for part in splits if isinstance(part, Mapping) and "on_error" in part]
+    if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
+        return
+    if roots[0] is not None:
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+    if not os.environ.get("ELDENET_DATA"):
+        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")

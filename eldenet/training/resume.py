@@ -3,67 +3,85 @@
 Settings that may differ are ``NOT_COMPARED`` in :mod:`eldenet.results.fingerprints`.
 """
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from eldenet.configurable import instantiate
+from eldenet.evaluation.splits import open_split
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run
 from eldenet.system.files import read_yaml
 from eldenet.system.resources import number_of_processes
 
-if TYPE_CHECKING:
-    from eldenet.training.setup import TrainingSetup
-
 OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 
 
-def finished_run(setup: "TrainingSetup") -> dict[str, Any] | None:
-    """Return the ``run.json`` of this run if it has finished and ``ckpt_path=auto`` asks for it.
+def finished_value(folder: Path, ckpt_path: str | None, settings: Mapping[str, Any]) -> float | None:
+    """Return the best value of the run in ``folder`` if it has finished and ``ckpt_path="auto"`` asks for it.
+
+    Args:
+        folder: of the run.
+        ckpt_path: the setting.
+        settings: of the training, as ``run.json`` stores them.
 
     Raises:
         ValueError: the finished run had other settings or other frames, or is an evaluation.
     """
-    folder = setup.folder
-    if setup.ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
+    if ckpt_path != "auto" or not (folder / RUN_FILE).is_file():
         return None
     record = read_run(folder)
     if record.get("training", {}) is None:
         raise ValueError(f"{folder} holds an evaluation, not a training to resume: give another folder")
-    different = run_differences(setup.settings, record)
+    check_finished(folder, record, settings)
+    best_value = record["training"]["best_value"]
+    return math.nan if best_value is None else float(best_value)
+
+
+def check_finished(folder: Path, record: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Raise ValueError if the finished run of ``record`` had other settings or other frames."""
+    different = run_differences(settings, record)
     processes = record.get("resources", {}).get("processes")  # absent in early records
     if processes not in (None, number_of_processes()):
         different.append(f"processes={number_of_processes()} (there {processes})")
     if not different:
+        protocol = instantiate(settings["protocol"] or settings["data"]["protocol"], "protocol")
         for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
-            found = setup.make_split(split, setup.protocol).split_hash
+            found = open_split(settings["data"], split, protocol).split_hash
             if record.get(name, found) != found:
                 different.append(f"the frames of data.{split} ({found}, there {record[name]})")
     _refuse(folder, "finished run with", different, "give another folder, or remove this one")
-    return record
 
 
-def checkpoint_to_resume(setup: "TrainingSetup") -> Path | None:
+def checkpoint_to_resume(folder: Path, ckpt_path: str | None, settings: Mapping[str, Any]) -> Path | None:
     """Return the checkpoint that ``ckpt_path`` names; None if it names none, or there is none yet.
+
+    Args:
+        folder: of the run.
+        ckpt_path: a checkpoint, a run folder, or "auto": this folder's, if there is one.
+        settings: of the training, as ``run.json`` stores them.
 
     Raises:
         ValueError: the run folder holds another run, or the run to resume was begun with other settings.
+        FileNotFoundError: there is no such checkpoint.
     """
-    checkpoint, folder = _named_checkpoint(setup), setup.folder.resolve()
-    own = checkpoint is not None and folder in (checkpoint.resolve(), *checkpoint.resolve().parents)
+    checkpoint, whole = _named_checkpoint(folder, ckpt_path), folder.resolve()
+    own = checkpoint is not None and whole in (checkpoint.resolve(), *checkpoint.resolve().parents)
     if not own:
-        held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (setup.folder / file).exists()]
+        held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (folder / file).exists()]
         if held:
             raise ValueError(
-                f"output={setup.folder} already holds another run ({held[0]}): resume it (ckpt_path=auto), "
+                f"output={folder} already holds another run ({held[0]}): resume it (ckpt_path=auto), "
                 "give another output, or remove that folder"
             )
     if checkpoint is None:
         return None
     begun = run_folder(checkpoint)
     if (begun / "config.yaml").is_file():  # the checkpoint itself knows what precision "auto" was
-        settings = renamed(read_yaml(begun / "config.yaml"))
-        different = differences(setup.settings, settings, ignored=frozenset(("precision",)))
+        stored = renamed(read_yaml(begun / "config.yaml"))
+        different = differences(settings, stored, ignored=frozenset(("precision",)))
         advice = "give another folder, or remove this one" if own else f"or start from its weights={begun}"
         _refuse(begun, "run begun with", different, advice)
     return checkpoint
@@ -77,13 +95,13 @@ def _refuse(folder: Path, held: str, different: list[str], advice: str) -> None:
         )
 
 
-def _named_checkpoint(setup: "TrainingSetup") -> Path | None:
-    if setup.ckpt_path is None:
+def _named_checkpoint(folder: Path, ckpt_path: str | None) -> Path | None:
+    if ckpt_path is None:
         return None
-    if setup.ckpt_path != "auto":
-        checkpoint_file(setup.ckpt_path)
-        return Path(setup.ckpt_path)
-    own = setup.folder / OWN_CHECKPOINT
+    if ckpt_path != "auto":
+        checkpoint_file(ckpt_path)
+        return Path(ckpt_path)
+    own = folder / OWN_CHECKPOINT
     return own if own.is_file() else None
 
 

@@ -1,0 +1,228 @@
+"""Hydra's part: from YAML files and overrides to plain values. OmegaConf ends here.
+
+A command's settings are a frozen dataclass in the command's own module, such as
+:class:`eldenet.train.TrainSettings`. Hydra knows it as the schema of the YAML file of the same name, so
+OmegaConf checks names and types; :func:`compose` returns an instance, with plain lists and dicts in it.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from eldenet.configurable import described
+from eldenet.system.files import shipped_folder
+from eldenet.system.resources import prepare_environment
+
+prepare_environment()
+
+import hydra  # noqa: E402, F401
+from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
+from hydra._internal.utils import create_config_search_path  # noqa: E402
+from hydra.core.config_search_path import SearchPathQuery  # noqa: E402
+from hydra.core.config_store import ConfigStore  # noqa: E402
+from hydra.core.hydra_config import HydraConfig  # noqa: E402
+from hydra.errors import HydraException  # noqa: E402
+from hydra.types import RunMode  # noqa: E402
+from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+from omegaconf.errors import OmegaConfBaseException  # noqa: E402
+
+#: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
+FOCAL_RANGE = (0.4, 2.0)
+Settings = TypeVar("Settings")
+
+
+def config_folder() -> Path:
+    """Return the folder of the YAML files: ``configs/`` in a checkout, ``eldenet/configs`` in a wheel."""
+    return shipped_folder("configs", "train.yaml")
+
+
+def compose(settings: type[Settings], overrides: Sequence[str] = ()) -> Settings:
+    """Return a command's settings, as its command line would.
+
+    Args:
+        settings: the command's dataclass.
+        overrides: as on the command line, such as ``["model=eldenet_s", "seed=1"]``.
+
+    Raises:
+        ValueError: there is no such setting or choice, or a value does not fit.
+    """
+    register(settings)
+    return to_settings(settings, _load(command_of(settings), overrides))
+
+
+def command_of(settings: type) -> str:
+    """Return the name of a command's YAML file: ``CheckDataSettings`` -> "check_data"."""
+    return re.sub(r"(?<=.)(?=[A-Z])", "_", settings.__name__.removesuffix("Settings")).lower()
+
+
+def register(settings: type) -> None:
+    """Make a dataclass known to Hydra; ``configs/<command>.yaml`` names it in its ``defaults``."""
+    schema = OmegaConf.structured(settings)
+    schema._set_flag("readonly", None)  # a frozen dataclass; Hydra merges into it
+    ConfigStore.instance().store(name=settings.__name__, node=schema)
+
+
+def to_settings(settings: type[Settings], config: DictConfig, **changes: Any) -> Settings:
+    """Return an instance of a command's dataclass with resolved, plain values.
+
+    Args:
+        settings: the dataclass.
+        config: composed; a section ``hydra`` is left out.
+        changes: values instead of the config's.
+
+    Raises:
+        ValueError: a setting is missing or unknown, or the dataclass refuses a value.
+    """
+    for name, value in changes.items():
+        config[name] = value
+    names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
+    for name in config:
+        if name not in (*names, "hydra"):
+            raise ValueError(f"there is no setting {name}: --help lists all settings")
+    for name in names:
+        if OmegaConf.is_missing(config, name):
+            raise ValueError(f"give {name}=... on the command line")
+    return settings(**{name: plain(config[name]) for name in names})
+
+
+def compose_config(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
+    """Compose a config as the command line would, without touching Hydra's global state.
+
+    So it works inside somebody else's Hydra application. Inside a command of ours it finds what the command
+    finds: what ``--config-dir`` and ``hydra.searchpath`` add.
+
+    Raises:
+        ValueError: there is no such config, or an override does not fit it.
+    """
+    config = _load(config_name, overrides)
+    with open_dict(config):
+        config.pop("hydra", None)
+    return config
+
+
+def choices(config_name: str) -> dict[str, str | None]:
+    """Return the YAML file that a command takes from each group by default."""
+    return dict(_load(config_name, []).hydra.runtime.choices)
+
+
+def groups(config_name: str) -> dict[str, list[str]]:
+    """Return the groups of YAML files that a command chooses from, with the names of their files."""
+    modes = [[f"mode={path.stem}"] for path in (config_folder() / "mode").glob("*.yaml")]
+    loaded = [_load(config_name, words) for words in (modes if config_name == "navigate" else [[]])]
+    chosen = {name.partition("/")[0] for config in loaded for name in config.hydra.runtime.choices}
+    if "model" in chosen:
+        chosen.add("experiment")
+    files = sorted(path.relative_to(config_folder()) for path in config_folder().rglob("*.yaml"))
+    found: dict[str, list[str]] = {}
+    for file in files:
+        if file.parts[0] in chosen:
+            found.setdefault(file.parent.as_posix(), []).append(file.stem)
+    return found
+
+
+def _load(config_name: str, overrides: Sequence[str]) -> DictConfig:
+    """Compose a config, with Hydra's own part."""
+    search_path = create_config_search_path(str(config_folder()))
+    for source in added_sources():
+        search_path.prepend("command-line", source, anchor=SearchPathQuery(provider="schema"))
+    loader = ConfigLoaderImpl(search_path)
+    try:
+        return loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
+    except HydraException as error:
+        raise ValueError(_wrong_type(error.__cause__, overrides) or str(error)) from error
+
+
+def _wrong_type(error: BaseException | None, overrides: Sequence[str]) -> str:
+    """Return one line on a value that is of another type than its dataclass's field, or ""."""
+    if not (isinstance(error, OmegaConfBaseException) and is_dataclass(error.object_type)):
+        return ""
+    kind = get_type_hints(error.object_type).get(str(error.key))
+    given = [word for word in overrides if word.lstrip("+").startswith(f"{error.full_key}=")]
+    return f"{given[-1] if given else error.full_key}: give {described(kind)}" if kind else ""
+
+
+def added_sources() -> list[str]:
+    """Return where the running eldenet command finds configs beside our own; none outside of a command."""
+    if not HydraConfig.initialized():
+        return []
+    sources = HydraConfig.get().runtime.config_sources
+    ours = any(source.provider == "main" and Path(source.path) == config_folder() for source in sources)
+    added = ("command-line", "hydra.searchpath")  # the latter names where it was given, too
+    return [
+        f"{source.schema}://{source.path}"
+        for source in sources
+        if ours and source.provider.startswith(added) and source.path
+    ]
+
+
+def plain(config: Any, *, resolve: bool = True) -> Any:
+    """Return plain dicts, lists and values; by default resolved."""
+    return OmegaConf.to_container(config, resolve=resolve) if OmegaConf.is_config(config) else config
+
+
+def listed(value: Any) -> list[Any]:
+    """Return a setting that takes several values as a list; a single value becomes a list of one."""
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
+# --- what YAML files call as ${name:argument,...} -----------------------------------------------------------
+
+
+def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorate a function that YAML files call as ``${name:argument,...}``."""
+
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+        OmegaConf.register_new_resolver(name, function, replace=True)
+        return function
+
+    return register
+
+
+if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its applications alone
+
+    @resolver("now")
+    def _now(pattern: str) -> str:
+        """``${now:%Y%m%d-%H%M%S}``: the time."""
+        return datetime.now().strftime(pattern)
+
+
+@resolver("chosen")
+def _chosen(group: str, *, _root_: DictConfig) -> str:
+    """``${chosen:model}``: the name of the YAML file that was chosen from a group."""
+    hydra_config = _root_.hydra if "hydra" in _root_ else HydraConfig.get()
+    return str(hydra_config.runtime.choices[group])
+
+
+@resolver("test_part")
+def _test_part(test_root: str | None, root: str | None) -> str:
+    """``${test_part:test_root,root}``: "val" of the training's own folder, "all" of another one."""
+    places = {folder and Path(folder).expanduser().resolve() for folder in (test_root, root)}
+    return "val" if len(places) == 1 else "all"
+
+
+@resolver("sweep_folder")
+def _sweep_folder(overrides: Sequence[str], default: str) -> str:
+    """``${sweep_folder:overrides,default}``: the folder that ``output=`` names, of a sweep's runs."""
+    given = [word.partition("=")[2] for word in overrides if word.startswith("output=")]
+    return given[-1].strip("'\"") if given else default
+
+
+@resolver("canonical_near")
+def _canonical_near(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_near:depth,canonical_focal}``: canonical ``depth`` [m] of the longest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[1]
+
+
+@resolver("canonical_far")
+def _canonical_far(depth: float, canonical_focal: float | None) -> float:
+    """``${canonical_far:depth,canonical_focal}``: canonical ``depth`` [m] of the widest lens."""
+    return depth if canonical_focal is None else depth * canonical_focal / FOCAL_RANGE[0]
+
+
+@resolver("zoom")
+def _zoom(canonical_focal: float | None) -> str:
+    """``${zoom:canonical_focal}``: what an augmentation's zoom changes."""
+    return "depth" if canonical_focal is None else "focal"

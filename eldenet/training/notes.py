@@ -1,0 +1,84 @@
+"""What a person should know about a training's frames and scores: lines before and after it."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from eldenet.data.base import DepthDataset
+from eldenet.data.inspection import identities
+from eldenet.data.mix import Mix
+from eldenet.evaluation.splits import Splits
+from eldenet.losses.base import WeightedSum
+from eldenet.losses.distillation import DistilledTerm
+from eldenet.model import DepthNet
+from eldenet.system.files import displayed
+from eldenet.system.resources import Resources
+from eldenet.training.trainer import Trainer
+
+
+def before(
+    splits: Splits,
+    loss: WeightedSum,
+    model: DepthNet,
+    data: Mapping[str, Any],
+    resources: Resources,
+    folder: Path,
+) -> Iterator[str]:
+    """Yield lines: the frames, those that are trained on and scored, the teacher, frames without a camera."""
+    yield (
+        f"{data['name']}: {len(splits.train)} training and {len(splits.val)} validation frames; "
+        f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} "
+        f"workers; run folder {displayed(folder)}"
+    )
+    for split, frames in (("validation", splits.val), ("test", splits.test)):
+        if count := common_frames(splits.train, frames):
+            yield f"note: {count} of {len(frames)} {split} frames are also training frames"
+    for term in loss.terms.values():
+        if isinstance(term, DistilledTerm):
+            yield term.teacher.describe(data["input_size"])
+    if model.canonical_px is not None and (frame := without_camera(splits.train)):
+        yield (
+            f"note: training frames such as {frame} have no intrinsics, so they count as the canonical "
+            "camera's: meters will be off by as much as their focal length differs (data=folder takes "
+            "data.intrinsics)"
+        )
+
+
+def after(splits: Splits, trainer: Trainer, record: Mapping[str, Any]) -> Iterator[str]:
+    """Yield lines: scored frames that chose the epoch, and a network that has learned nothing."""
+    chosen_of_several = trainer.epochs > trainer.evaluate_every
+    if chosen_of_several and (shared := common_frames(splits.val, splits.test)):
+        yield (
+            f"note: the best epoch was chosen on {shared} of the {len(splits.test)} frames that are scored, "
+            "so the scores are a little too good"
+        )
+    if line := collapse(record):
+        yield line
+
+
+def collapse(record: Mapping[str, Any]) -> str:
+    """Return a warning if delta1 and AbsRel are worse than the constant predictor's; else ""."""
+    found, constant = record["metrics"], record["constant_predictor"]
+    if constant is None or not (
+        found["delta1"] < constant["delta1"] and found["abs_rel"] > constant["abs_rel"]
+    ):
+        return ""
+    return (
+        f"warning: the network is worse than a constant depth map (delta1 {found['delta1']:.3f} and AbsRel "
+        f"{found['abs_rel']:.3f}; the map: {constant['delta1']:.3f} and {constant['abs_rel']:.3f}): it has "
+        "learned nothing that holds on these frames. Try a lower optimizer.lr, more trainer.epochs, or "
+        "trainer.max_grad_norm=1"
+    )
+
+
+def without_camera(train_set: DepthDataset) -> str:
+    """Return the name of a frame in meters without intrinsics; "" if the first of each source has them."""
+    parts = [train_set]
+    if isinstance(train_set, Mix):
+        parts = [source.frames for source in train_set.sources.values() if not source.relative]
+    return next((part.names[0] for part in parts if part.load_frame(0).intrinsics is None), "")
+
+
+def common_frames(train_set: DepthDataset, scored: DepthDataset) -> int:
+    """Return how many frames of ``scored`` are in ``train_set`` too: their scores measure memory, or luck."""
+    return len(identities(train_set).keys() & identities(scored).keys())
