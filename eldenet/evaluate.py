@@ -13,7 +13,6 @@ from omegaconf import MISSING
 import eldenet
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import listed
-from eldenet.configurable import instantiate
 from eldenet.data.splits import check_folders, split_settings
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
@@ -72,12 +71,13 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
         raise ValueError(
             f"output={folder} holds a training, whose run.json this would replace: give another folder"
         )
+    from eldenet.evaluation.splits import chosen_protocol
     from eldenet.results.run_log import RunLog, untrained_note
     from eldenet.results.score import score
     from eldenet.results.tables import closing_table
 
     resources = choose_resources(**s.runtime)
-    protocol = instantiate(s.protocol or s.data["protocol"], "protocol")
+    protocol = chosen_protocol(s.data, s.protocol)
     model = open_checkpoint(s, resources)
     folder.mkdir(parents=True, exist_ok=True)
     log = RunLog(folder)

@@ -88,7 +88,7 @@ def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
 
 
 def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], overrides: Sequence[str]) -> float:
-    from eldenet.evaluation.splits import open_splits
+    from eldenet.evaluation.splits import chosen_protocol, open_splits
     from eldenet.results.fingerprints import fingerprints
     from eldenet.results.run_log import RunLog
     from eldenet.results.score import score_best
@@ -108,7 +108,7 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
         return best_value
     checkpoint = checkpoint_to_resume(folder, s.ckpt_path, settings)
     resources = choose_resources(**s.runtime)
-    protocol = instantiate(s.protocol or s.data["protocol"], "protocol")
+    protocol = chosen_protocol(s.data, s.protocol)
     loss = instantiate(s.loss, "loss")
     trainer = instantiate(
         s.trainer,

@@ -14,14 +14,18 @@ from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, PROTOCOL, make_trainer
 
 import eldenet
-from eldenet.config import FOCAL_RANGE, build_protocol, canonical_camera, compose, config_folder, instantiate
+from eldenet.compose import FOCAL_RANGE, compose, config_folder
+from eldenet.configurable import instantiate
 from eldenet.data.mix import Mix
 from eldenet.evaluation.evaluator import evaluate, predict_depth
+from eldenet.evaluation.splits import chosen_protocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.refinement import JointBilateral
 from eldenet.system.resources import seed_everything
-from eldenet.training.run import without_camera
+from eldenet.train import TrainSettings
+from eldenet.training.initialization import canonical_camera
+from eldenet.training.notes import without_camera
 from eldenet.training.trainer import TrainingData
 
 CANONICAL = 0.8  # [widths]
@@ -37,8 +41,10 @@ def test_meters_are_canonical_depth_times_the_ratio_of_focal_lengths(name: str) 
     if name.startswith("se"):
         pytest.importorskip("timm")
     words = [f"model={name}", f"canonical_focal={CANONICAL}", f"data.input_size={list(SIZE)}"]
-    config = compose("train", words)
-    model = instantiate(config.model, **canonical_camera(config)).eval()
+    config = compose(TrainSettings, words)
+    model = instantiate(
+        config.model, **canonical_camera(config.canonical_focal, config.data["input_size"])
+    ).eval()
     assert model.canonical_px == pytest.approx(CANONICAL * SIZE[1])
     assert json.loads(json.dumps(model.config))["canonical_focal"] == CANONICAL
     images, focal = picture(*SIZE, batch=4), torch.tensor([16.0, 80.0, 0.0, math.nan])
@@ -90,9 +96,9 @@ def test_half_a_camera_is_refused(camera: tuple[float | None, int | None]) -> No
 
 
 def test_a_camera_in_widths_needs_a_width() -> None:
-    config = compose("train", ["canonical_focal=0.8", "data.input_size=null"])
+    config = compose(TrainSettings, ["canonical_focal=0.8", "data.input_size=null"])
     with pytest.raises(ValueError, match=r"canonical_focal is in widths .* data\.input_size"):
-        canonical_camera(config)
+        canonical_camera(config.canonical_focal, config.data["input_size"])
 
 
 def choices(group: str) -> list[str]:
@@ -120,8 +126,8 @@ HEADS_AND_DATA = [
 
 @pytest.mark.parametrize(("head", "data"), HEADS_AND_DATA)
 def test_heads_reach_every_depth_of_a_data_set_through_every_lens(head: str, data: str) -> None:
-    config = compose("train", [f"data={data}", f"model/head={head}", "canonical_focal=0.8"])
-    made = instantiate(config.model.head)
+    config = compose(TrainSettings, [f"data={data}", f"model/head={head}", "canonical_focal=0.8"])
+    made = instantiate(config.model["head"])
     for focal in FOCAL_RANGE:
         meters = np.array([made.min_depth, made.max_depth]) * focal / CANONICAL
         assert meters[0] <= config.data.min_depth * (1 + 1e-9)
@@ -137,23 +143,23 @@ def test_heads_reach_as_far_as_every_protocol_scores(name: str) -> None:
     ]
     for data in own or [SCORED.get(name, SCORED[name.split("_")[0]])]:
         words = [f"data={data}", f"protocol={name}", "canonical_focal=0.8", *LISTS.get(data, [])]
-        config = compose("train", words)
-        protocol, head = build_protocol(config), instantiate(config.model.head)
+        config = compose(TrainSettings, words)
+        protocol, head = chosen_protocol(config.data, config.protocol), instantiate(config.model["head"])
         farthest = config.data.max_depth if name in UNLIMITED else protocol.max_depth
         for focal in FOCAL_RANGE:
             assert head.max_depth * focal / CANONICAL >= farthest * (1 - 1e-9), data
 
 
 def test_without_a_canonical_camera_heads_keep_the_range_of_the_data() -> None:
-    config = compose("train", [])
-    head = instantiate(config.model.head)
+    config = compose(TrainSettings, [])
+    head = instantiate(config.model["head"])
     assert (head.min_depth, head.max_depth) == (config.data.min_depth, config.data.max_depth)
-    assert canonical_camera(config) == {}
+    assert canonical_camera(config.canonical_focal, config.data["input_size"]) == {}
 
 
 @pytest.mark.parametrize(("words", "zoom"), [([], "depth"), (["canonical_focal=0.8"], "focal")])
 def test_a_zoom_is_a_longer_lens_where_the_network_knows_lenses(words: list[str], zoom: str) -> None:
-    assert compose("train", words).augmentation.zoom == zoom
+    assert compose(TrainSettings, words).augmentation.zoom == zoom
 
 
 class Lenses(SyntheticDepth):

@@ -12,10 +12,13 @@ import pytest
 import torch
 from hydra.utils import get_object
 from support import layouts
+from support.composing import composed
 
-from eldenet.config import build_protocol, build_split, compose, config_folder, instantiate, plain
-from eldenet.configurable import Configurable
+from eldenet.compose import compose, compose_config, config_folder, plain
+from eldenet.configurable import Configurable, instantiate
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.system.resources import choose_resources
+from eldenet.train import TrainSettings
 
 CONFIGS = config_folder()
 
@@ -97,9 +100,9 @@ GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw"
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
-    given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["run_dir=x"]}.get(group, [])
+    given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["output=x"]}.get(group, [])
     given = given or GIVEN.get(choice, [])
-    config = compose(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
+    config = composed(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
     if group == "mode":  # written over the whole config
         return plain(config)
     if group == "debug":  # written over the whole config
@@ -158,8 +161,8 @@ def test_every_runtime_shows_every_option(choice: str) -> None:
 
 @pytest.mark.parametrize("experiment", choices("experiment"))
 def test_every_experiment_composes(experiment: str) -> None:
-    config = compose("train", [f"+experiment={experiment}"])
-    build_protocol(config)
+    config = compose(TrainSettings, [f"+experiment={experiment}"])
+    chosen_protocol(config.data, config.protocol)
     for name in ("data", "model", "loss", "optimizer", "scheduler", "trainer"):
         assert list(nodes(plain(config[name])))
 
@@ -168,7 +171,7 @@ def test_every_experiment_composes(experiment: str) -> None:
     "command", sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "base")
 )
 def test_every_command_composes(command: str) -> None:
-    config = compose(command, ["model=eldenet"] if command == "zoo" else [])
+    config = compose_config("zoo", ["model=eldenet"]) if command == "zoo" else composed(command)
     if command in OWN_PARTS:
         assert_every_option_is_shown(plain(config[OWN_PARTS[command]]), f"{command}.yaml")
 
@@ -178,7 +181,7 @@ def test_every_command_composes(command: str) -> None:
 )
 def test_a_typo_on_the_command_line_is_refused(wrong: str) -> None:
     with pytest.raises(ValueError, match=re.escape(wrong.split("=")[0]) + "|resnet19"):
-        compose("train", [wrong])
+        compose(TrainSettings, [wrong])
 
 
 @pytest.mark.parametrize("group", ["loss", "augmentation", "protocol", "model/head", "trainer"])
@@ -191,6 +194,6 @@ def test_a_typo_in_a_file_is_refused(group: str) -> None:
 @pytest.mark.parametrize("choice", choices("augmentation"))
 def test_every_augmentation_runs(choice: str, tmp_path: Path) -> None:
     layouts.folder(tmp_path)
-    config = compose("train", ["data=folder", f"data.root={tmp_path}", f"augmentation={choice}"])
-    sample = build_split(config, "train", build_protocol(config), augment=True)[0]
+    config = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", f"augmentation={choice}"])
+    sample = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=True)[0]
     assert sample["image"].shape == (3, *config.data.input_size)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.config import compose
+from eldenet.compose import compose
+from eldenet.train import TrainSettings
 
 PAGE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 EXAMPLE = (
@@ -75,7 +76,7 @@ def test_the_parts_of_contributing_train_together_and_another_project_loads_them
     printed(
         *("eldenet.train", "--config-dir", "my_configs", "debug=fast", "runtime.workers=0"),
         *("model/backbone=mine", "model/decoder=mine", "loss=mine", "data=mine", "data.root=frames"),
-        *("trainer.batch_size=2", "run_dir=run", "runtime.threads=1"),
+        *("trainer.batch_size=2", "output=run", "runtime.threads=1"),
     )
     assert "app ran Mine hello" in printed(str(tmp_path / "app.py"), "folder=run/model", "word=hello")
 
@@ -90,7 +91,7 @@ def test_a_loss_of_eight_lines_is_used_from_the_command_line(tmp_path: Path, mon
     assert len([line for line in code.splitlines() if line]) <= 8
     (tmp_path / "mine.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    loss = instantiate(compose("train", words.split()).loss)
+    loss = instantiate(compose(TrainSettings, words.split()).loss)
     target = torch.full((1, 1, 4, 4), 2.0)
     target[..., 0] = float("nan")  # masked pixels must not matter
     prediction = torch.full_like(target, 3.0, requires_grad=True)

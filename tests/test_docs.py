@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.composing import composed
 
 from eldenet.cli.commands import COMMANDS as ELDENET
-from eldenet.config import compose, config_folder
+from eldenet.compose import config_folder
 from eldenet.data import array_files
 from eldenet.data.prepare import PREPARED
 from eldenet.simulation.robot import ROBOT
@@ -68,7 +69,7 @@ def test_every_documented_command_has_settings_that_exist(line):
             continue  # need the [cluster] extra
         key, _, value = argument.partition("=")
         overrides.append(f"{key}={value.split(',')[0]}" if sweep else argument)
-    assert compose(name.removeprefix("eldenet.").replace("-", "_"), overrides) is not None
+    assert composed(name.removeprefix("eldenet."), overrides) is not None
 
 
 def test_documented_scripts_options_and_extras_exist():

@@ -69,10 +69,10 @@ def test_no_function_takes_more_than_eight_arguments() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "train {tiny} trainer.epochs=1 model=eldenet_s run_dir={out}/run",
-        "evaluate checkpoint=eldenet_rooms {tiny} run_dir={out}/scores",
+        "train {tiny} trainer.epochs=1 model=eldenet_s output={out}/run",
+        "evaluate checkpoint=eldenet_rooms {tiny} output={out}/scores",
         "predict checkpoint=eldenet_rooms source={photo} output={out}/predictions",
-        "navigate mode=evaluate density=[5] episodes=1 run_dir={out}/drive",
+        "navigate mode=evaluate density=[5] episodes=1 output={out}/drive",
     ],
     ids=lambda words: words.split()[0],
 )

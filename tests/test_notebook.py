@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from eldenet.config import compose
+from support.composing import composed
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 NOTEBOOK = REPOSITORY / "docs" / "notebooks" / "quickstart.ipynb"
@@ -34,7 +33,7 @@ def test_what_is_stored_is_small_and_clean():
 @pytest.mark.parametrize("text", SHELL, ids=lambda text: text.split()[3])
 def test_its_commands_have_settings_that_exist(text):
     for command, words in re.findall(r"python -m eldenet\.(\w+) (.*)", text):
-        assert compose(command, shlex.split(words)) is not None
+        assert composed(command, shlex.split(words)) is not None
 
 
 @pytest.mark.docs

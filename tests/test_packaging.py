@@ -68,7 +68,7 @@ def test_a_clean_environment_installs_and_trains(wheel, tmp_path):
     subprocess.run(
         [
             *(python, "-m", "eldenet.train", "data.size=[32,40]", "data.input_size=[32,40]"),
-            *("data.frames={train: 16, val: 8, test: 8}", "trainer.epochs=1", "run_dir=run"),
+            *("data.frames={train: 16, val: 8, test: 8}", "trainer.epochs=1", "output=run"),
         ],
         cwd=tmp_path,
         env=environment,

@@ -18,7 +18,7 @@ from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
 from eldenet.backbones.weights import read_weights
-from eldenet.config import build_training, compose
+from eldenet.compose import compose
 from eldenet.configurable import build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
@@ -28,6 +28,7 @@ from eldenet.heads import InverseHead, LinearHead, LogHead
 from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
 from eldenet.results.run_log import RunLog
+from eldenet.train import TrainSettings
 from eldenet.training.initialization import initial_model
 
 
@@ -186,12 +187,12 @@ def test_weights_that_are_not_finite_do_not_load(wrong: float, tmp_path: Path) -
 
 
 def test_a_training_starts_from_fitting_weights_only(tmp_path: Path) -> None:
-    config = compose("train", ["model=eldenet", "model_name=e", "weights=eldenet_rooms"])
+    s = compose(TrainSettings, ["model=eldenet", "weights=eldenet_rooms"])
     log = RunLog(tmp_path, quiet=True)
-    ours = initial_model(build_training(config, tmp_path), log).state_dict()
+    ours = initial_model(s.model, 0, s.weights, log=log).state_dict()
     assert all(
         torch.equal(ours[name], value) for name, value in eldenet.load("eldenet_rooms").state_dict().items()
     )
-    other = compose("train", ["model=resnet18_upconv", "model_name=r", "weights=eldenet_rooms"])
+    other = compose(TrainSettings, ["model=resnet18_upconv", "model_name=r", "weights=eldenet_rooms"])
     with pytest.raises(ValueError, match=r"eldenet_rooms: they fit only \d % of this network"):
-        initial_model(build_training(other, tmp_path), log)
+        initial_model(other.model, 0, other.weights)

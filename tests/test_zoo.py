@@ -129,7 +129,9 @@ def test_packaged_weights_predict_depth(name, cache):
     network, seen = name.rsplit("_", 1)
     few = ["data.frames.test=16", f"data.root={cache}"]
     config = cfg.compose("train", [f"data={seen}", *few])
-    frames = cfg.build_split(config, "test", cfg.build_protocol(config), score=True)
+    frames = cfg.open_split(
+        config.data, "test", cfg.chosen_protocol(config.data, config.protocol), score=True
+    )
     samples = [frames[index] for index in range(len(frames))]
     image, depth, mask = (
         torch.stack([sample[key] for sample in samples]) for key in ("image", "depth", "mask")

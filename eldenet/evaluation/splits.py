@@ -25,6 +25,12 @@ class Splits(NamedTuple):
     test: DepthDataset
 
 
+def chosen_protocol(data: Mapping[str, Any], protocol: Mapping[str, Any] | None) -> EvalProtocol:
+    """Return the protocol whose settings are given, else the data set's own."""
+    chosen: EvalProtocol = instantiate(protocol or data["protocol"], "protocol")
+    return chosen
+
+
 def open_splits(
     data: Mapping[str, Any],
     protocol: EvalProtocol,

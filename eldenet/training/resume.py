@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eldenet.configurable import instantiate
-from eldenet.evaluation.splits import open_split
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run
@@ -47,7 +46,7 @@ def check_finished(folder: Path, record: Mapping[str, Any], settings: Mapping[st
     if processes not in (None, number_of_processes()):
         different.append(f"processes={number_of_processes()} (there {processes})")
     if not different:
-        protocol = instantiate(settings["protocol"] or settings["data"]["protocol"], "protocol")
+        protocol = chosen_protocol(settings["data"], settings["protocol"])
         for split, name in (("train", "train_split_hash"), ("test", "split_hash")):
             found = open_split(settings["data"], split, protocol).split_hash
             if record.get(name, found) != found:

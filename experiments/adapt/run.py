@@ -21,7 +21,8 @@ import torch  # noqa: E402
 from places import CAMERAS, REAL, write_place  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.config import build_adaptation, build_calibration, compose  # noqa: E402
+from eldenet.compose import compose_config  # noqa: E402
+from eldenet.config import build_adaptation, build_calibration  # noqa: E402
 from eldenet.data.io import read_depth, read_image  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor, for_camera  # noqa: E402
 from eldenet.geometry import PinholeCamera, pinhole  # noqa: E402
@@ -99,7 +100,7 @@ def adapted(weights: str, place: str, block: int, seed: int, epochs: int) -> lis
     settings += ["runtime.threads=1", "runtime.workers=0", "runtime.precision=fp32", "runtime.device=cpu"]
     before = score(weights, source, report, camera).mean(axis=0)
     try:
-        better = adapt(build_adaptation(compose("adapt", settings), run))
+        better = adapt(build_adaptation(compose_config("adapt", settings), run))
         kept = read_record(run / RUN_FILE)["tuned"] if better else "no"
         after = score(run, source, report, camera).mean(axis=0)
     except ValueError as error:
@@ -141,7 +142,7 @@ def calibrated(weights: str, place: str, block: int, *, pitch: bool) -> list[obj
     before = np.median(score(weights, source, report, camera)[:, 2])
     scale = ""
     try:
-        kept = calibrate(build_calibration(compose("adapt", settings), run))
+        kept = calibrate(build_calibration(compose_config("adapt", settings), run))
         outcome = "kept" if kept else "not kept"
         after = np.median(score(run, source, report, camera)[:, 2])
     except ValueError as error:

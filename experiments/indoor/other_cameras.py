@@ -14,11 +14,13 @@ from pathlib import Path
 import torch
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.base import DepthDataset
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.system.files import read_table, write_rows
+from eldenet.train import TrainSettings
 
 STORED = Path(__file__).with_name("other_cameras.csv")
 FIGURES = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
@@ -41,11 +43,11 @@ def frames_of(place: str, rows: int) -> tuple[DepthDataset, EvalProtocol]:
         table.flush()
         data = ["data=folder", f"data.root={root}", f"data.csv={table.name}", f"data.intrinsics={intrinsics}"]
         config = compose(
-            "train", [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
+            TrainSettings, [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
         )
-        protocol = build_protocol(config)
+        protocol = chosen_protocol(config.data, config.protocol)
         config.data.val.split = "all"
-        return build_split(config, "val", protocol), protocol
+        return open_split(config.data, "val", protocol), protocol
 
 
 def score(source: str, place: str) -> list[float]:

@@ -16,12 +16,14 @@ import torch
 from other_cameras import PLACES
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.io import read_depth, read_image
 from eldenet.deploy.predictor import DepthPredictor
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.run_record import environment
 from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
+from eldenet.train import TrainSettings
 
 EDGE = 1.15  # ratio of neighboring depths at an edge
 NEAR = 9  # side of the square around an edge [px]
@@ -32,8 +34,8 @@ Shot = tuple[np.ndarray, np.ndarray, tuple[float, ...]]
 
 def nyu() -> Iterator[Shot]:
     """Two of three held-out frames; the others chose the constants of sharpening."""
-    config = compose("train", ["data=nyu_labelled"])
-    frames = build_split(config, "val", build_protocol(config))
+    config = compose(TrainSettings, ["data=nyu_labelled"])
+    frames = open_split(config.data, "val", chosen_protocol(config.data, config.protocol))
     for index in range(len(frames)):
         if index % 3:
             frame = frames.load_frame(index)

@@ -18,10 +18,12 @@ import torch
 from torch import nn
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
+from eldenet.evaluate import EvaluateSettings
 from eldenet.evaluation.bootstrap import bootstrap_interval
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.tables import to_markdown
 from eldenet.system.files import read_table, write_rows
 
@@ -107,8 +109,10 @@ def load(source: str) -> eldenet.DepthNet:
 
 def mean_street() -> nn.Module:
     """Return the constant predictor: the mean depth map of rendered streets, `data=streets`."""
-    config = compose("evaluate", ["checkpoint=none", "data=streets"])
-    return fit_constant_predictor(build_split(config, "train", build_protocol(config), frames=512))
+    config = compose(EvaluateSettings, ["checkpoint=none", "data=streets"])
+    return fit_constant_predictor(
+        open_split(config.data, "train", chosen_protocol(config.data, config.protocol), frames=512)
+    )
 
 
 def score(model: nn.Module, frames: Frames, size: Sequence[int], scale: str) -> list[list[str]]:
@@ -122,13 +126,13 @@ def score(model: nn.Module, frames: Frames, size: Sequence[int], scale: str) -> 
     """
     root = Path(os.environ["ELDENET_DATA"]) / "kitti"
     overrides = [override.format(root=root) for override in frames.overrides]
-    config = compose("evaluate", ["checkpoint=none", *overrides, f"data.input_size={list(size)}"])
-    protocol = build_protocol(config)
+    config = compose(EvaluateSettings, ["checkpoint=none", *overrides, f"data.input_size={list(size)}"])
+    protocol = chosen_protocol(config.data, config.protocol)
     if frames.split is not None:
         config.data.test.split = frames.split
     found = evaluate(
         model,
-        build_split(config, "test", protocol, score=True),
+        open_split(config.data, "test", protocol, score=True),
         replace(protocol, scale=scale),
         batch_size=1,
     )

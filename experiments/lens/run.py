@@ -21,15 +21,17 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.config import build_protocol, build_split, compose  # noqa: E402
+from eldenet.compose import compose  # noqa: E402
 from eldenet.data.io import read_depth, read_image  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
+from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
 from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
 from eldenet.results.plots import pyplot_for_files  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.system.files import part_file, read_table, write_rows  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
+from eldenet.train import TrainSettings  # noqa: E402
 from eldenet.types import Frame  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -64,10 +66,10 @@ def frames_of(place: str, count: int | None, part: str = "val") -> tuple[EvalPro
     given = (
         ["data=nyu_labelled", f"data.val.split={part}"] if place == "nyu" else ["data=folder", "data.root=."]
     )
-    config = compose("train", given)
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, given)
+    protocol = chosen_protocol(config.data, config.protocol)
     if place == "nyu":
-        split = build_split(config, "val", protocol)
+        split = open_split(config.data, "val", protocol)
         frames = [split.load_frame(index) for index in spread(len(split), count)]
         return protocol, frames
     root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"

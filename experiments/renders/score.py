@@ -12,9 +12,11 @@ from pathlib import Path
 import torch
 
 import eldenet
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.system.files import read_table, write_rows
+from eldenet.train import TrainSettings
 
 HERE = Path(__file__).parent
 STORED = HERE / "results.csv"
@@ -28,9 +30,11 @@ def score(name: str, source: str, split: str) -> list[float]:
     """
     model = eldenet.load(source)
     size = list(model.info["input_size"])
-    config = compose("train", ["data=nyu_labelled", f"data.input_size={size}", f"data.val.split={split}"])
-    protocol = build_protocol(config)
-    frames, found = build_split(config, "val", protocol), []
+    config = compose(
+        TrainSettings, ["data=nyu_labelled", f"data.input_size={size}", f"data.val.split={split}"]
+    )
+    protocol = chosen_protocol(config.data, config.protocol)
+    frames, found = open_split(config.data, "val", protocol), []
     per_frame = [[frame] for frame in frames.names]
     columns = [PER_IMAGE_HEADER.index(metric) for metric in ("delta1", "abs_rel")]
     for scale in ("metric", "median"):

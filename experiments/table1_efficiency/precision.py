@@ -11,16 +11,19 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet.config import build_export, build_protocol, build_split, compose
+from eldenet.compose import compose, compose_config
+from eldenet.config import build_export
 from eldenet.data.base import DepthDataset
 from eldenet.deploy import runtimes
 from eldenet.deploy.exporting import export
 from eldenet.deploy.files import differences
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.run_record import environment
 from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
+from eldenet.train import TrainSettings
 
 HERE = Path(__file__).parent
 WORK = Path("runs/table1_efficiency/precision")
@@ -39,10 +42,10 @@ def main() -> None:
     checkpoint = sys.argv[1]
     model = eldenet.load(checkpoint)
     height, width = model.info["input_size"]
-    config = compose("train", ["data=nyu_labelled", f"data.input_size=[{height},{width}]"])
-    protocol = build_protocol(config)
-    val_set = build_split(config, "val", protocol, score=True)
-    pictures = build_split(config, "train", protocol).root / "data/nyu2_train/labeled_out/*.jpg"
+    config = compose(TrainSettings, ["data=nyu_labelled", f"data.input_size=[{height},{width}]"])
+    protocol = chosen_protocol(config.data, config.protocol)
+    val_set = open_split(config.data, "val", protocol, score=True)
+    pictures = open_split(config.data, "train", protocol).root / "data/nyu2_train/labeled_out/*.jpg"
     delta1 = PER_IMAGE_HEADER.index("delta1")
     exact = depth_maps(model.eval(), val_set)
     reference, rows = None, []
@@ -52,7 +55,7 @@ def main() -> None:
             output = WORK / f"{runtime}-{precision}{'.onnx' if kind == 'onnx' else '.xml'}"
             words = [f"checkpoint='{checkpoint}'", f"format={kind}", f"precision={precision}", "checks=1"]
             words += [f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"]
-            export(build_export(compose("export", words)))
+            export(build_export(compose_config("export", words)))
             network = RuntimeNetwork(runtimes.load(output, runtime, precision, threads=1))
         result = evaluate(network, val_set, protocol, batch_size=1)
         values = np.array([[float(row[delta1]) for row in result.rows]])

@@ -10,7 +10,8 @@ from pathlib import Path
 import yaml
 
 import eldenet
-from eldenet.config import build_benchmark, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_benchmark
 from eldenet.deploy.benchmarking.measure import COLUMNS
 from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies, text_of
@@ -32,7 +33,7 @@ def main() -> None:
         settings["models"] = [model for model in settings["models"] if model in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
         # a folder of its own: a column compares rows that were measured in the same rounds
-        setup = build_benchmark(compose("benchmark", [*words, *overrides, f"output='{work}/{name}'"]))
+        setup = build_benchmark(compose_config("benchmark", [*words, *overrides, f"output='{work}/{name}'"]))
         first = first or setup
         tables[name] = benchmark(setup)
     missing = [name for name in listed["models"] if name not in there]

@@ -8,7 +8,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from eldenet.config import compose, plain
+from eldenet.compose import compose_config, plain
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
@@ -131,12 +131,12 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
     """
     policy, note = folder / "policy.safetensors", folder / "training.json"
     if not policy.is_file():
-        command = [sys.executable, "-m", "eldenet.navigate", "mode=train", *options, f"run_dir={folder}"]
+        command = [sys.executable, "-m", "eldenet.navigate", "mode=train", *options, f"output={folder}"]
         subprocess.run(command, check=True)
     if not note.is_file():
         raise ValueError(f"{folder} holds a policy without training.json, so its settings are unknown")
     made = read_json(note)
-    config = compose("navigate", ["mode=train", *options])
+    config = compose_config("navigate", ["mode=train", *options])
     asked = json.loads(json.dumps(comparable({name: plain(config[name]) for name in COMPARED})))
     there = {"goal": "known"} | comparable(renamed(made["config"]))
     others = [name for name in asked if there.get(name) != asked[name]]

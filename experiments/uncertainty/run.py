@@ -22,7 +22,7 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.config import build_protocol, build_split, compose  # noqa: E402
+from eldenet.compose import compose  # noqa: E402
 from eldenet.data.base import DepthDataset  # noqa: E402
 from eldenet.data.loaders import collate  # noqa: E402
 from eldenet.data.nyu import VAL_FRAMES  # noqa: E402
@@ -30,12 +30,14 @@ from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.evaluation.calibration import fit_temperature  # noqa: E402
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
+from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
 from eldenet.evaluation.uncertainty_metrics import PROTOCOL, UncertaintyMeter, UncertaintyScores  # noqa: E402
 from eldenet.model import DepthNet  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.results.uncertainty_plots import reliability_plot, sparsification_plot  # noqa: E402
 from eldenet.system.files import read_table, write_json, write_rows, write_text  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
+from eldenet.train import TrainSettings  # noqa: E402
 
 HERE = Path(__file__).parent
 LEAST_SPREAD = 1e-4  # of the mirror-image trick, where both predictions agree
@@ -90,10 +92,10 @@ def score(model: DepthNet, frames: DepthDataset, protocol: EvalProtocol) -> Scor
 def nyu(split: str) -> tuple[DepthDataset, EvalProtocol]:
     """Frames of a part of the labeled set, with their own depth."""
     config = compose(
-        "train", ["+experiment=nyu_study", "model_name=any", "run_dir=any", f"data.val.split={split}"]
+        TrainSettings, ["+experiment=nyu_study", "model_name=any", "output=any", f"data.val.split={split}"]
     )
-    protocol = build_protocol(config)
-    return build_split(config, "val", protocol), protocol
+    protocol = chosen_protocol(config.data, config.protocol)
+    return open_split(config.data, "val", protocol), protocol
 
 
 def other_camera(place: str) -> tuple[DepthDataset, EvalProtocol]:
@@ -106,10 +108,10 @@ def other_camera(place: str) -> tuple[DepthDataset, EvalProtocol]:
         table.flush()
         data = ["data=folder", f"data.root={root}", f"data.csv={table.name}", f"data.intrinsics={intrinsics}"]
         words = [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
-        config = compose("train", [*words, "model_name=any", "run_dir=any"])
-        protocol = build_protocol(config)
+        config = compose(TrainSettings, [*words, "model_name=any", "output=any"])
+        protocol = chosen_protocol(config.data, config.protocol)
         config.data.val.split = "all"
-        return build_split(config, "val", protocol), protocol
+        return open_split(config.data, "val", protocol), protocol
 
 
 def measure(run: Path, folder: Path) -> None:

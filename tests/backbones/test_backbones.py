@@ -20,8 +20,7 @@ from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
 from eldenet.backbones.weights import read_weights
-from eldenet.configurable import build
-from eldenet.system.checks import check_arguments
+from eldenet.configurable import build, check_arguments
 
 FOLDER = Path(__file__).parents[2] / "configs" / "model" / "backbone"
 CONFIGS = {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}

@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from eldenet.training.run import train
 from support import layouts
 
 import eldenet
-from eldenet.config import build_training, compose, instantiate
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.evaluation.evaluator import evaluate
-from eldenet.training.run import train
+from eldenet.train import TrainSettings
 
 TINY = (
     "data.size=[32,40]",
@@ -30,7 +32,7 @@ TINY = (
 def trained(tmp_path_factory, command_server) -> Path:
     """A run folder, made by the command itself with the workers that it chooses."""
     folder = tmp_path_factory.mktemp("elsewhere")
-    words = (*TINY, "runtime.workers=auto", "run_dir=run")
+    words = (*TINY, "runtime.workers=auto", "output=run")
     finished = command_server.run("eldenet.train", words, folder)
     assert finished.returncode == 0, finished.stderr
     for text in ("epoch", "AbsRel", "constant", "params", "protocol rooms", "run.json"):
@@ -57,7 +59,7 @@ def test_train_writes_every_promised_file_and_field(trained):
 
 def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command):
     finished = run_command(
-        "evaluate", f"checkpoint={trained}", *TINY[:4], "run_dir=evaluation", cwd=trained.parent
+        "evaluate", f"checkpoint={trained}", *TINY[:4], "output=evaluation", cwd=trained.parent
     )
     assert finished.returncode == 0, finished.stderr
     # and no model/, which an evaluation does not write
@@ -144,7 +146,7 @@ def test_frames_that_cannot_be_scored_are_refused_before_the_first_epoch(tmp_pat
     root = layouts.folder(tmp_path / "data")
     words = ["data=folder", f"data.root={root}", "model=eldenet_s", "model_name=s", "protocol=folder", rule]
     with pytest.raises(ValueError, match=re.escape(message)):
-        train(build_training(compose("train", words), tmp_path / "run"))
+        train(compose(TrainSettings, [*words, f"output={tmp_path / 'run'}"]))
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 
@@ -152,7 +154,7 @@ def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
     assert run_command("train", "trainer.monitor=accuracy").returncode == 1
     assert not list(tmp_path.glob("runs/*"))
     (tmp_path / "mine").mkdir()
-    assert run_command("train", "trainer.monitor=accuracy", "run_dir=mine").returncode == 1
+    assert run_command("train", "trainer.monitor=accuracy", "output=mine").returncode == 1
     assert (tmp_path / "mine").is_dir()  # named by the user
     assert run_command("report", "runs=[nowhere]", cwd=tmp_path / "mine").returncode == 1
     assert (tmp_path / "mine").is_dir()  # where a command without a run folder was typed
@@ -164,7 +166,7 @@ def test_a_run_folder_holds_one_run(trained, run_command):
         (("evaluate", f"checkpoint={trained}", *TINY[:4]), "holds a training"),
     ):
         before = (trained / "run.json").read_bytes()
-        finished = run_command(*command, f"run_dir={trained}")
+        finished = run_command(*command, f"output={trained}")
         assert finished.returncode == 1
         assert message in finished.stderr
         assert (trained / "run.json").read_bytes() == before
@@ -173,7 +175,7 @@ def test_a_run_folder_holds_one_run(trained, run_command):
 def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_command):
     finished = run_command(
         *("evaluate", f"checkpoint={trained}", "data.size=[32,40]", "data.input_size=[16,20]", *TINY[2:4]),
-        *("split=train", "run_dir=a run/of mine"),
+        *("split=train", "output=a run/of mine"),
         cwd=trained.parent,
     )
     assert finished.returncode == 0, finished.stderr
@@ -188,7 +190,7 @@ def test_evaluate_scores_the_training_split_at_its_own_resolution(trained, run_c
 
 @pytest.mark.parametrize(("choice", "size"), [("data", [16, 20]), ("[24,28]", [24, 28])])
 def test_evaluate_at_another_size_and_of_an_untrained_network(run_command, tmp_path, choice, size):
-    words = ("data.input_size=[16,20]", f"input_size={choice}", "run_dir=run")
+    words = ("data.input_size=[16,20]", f"input_size={choice}", "output=run")
     finished = run_command("evaluate", "checkpoint=eldenet_s", *TINY[:4], *words)
     assert finished.returncode == 0, finished.stderr
     assert "eldenet_s is a freshly initialized network" in finished.stdout
@@ -205,7 +207,7 @@ def test_evaluate_scores_exported_files(trained, run_command):
     )
     assert finished.returncode == 0, finished.stderr
     finished = run_command(
-        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:4], "run_dir=of_the_file"),
+        *("evaluate", f"checkpoint={exported}", "engine=onnxruntime", *TINY[:4], "output=of_the_file"),
         cwd=trained.parent,
     )
     assert finished.returncode == 0, finished.stderr
@@ -231,7 +233,7 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
         [
             *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
             *("-m", "eldenet.train", *TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:]),
-            *("runtime.threads=1", "trainer.monitor=abs_rel", "run_dir=run"),
+            *("runtime.threads=1", "trainer.monitor=abs_rel", "output=run"),
         ],
         cwd=tmp_path,
         env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},
@@ -245,7 +247,7 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
     run = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run["metrics"]["images"] == 8
     # both halves of the validation were scored with the weights and statistics that were saved
-    data = compose("train", [*TINY[:2], f"data.root={cache}"]).data
+    data = compose(TrainSettings, [*TINY[:2], f"data.root={cache}"]).data
     val_set = instantiate(data.val, frames=7, resize_depth=False)
     saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data.protocol)).metrics
     assert run["training"]["best_value"] == pytest.approx(saved["abs_rel"], rel=1e-6)

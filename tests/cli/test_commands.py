@@ -15,9 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support.composing import composed
 
 from eldenet.cli.commands import COMMANDS, command_list, completion, module_of, unknown
-from eldenet.config import compose, config_folder
+from eldenet.compose import config_folder
 
 LINE = [sys.executable, "-c", "from eldenet.cli.commands import main; main()"]
 
@@ -173,11 +174,9 @@ RUN_FOLDERS = ("train", "adapt", "evaluate", "check_data", "navigate")
 
 
 @pytest.mark.parametrize("command", [*RUN_FOLDERS, "predict"])
-@pytest.mark.parametrize("name", ["output", "run_dir"])
-def test_output_names_the_folder_and_run_dir_is_the_same(command, name):
-    read = "output" if command == "predict" else "run_dir"
+def test_output_names_the_folder(command):
     given = {"evaluate": ["checkpoint=a"], "predict": ["checkpoint=a", "source=b"]}.get(command, [])
-    assert compose(command, [*given, f"{name}=here"])[read] == "here"
+    assert composed(command, [*given, "output=here"])["output"] == "here"
 
 
 def test_output_names_the_folder_of_a_sweep(run_command, tmp_path):
@@ -189,6 +188,6 @@ def test_output_names_the_folder_of_a_sweep(run_command, tmp_path):
 
 
 def test_the_folder_has_one_name(run_command):
-    finished = run_command("train", "output=a", "run_dir=b")
+    finished = run_command("train", "output=a", "output=b")
     assert finished.returncode == 1
     assert finished.stderr == "error: output and run_dir are the same setting: give output alone\n"

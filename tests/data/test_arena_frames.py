@@ -7,14 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import DEPTH_STEP
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.simulation import arena_view
 from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena
 from eldenet.simulation.arenas import Arena, generate_arena
 from eldenet.simulation.obstacle import Obstacle
 from eldenet.simulation.robot import ROBOT
+from eldenet.train import TrainSettings
 
 SIZE = (36, 48)
 
@@ -99,10 +101,10 @@ def test_the_data_set_reads_what_was_rendered(dataset):
 
 def test_data_arenas_composes_builds_and_can_be_scored(root):
     small = ["data=arenas", f"data.root={root}", f"data.size={list(SIZE)}", f"data.input_size={list(SIZE)}"]
-    config = compose("train", [*small, "data.frames={train: 8, val: 8, test: 8}"])
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, [*small, "data.frames={train: 8, val: 8, test: 8}"])
+    protocol = chosen_protocol(config.data, config.protocol)
     assert protocol.name == "arenas"
-    splits = {name: build_split(config, name, protocol) for name in ("train", "val", "test")}
+    splits = {name: open_split(config.data, name, protocol) for name in ("train", "val", "test")}
     assert len({name for split in splits.values() for name in split.names}) == 24
     sample = splits["test"][0]
     assert protocol.valid_mask(sample["depth"][None], sample["mask"][None]).float().mean() > 0.3

@@ -12,7 +12,7 @@ from support.damaged_layouts import LAYOUTS
 from support.frame_caches import count_reads, reads_of, same
 from support.synthetic import SyntheticDepth
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data import cache as cache_module
 from eldenet.data.base import DepthDataset
 from eldenet.data.cityscapes import CityscapesMTAN
@@ -21,6 +21,8 @@ from eldenet.data.io import ENCODINGS
 from eldenet.data.kitti import KITTIRaw
 from eldenet.data.nyu import NYULabelled
 from eldenet.data.nyu_hdf5 import NYUMat
+from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.train import TrainSettings
 
 pytestmark = pytest.mark.usefixtures("store_folder")
 
@@ -30,12 +32,17 @@ pytestmark = pytest.mark.usefixtures("store_folder")
 def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(layouts, "KITTI_SIZES", {"2011_09_26": (60, 80), "2011_09_28": (56, 84)})
     layout = LAYOUTS[name]
-    config = compose("train", layout.given(tmp_path))
+    config = compose(TrainSettings, layout.given(tmp_path))
     part = config.data[layout.split]
 
     def build(cache: str, resize_on_load: tuple[int, int] | None) -> DepthDataset:
         part.cache, part.resize_on_load = cache, resize_on_load
-        return build_split(config, layout.split, build_protocol(config), augment=layout.split == "train")
+        return open_split(
+            config.data,
+            layout.split,
+            chosen_protocol(config.data, config.protocol),
+            augment=layout.split == "train",
+        )
 
     # frames of their own sizes, as KITTI's, and frames made small
     for size in (None, (30, 40)):

@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 from support import layouts
 
-from eldenet.config import build_check_data, build_protocol, build_split, compose
+from eldenet.compose import compose, compose_config
+from eldenet.config import build_check_data
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split
 from eldenet.data.splits import evenly_spaced
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.data_check import check
-from eldenet.training.run import common_frames
+from eldenet.train import TrainSettings
+from eldenet.training.notes import common_frames
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
-    good = check(build_check_data(compose("check_data", [*overrides, f"run_dir={folder}"])))
+    good = check(build_check_data(compose_config("check_data", [*overrides, f"output={folder}"])))
     return good, json.loads((folder / "check.json").read_text())
 
 
@@ -109,9 +112,10 @@ def test_frames_of_one_name_in_two_folders_are_two(tmp_path: Path) -> None:
         "train and test: 9 frames are in both:",
         "val and test: 1 frames are in both:",
     ]
-    config = compose("train", [*words, "data.test_split=all"])
+    config = compose(TrainSettings, [*words, "data.test_split=all"])
     train, val, test = (
-        build_split(config, name, build_protocol(config)) for name in ("train", "val", "test")
+        open_split(config.data, name, chosen_protocol(config.data, config.protocol))
+        for name in ("train", "val", "test")
     )
     assert (common_frames(train, val), common_frames(train, test)) == (0, 9)
 
@@ -136,7 +140,7 @@ def test_rooms_are_checked_too(tmp_path: Path, cache: str) -> None:
 
 def test_the_command_ends_with_1(tmp_path: Path, run_command) -> None:
     root = layouts.folder(tmp_path / "data")
-    arguments = ["data=folder", f"data.root={root}", "run_dir=out"]
+    arguments = ["data=folder", f"data.root={root}", "output=out"]
     assert run_command("check_data", *arguments).returncode == 0
     (root / "images/f000.png").unlink()
     finished = run_command("check_data", *arguments)

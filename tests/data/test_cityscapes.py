@@ -10,10 +10,12 @@ import pytest
 import torch
 from support import layouts
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
+from eldenet.evaluate import EvaluateSettings
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.tables import heading, protocol_line
 
 FULL = layouts.content((1024, 2048))
@@ -124,10 +126,10 @@ def test_mtan_errors_are_those_of_its_values(tmp_path: Path, scale: float) -> No
     """abs err and rel err as papers compute them from v, whatever baseline and focal are taken to be."""
     root = layouts.cityscapes_mtan(tmp_path)
     overrides = ["checkpoint=x", "data=cityscapes_mtan", f"data.root={root}", f"data.inverse_scale={scale}"]
-    config = compose("evaluate", overrides)
-    protocol = build_protocol(config)
+    config = compose(EvaluateSettings, overrides)
+    protocol = chosen_protocol(config.data, config.protocol)
     assert protocol.inverse_scale == scale
-    sample = build_split(config, "test", protocol)[0]
+    sample = open_split(config.data, "test", protocol)[0]
     truth = torch.from_numpy(np.load(root / "val/depth/0.npy"))[..., 0].double()
     guess = torch.full_like(truth, 0.05)
     meters = (scale * 65535 / (65535 * guess - 1)).float()

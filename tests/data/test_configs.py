@@ -10,9 +10,11 @@ import torch
 from support import layouts
 from torch.utils.data import DataLoader
 
-from eldenet.config import FOCAL_RANGE, build_protocol, build_split, compose, config_folder, plain
+from eldenet.compose import FOCAL_RANGE, compose, config_folder, plain
 from eldenet.data.base import DepthDataset
 from eldenet.data.folder import FolderDataset
+from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.train import TrainSettings
 
 FULL = layouts.content((480, 640))
 TREES: dict[str, Callable[[Path], list[str]]] = {
@@ -67,10 +69,10 @@ def given(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_data_builds_and_can_be_scored(given: list[str]) -> None:
-    config = compose("train", given)
-    protocol = build_protocol(config)
-    train = build_split(config, "train", protocol, augment=True)
-    parts = {split: build_split(config, split, protocol) for split in ("val", "test")}
+    config = compose(TrainSettings, given)
+    protocol = chosen_protocol(config.data, config.protocol)
+    train = open_split(config.data, "train", protocol, augment=True)
+    parts = {split: open_split(config.data, split, protocol) for split in ("val", "test")}
     assert not set(train.names) & set(parts["val"].names)
     assert train[0]["image"].shape == (3, *config.data.input_size)
     assert train[0]["depth"].shape == (1, *config.data.input_size)
@@ -93,10 +95,10 @@ UNKNOWN_CAMERAS = {
 
 def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
     """Its focal length is that of a lens from ultra-wide to tele, its center is in the middle."""
-    config = compose("train", given)
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, given)
+    protocol = chosen_protocol(config.data, config.protocol)
     for split in ("train", "val", "test"):
-        sample = build_split(config, split, protocol, augment=split == "train")[0]
+        sample = open_split(config.data, split, protocol, augment=split == "train")[0]
         (fx, _, cx), (_, fy, cy), _ = sample["intrinsics"].tolist()
         if config.data.name in UNKNOWN_CAMERAS:
             assert fx == 0
@@ -111,8 +113,8 @@ def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
 def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
     given = [word for word in given if not re.match(r"data\.(root|selection_root|test_root)=", word)]
     monkeypatch.delenv("ELDENET_DATA", raising=False)
-    config = compose("train", given)
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, given)
+    protocol = chosen_protocol(config.data, config.protocol)
     for root, message in (
         (None, r"set data\.\w*root"),
         (f"{tmp_path}/nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
@@ -120,16 +122,16 @@ def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkey
     ):
         config.data.root = root
         with pytest.raises((FileNotFoundError, ValueError), match=message):
-            build_split(config, "train", protocol)
+            open_split(config.data, "train", protocol)
     config.data.train.split = "testing"
     with pytest.raises(ValueError, match="split='testing'"):
-        build_split(config, "train", protocol)
+        open_split(config.data, "train", protocol)
 
 
 def test_worker_processes_read_the_same_frames(given: list[str]) -> None:
     """From a copy too; open files of this process are not theirs."""
-    config = compose("train", given)
-    data = build_split(config, "train", build_protocol(config))
+    config = compose(TrainSettings, given)
+    data = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
     alone = [data[index]["depth"] for index in range(len(data))]
     copy = pickle.loads(pickle.dumps(data))
     assert torch.equal(copy[len(data) - 1]["depth"], alone[-1])
@@ -139,13 +141,13 @@ def test_worker_processes_read_the_same_frames(given: list[str]) -> None:
 
 def test_subset_draws_whole_frames(given: list[str]) -> None:
     split = "val" if "data=kitti_selection" in given else "train"
-    config = compose("train", given)
-    protocol = build_protocol(config)
-    whole = build_split(config, split, protocol)
+    config = compose(TrainSettings, given)
+    protocol = chosen_protocol(config.data, config.protocol)
+    whole = open_split(config.data, split, protocol)
 
     def subset(span: int | list[int], seed: int) -> DepthDataset:
         config.data.subset[split], config.data.subset_seed = span, seed
-        return build_split(config, split, protocol)
+        return open_split(config.data, split, protocol)
 
     for seed in range(3):
         drawn = subset(1, seed)
@@ -181,10 +183,10 @@ def test_the_papers_set_ups(
 ) -> None:
     if experiment == "kitti_paper":
         layouts.kitti_depth(tmp_path, kind="velodyne_raw")
-    config = compose("train", [f"+experiment={experiment}", f"data.root={tree(tmp_path)}", *overrides])
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, [f"+experiment={experiment}", f"data.root={tree(tmp_path)}", *overrides])
+    protocol = chosen_protocol(config.data, config.protocol)
     assert protocol.name == experiment
-    splits = {split: build_split(config, split, protocol) for split in ("train", "val", "test")}
+    splits = {split: open_split(config.data, split, protocol) for split in ("train", "val", "test")}
     assert not set(splits["train"].names) & (set(splits["val"].names) | set(splits["test"].names))
     for data in splits.values():
         assert data[0]["image"].shape[1:] == data[0]["depth"].shape[1:] == protocol.size
@@ -194,11 +196,11 @@ def test_the_protocol_alone_says_what_is_scored(tmp_path: Path) -> None:
     root = layouts.kitti_depth(tmp_path)
     pixels = []
     for far in (80, 20):
-        config = compose("train", ["data=kitti", f"data.root={root}", f"data.max_depth={far}"])
-        protocol = build_protocol(config)
-        sample = build_split(config, "test", protocol)[0]
+        config = compose(TrainSettings, ["data=kitti", f"data.root={root}", f"data.max_depth={far}"])
+        protocol = chosen_protocol(config.data, config.protocol)
+        sample = open_split(config.data, "test", protocol)[0]
         pixels.append(int(protocol.valid_mask(sample["depth"][None], sample["mask"][None]).sum()))
-        assert build_split(config, "train", protocol)[0]["depth"].max() <= far
+        assert open_split(config.data, "train", protocol)[0]["depth"].max() <= far
     assert pixels[0] == pixels[1] > 0
 
 
@@ -207,8 +209,8 @@ def test_test_frames_of_another_folder(tmp_path: Path) -> None:
     root, other = layouts.folder(tmp_path / "mine"), layouts.folder(tmp_path / "other")
 
     def test_split(*words: str) -> FolderDataset:
-        config = compose("train", ["data=folder", f"data.root={root}", *words])
-        return build_split(config, "test", build_protocol(config))
+        config = compose(TrainSettings, ["data=folder", f"data.root={root}", *words])
+        return open_split(config.data, "test", chosen_protocol(config.data, config.protocol))
 
     every = len(list((other / "images").iterdir()))
     test = test_split(f"data.test_root={other}")
@@ -221,11 +223,11 @@ def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None
     """``resize_on_load`` must not shrink the frames that the protocol halves and crops."""
     overrides = ["data=nyu_mat", f"data.root={mat_with_all_splits(tmp_path)}", "protocol=nyu_paper"]
     overrides.append("data.ground_truth=inpainted")
-    config = compose("train", overrides)
-    protocol = build_protocol(config)
+    config = compose(TrainSettings, overrides)
+    protocol = chosen_protocol(config.data, config.protocol)
     assert config.data.train.resize_on_load == config.data.input_size
-    small = build_split(config, "train", protocol)
-    whole = build_split(config, "val", protocol)[0]
+    small = open_split(config.data, "train", protocol)
+    whole = open_split(config.data, "val", protocol)[0]
     assert whole["depth"].shape == (1, 228, 304)
     # the focal length [px] tells how much of the frame is seen: halved, cropped, then resized
     expected = 518.8579 / 2 * config.data.input_size[1] / 304
@@ -234,13 +236,13 @@ def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None
 
 def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
     layouts.folder(tmp_path)
-    config = compose("train", ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
+    config = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
     config.data.ground_truth = "inpainted"
-    protocol = build_protocol(config)
+    protocol = chosen_protocol(config.data, config.protocol)
     assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
     assert plain(config.model.head)["max_depth"] == 5
-    typo = compose("train", ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
+    typo = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
     with pytest.raises(ValueError, match="no_such_option"):
-        build_split(typo, "train", protocol)
+        open_split(typo.data, "train", protocol)
     with pytest.raises(FileNotFoundError, match=r"set data\.root"):
-        build_split(compose("train", ["data=folder"]), "train", protocol)
+        open_split(compose(TrainSettings, ["data=folder"]).data, "train", protocol)

@@ -16,14 +16,16 @@ from support import layouts
 from support.damaged_layouts import LAYOUTS, NYU_FRAME, Target, folder_of
 from support.damages import exr, pfm
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
+from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.train import TrainSettings
 
 RNG = np.random.default_rng
 
 
 def samples(config: Any, split: str = "train") -> tuple[Any, list[dict[str, Any]]]:
     """A split as a command builds it, and everything in it."""
-    data = build_split(config, split, build_protocol(config))
+    data = open_split(config.data, split, chosen_protocol(config.data, config.protocol))
     return data, [data[index] for index in range(len(data))]
 
 
@@ -53,7 +55,7 @@ def test_damage_is_named_or_counted(
     layout = LAYOUTS[name]
     root = tmp_path / "data set"
     given = layout.given(root)
-    stop, skip = (compose("train", [*given, f"data.on_error={how}"]) for how in ("stop", "skip"))
+    stop, skip = (compose(TrainSettings, [*given, f"data.on_error={how}"]) for how in ("stop", "skip"))
     data, whole = samples(skip, layout.split)
     assert data.skipped == {}
     names = data.names
@@ -123,12 +125,14 @@ def test_numbers_that_are_no_depth_are_unknown(tmp_path: Path) -> None:
         root = tmp_path / ending
         given = folder_of(ending, ()).given(root)
         writer(root / f"depths/f1{ending}", values)
-        config = compose("train", [*given, "data.input_size=null", "data.resize_on_load=null"])
+        config = compose(TrainSettings, [*given, "data.input_size=null", "data.resize_on_load=null"])
         _, (_, sample, _) = samples(config)
         np.testing.assert_array_equal(sample["mask"][0], ~bad)
         np.testing.assert_array_equal(sample["depth"][0], np.where(bad, 0, NYU_FRAME.meters))
     given = [f"data.root={tmp_path / 'h5'}", "data.train.split=trainval", "data.input_size=null"]
-    config = compose("train", ["data=nyu_hdf5", "protocol=folder", "data.train.resize_on_load=null", *given])
+    config = compose(
+        TrainSettings, ["data=nyu_hdf5", "protocol=folder", "data.train.resize_on_load=null", *given]
+    )
     np.testing.assert_array_equal(samples(config)[1][0]["mask"][0], ~bad)
 
 

@@ -10,14 +10,16 @@ import torch
 from support.synthetic import SyntheticDepth
 from support.training import Stopped, digest, fit, make_trainer, stopping_at
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import ChannelSums, channel_statistics, check_split, identities
 from eldenet.data.mix import Mix
 from eldenet.data.transforms import Augmentation
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
+from eldenet.train import TrainSettings
 
 
 def mix(frames: int = 40, near: float = 3.0, far: float = 1.0, **options) -> Mix:
@@ -122,9 +124,11 @@ def test_a_subset_of_a_mix_is_refused(tmp_path, monkeypatch) -> None:
     overrides = ["data=mix", "data.sources.nyu.weight=0", "data.sources.rooms.data.frames=4"]
     with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
         mix().draw_subset(3, seed=0)
-    config = compose("train", [*overrides, "data.sources.rooms.data.size=[16,24]", "+data.subset.train=3"])
+    config = compose(
+        TrainSettings, [*overrides, "data.sources.rooms.data.size=[16,24]", "+data.subset.train=3"]
+    )
     with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
-        build_split(config, "train", build_protocol(config), augment=False)
+        open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
 
 
 def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
@@ -159,8 +163,8 @@ def test_the_yaml_mixes_rendered_rooms_with_the_labeled_frames(tmp_path, monkeyp
     monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
     monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "cache"))
     rooms = ["data.sources.rooms.data.frames=8", "data.sources.rooms.data.size=[16,24]"]
-    config = compose("train", ["data=mix", "data.frames=6", "data.input_size=[24,32]", *rooms])
-    frames = build_split(config, "train", build_protocol(config), augment=True)
+    config = compose(TrainSettings, ["data=mix", "data.frames=6", "data.input_size=[24,32]", *rooms])
+    frames = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=True)
     kinds = {name.split("/")[0] for name in frames.names}
     assert kinds == {"nyu", "rooms"}
     assert {tuple(frames[0, index]["image"].shape) for index in range(6)} == {(3, 24, 32)}
@@ -173,9 +177,9 @@ def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch,
     layouts.labeled(folder, layouts.content((480, 640)))
     monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
     overrides = ["data=mix", "data.frames=500", "data.sources.rooms.weight=0"]
-    config = compose("train", [*overrides, "data.sources.nyu.data.on_error=skip"])
-    whole = build_split(config, "train", build_protocol(config), augment=False)
+    config = compose(TrainSettings, [*overrides, "data.sources.nyu.data.on_error=skip"])
+    whole = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
     whole.sources["nyu"].frames.frame_files(0)[0].write_bytes(b"no picture")
-    rest = build_split(config, "train", build_protocol(config), augment=False)
+    rest = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
     assert len(rest.names) == len(whole.names) - 1
     assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.streets import Streets
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.simulation.street_views import FOCAL, STREETS_VERSION, render_street
+from eldenet.train import TrainSettings
 
 SIZE = (24, 80)
 
@@ -53,8 +55,9 @@ def test_lenses_have_folders_of_their_own(root):
 
 def test_the_yaml_scores_streets_by_their_own_protocol(root):
     config = compose(
-        "train", ["data=streets", f"data.root={root}", "data.size=[24,80]", "data.frames.val=8", "run_dir=b"]
+        TrainSettings,
+        ["data=streets", f"data.root={root}", "data.size=[24,80]", "data.frames.val=8", "output=b"],
     )
-    protocol = build_protocol(config)
-    frames = build_split(config, "val", protocol)
+    protocol = chosen_protocol(config.data, config.protocol)
+    frames = open_split(config.data, "val", protocol)
     assert (protocol.name, protocol.max_depth, len(frames)) == ("streets", 80.0, 8)

@@ -8,7 +8,8 @@ from support.damages import refusal
 from support.rooms_network import SIZE
 
 import eldenet
-from eldenet.config import build_benchmark, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_benchmark
 from eldenet.deploy import runtimes
 from eldenet.deploy.benchmarking.measure import Case
 from eldenet.deploy.benchmarking.run import prepare
@@ -141,7 +142,7 @@ def test_a_name_in_the_weights_cannot_leave_the_folder(
 
 def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:
     options = ["models=[eldenet_s]", "sizes=[[32,64]]", "reference=eldenet_s", f"output='{tmp_path}'"]
-    setup = build_benchmark(compose("benchmark", options))
+    setup = build_benchmark(compose_config("benchmark", options))
     case = Case("../m", *SIZE, 1, "openvino", "fp32", 1, "cpu")
     first = prepare(case, eldenet.load("eldenet_s"), "print", setup).source
     assert first is not None

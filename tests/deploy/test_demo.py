@@ -13,7 +13,8 @@ import pytest
 import skimage.data
 
 import eldenet
-from eldenet.config import build_demo, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_demo
 from eldenet.data.paths import default_cache
 from eldenet.deploy import runtimes
 from eldenet.deploy.demo import HEADERS, build_page, install_runtime, open_server, page_facts
@@ -59,7 +60,9 @@ def page_folder(tmp_path_factory) -> Path:
         pytest.skip(str(error))
     shutil.copytree(fetched, folder / "runtime")
     build_page(
-        eldenet.load("eldenet_indoor"), build_demo(compose("demo", [f"output={folder}"])), RunLog(folder)
+        eldenet.load("eldenet_indoor"),
+        build_demo(compose_config("demo", [f"output={folder}"])),
+        RunLog(folder),
     )
     return folder
 

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.config import build_export, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_export
 from eldenet.deploy import quantize, runtimes
 from eldenet.deploy.exporting import compare_with_torch, export, target_of
 from eldenet.deploy.files import map_errors, read_metadata
@@ -45,7 +46,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(folder: Path, photos: Path, *overrides: str) -> Path:
     quoted = [f"checkpoint='{folder}'", f"pictures='{photos}'", "calibration=6", "checks=2"]
-    return export(build_export(compose("export", [*quoted, *overrides])))
+    return export(build_export(compose_config("export", [*quoted, *overrides])))
 
 
 def image_of(photos: Path) -> np.ndarray:
@@ -137,7 +138,7 @@ def test_export_says_why_it_renders_rooms(
     monkeypatch.setattr(quantize, "read_pictures", render)
     words = [f"checkpoint='{model_folder}'", f"output='{tmp_path / 'r.onnx'}'"]
     with pytest.raises(RenderedError):
-        export(build_export(compose("export", words)))
+        export(build_export(compose_config("export", words)))
     assert "pictures for the check: rendered rooms (yours: pictures=folder)" in capsys.readouterr().out
 
 
@@ -157,7 +158,7 @@ def test_a_costly_int8_file_is_warned_of(
     """Above 2 % in the median, with the worst pixel beside it."""
     words = [f"checkpoint='{model_folder}'", "precision=int8", f"output='{tmp_path / 'q.onnx'}'"]
     model = eldenet.load(model_folder)
-    target = target_of(build_export(compose("export", words)), model)
+    target = target_of(build_export(compose_config("export", words)), model)
 
     class Int8:
         def predict(self, image: np.ndarray) -> DepthEstimate:

@@ -279,11 +279,12 @@ def test_the_command_writes_below_runs_and_fails_with_one_line(
 LOADS_NO_TORCH = """
 import resource, sys
 from pathlib import Path
-from eldenet.config import build_prediction, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_prediction
 from eldenet.deploy.prediction import predict
 words = sys.argv[1:]
 try:
-    predict(build_prediction(compose("predict", words)))
+    predict(build_prediction(compose_config("predict", words)))
 except FileNotFoundError:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     assert usage.ru_utime + usage.ru_stime < 1.5, usage

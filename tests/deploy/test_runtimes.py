@@ -11,7 +11,7 @@ from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE
 
 import eldenet
 from eldenet import runtimes
-from eldenet.config import build_evaluation, compose
+from eldenet.compose import compose
 from eldenet.deploy.files import (
     count_operations,
     describe,
@@ -23,7 +23,7 @@ from eldenet.deploy.files import (
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.quantize import quantize_onnx, quantize_openvino
 from eldenet.deploy.runtimes.onnx import OPTIONS, providers_behind
-from eldenet.deploy.scoring import open_checkpoint
+from eldenet.evaluate import EvaluateSettings, open_checkpoint
 from eldenet.model import DepthNet
 from eldenet.system.resources import Resources
 
@@ -195,13 +195,8 @@ def test_evaluate_runs_a_file_where_it_is_asked_to(files, tmp_path) -> None:
     resources = Resources(device="cuda", precision="fp32", threads=1, workers=0, cores=1)
     words = [f"checkpoint='{files['onnx']}'", "engine=onnxruntime"]
     with pytest.raises(ValueError, match="CUDAExecutionProvider"):
-        open_checkpoint(
-            build_evaluation(compose("evaluate", [*words, "runtime.device=cuda"]), tmp_path), resources
-        )
-    assert (
-        open_checkpoint(build_evaluation(compose("evaluate", words), tmp_path), resources).network.device
-        == "cpu"
-    )
+        open_checkpoint(compose(EvaluateSettings, [*words, "runtime.device=cuda"]), resources)
+    assert open_checkpoint(compose(EvaluateSettings, words), resources).network.device == "cpu"
 
 
 def test_wrong_images_are_refused(files, images) -> None:

@@ -9,16 +9,18 @@ import torch
 from support import layouts
 
 from eldenet.backbones.pplcnet import PPLCNet
-from eldenet.config import build_split, compose
+from eldenet.compose import compose
 from eldenet.data.base import resize_frame
 from eldenet.data.cityscapes import Cityscapes, CityscapesMTAN
 from eldenet.data.cityscapes_labels import CLASS_IDS
 from eldenet.data.resize_crop import ResizeCrop
 from eldenet.data.transforms import Augmentation
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
+from eldenet.evaluate import EvaluateSettings
 from eldenet.evaluation.constant_baseline import ConstantPredictor
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import open_split
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.types import Frame
@@ -148,9 +150,9 @@ def test_missing_and_wrong_labels_are_named(root: Path) -> None:
 @pytest.mark.parametrize(("labels", "read"), [("auto", {"test"}), ("false", set())])
 def test_labels_are_read_where_they_are_scored(root: Path, labels: str, read: set[str]) -> None:
     words = ["checkpoint=x", "data=cityscapes", f"data.root={root}", f"data.labels={labels}"]
-    config = compose("evaluate", words)
+    config = compose(EvaluateSettings, words)
     splits = ("train", "val", "test")
-    data = {split: build_split(config, split, PROTOCOL, score=True) for split in splits}
+    data = {split: open_split(config.data, split, PROTOCOL, score=True) for split in splits}
     assert {split for split in splits if "labels" in data[split][0]} == read
 
 
@@ -161,7 +163,7 @@ def test_evaluate_writes_and_shows_them(root: Path, run_command, tmp_path: Path)
     finished = run_command(
         "evaluate",
         *("checkpoint=model", "data=cityscapes", f"data.root={root}", "data.input_size=[32,64]"),
-        *("protocol=folder", "runtime.workers=0", "run_dir=run"),
+        *("protocol=folder", "runtime.workers=0", "output=run"),
     )
     assert finished.returncode == 0, finished.stderr
     for text in ("errors by class", "traffic sign", "bicycle"):

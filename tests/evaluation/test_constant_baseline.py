@@ -11,13 +11,14 @@ from support import layouts
 from support.scoring import score_small
 from support.synthetic import SyntheticDepth
 
-from eldenet.config import compose
+from eldenet.compose import compose
 from eldenet.data import rendered, rendering
 from eldenet.data.folder import FolderDataset
 from eldenet.data.rooms import Rooms
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.simulation.furnished_rooms import render as render_module
 from eldenet.simulation.furnished_rooms.render import Views
+from eldenet.train import TrainSettings
 from eldenet.types import Frame
 
 Asked = list[tuple[str, Sequence[int]]]
@@ -51,7 +52,7 @@ def test_it_reads_at_most_the_given_number_of_frames(monkeypatch: pytest.MonkeyP
 
 
 def score(data: str, folder: Path, *words: str, split: str) -> dict[str, Any]:
-    config = compose("train", [f"data={data}", *words, "model_name=small", f"run_dir={folder}"])
+    config = compose(TrainSettings, [f"data={data}", *words, "model_name=small", f"output={folder}"])
     return score_small(config, folder, split)
 
 

@@ -13,10 +13,12 @@ from support.layouts import (
 )
 from torch import Tensor, nn
 
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
 from eldenet.data.kitti import KITTIDepth
 from eldenet.data.loaders import collate_runs
 from eldenet.evaluation.evaluator import evaluate, sample_rows
+from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.train import TrainSettings
 
 
 def test_subset_is_seeded_and_named(tmp_path: Path) -> None:
@@ -53,9 +55,9 @@ def test_small_depth_keeps_its_points(tmp_path: Path) -> None:
 
 def split_under(root: Path, protocol: str, split: str, *more: str) -> tuple[Any, Any]:
     overrides = ["data=kitti", f"data.root={root}", f"protocol={protocol}", *more]
-    config = compose("train", [*overrides, "data.input_size=null", f"data.{split}.split=all"])
-    rules = build_protocol(config)
-    return rules, build_split(config, split, rules)
+    config = compose(TrainSettings, [*overrides, "data.input_size=null", f"data.{split}.split=all"])
+    rules = chosen_protocol(config.data, config.protocol)
+    return rules, open_split(config.data, split, rules)
 
 
 def test_kb_crop_by_pixel(tmp_path: Path) -> None:
@@ -84,9 +86,9 @@ def test_every_split_is_scored_in_the_whole_frame(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     words = ["data=kitti", f"data.root={root}", "protocol=kitti_eigen_garg_improved"]
     words += [f"data.{split}.split=all" for split in ("train", "val")]
-    config = compose("train", [*words, "data.input_size=null"])
-    rules = build_protocol(config)
-    train, val = (build_split(config, split, rules, score=True) for split in ("train", "val"))
+    config = compose(TrainSettings, [*words, "data.input_size=null"])
+    rules = chosen_protocol(config.data, config.protocol)
+    train, val = (open_split(config.data, split, rules, score=True) for split in ("train", "val"))
     assert train[0]["depth"].shape == val[0]["depth"].shape == (1, 375, 1242)
     one, other = (evaluate(Ramp(), data, rules, batch_size=4) for data in (train, val))
     assert one.metrics == pytest.approx(other.metrics, nan_ok=True)

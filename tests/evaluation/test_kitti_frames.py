@@ -7,7 +7,10 @@ import pytest
 from support.layouts import real_folder
 from torch import nn
 
-from eldenet.config import build_protocol, compose
+from eldenet.compose import compose
+from eldenet.evaluate import EvaluateSettings
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import chosen_protocol
 
 FOLDER = Path(__file__).resolve().parents[2] / "experiments" / "kitti_frames"
 spec = importlib.util.spec_from_file_location("kitti_frames", FOLDER / "run.py")
@@ -27,13 +30,16 @@ def test_the_page_shows_the_stored_frames() -> None:
         assert {scale for _, scale in frames} == set(study.SCALES)
 
 
+def protocol_of(*words: str) -> EvalProtocol:
+    s = compose(EvaluateSettings, ["checkpoint=none", *words])
+    return chosen_protocol(s.data, s.protocol)
+
+
 @pytest.mark.parametrize("name", study.SETS)
 def test_a_set_counts_the_pixels_in_gargs_crop_in_meters(name: str) -> None:
     words = [word.format(root="/data") for word in study.SETS[name].overrides]
-    protocol = build_protocol(compose("evaluate", ["checkpoint=none", *words]))
-    garg = build_protocol(
-        compose("evaluate", ["checkpoint=none", "data=kitti", "protocol=kitti_eigen_garg_raw"])
-    )
+    protocol = protocol_of(*words)
+    garg = protocol_of("data=kitti", "protocol=kitti_eigen_garg_raw")
     assert protocol.crop_fractions == garg.crop_fractions
     assert (protocol.scale, protocol.max_depth) == ("metric", 80)
 

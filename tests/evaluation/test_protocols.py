@@ -8,10 +8,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from eldenet.config import compose, instantiate
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.data.base import DepthDataset
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.train import TrainSettings
 from eldenet.types import Frame
 
 FOLDER = Path(__file__).parents[2] / "configs" / "protocol"
@@ -176,7 +178,7 @@ ALIGNED = ("nyu_paper", "kitti_sparse", "nyu_densedepth", "cityscapes_mtan")  # 
 )
 def test_scores_are_the_definitions(name: str, scale: str) -> None:
     rules = LITERATURE[name]
-    protocol: EvalProtocol = instantiate(compose("train", [f"protocol={name}"]).protocol)
+    protocol: EvalProtocol = instantiate(compose(TrainSettings, [f"protocol={name}"]).protocol)
     assert (protocol.name, protocol.scale) == (name, rules.scale)
     assert EvalProtocol(**protocol.as_dict()) == protocol
     protocol, rules = EvalProtocol(**{**protocol.as_dict(), "scale": scale}), rules._replace(scale=scale)

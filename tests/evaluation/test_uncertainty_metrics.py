@@ -9,7 +9,7 @@ from scipy import stats
 from support.networks import small_net
 from support.scoring import score_small
 
-from eldenet.config import compose
+from eldenet.compose import compose
 from eldenet.evaluation.calibration import fit_temperature
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS, in_range
 from eldenet.evaluation.uncertainty_metrics import (
@@ -20,6 +20,7 @@ from eldenet.evaluation.uncertainty_metrics import (
     sparsification,
 )
 from eldenet.heads import LinearHead, UncertainHead
+from eldenet.train import TrainSettings
 
 STEPS = PROTOCOL.steps
 
@@ -153,13 +154,13 @@ def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:
 
     words = [
         "model_name=small",
-        "run_dir=x",
+        "output=x",
         "data.size=[32,40]",
         "data.input_size=[32,40]",
         "data.frames={train:2,val:2,test:2}",
     ]
     monkeypatch.setattr(scoring, "small_net", lambda: small_net(head=UncertainHead(LinearHead())))
-    record = score_small(compose("train", words), tmp_path, "val")
+    record = score_small(compose(TrainSettings, words), tmp_path, "val")
     assert set(UNCERTAINTY_METRICS) < set(record["metrics"])
     assert record["uncertainty_protocol"]["name"] == PROTOCOL.name
     for name in ("uncertainty.csv", "sparsification.png", "reliability.png"):

@@ -7,17 +7,21 @@ import pytest
 from support import layouts
 from support.networks import small_net
 
-from eldenet.config import build_export, build_protocol, build_split, build_training, compose
+from eldenet.compose import compose
+from eldenet.config import build_export
+from eldenet.configurable import compose_config, instantiate
 from eldenet.deploy import runtimes
 from eldenet.deploy.exporting import target_of
 from eldenet.deploy.files import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork
-from eldenet.deploy.scoring import trained_size
+from eldenet.evaluate import trained_size
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.geometry import resize_intrinsics
 from eldenet.model import DepthNet
-from eldenet.training.run import train, trained_sizes
+from eldenet.train import TrainSettings, train
+from eldenet.training.initialization import trained_sizes
 
 VGA = layouts.content((480, 640))
 CROPPING = {
@@ -34,9 +38,9 @@ CROPPING = {
 def training(name: str, folder: Path) -> tuple[dict[str, Any], Any]:
     """What a model of this training says of sizes, and the training's frames."""
     layout, overrides = CROPPING[name]
-    config = compose("train", [*overrides, f"data.root={layout(folder)}"])
-    protocol = build_protocol(config)
-    frames = build_split(config, "train", protocol)
+    config = compose(TrainSettings, [*overrides, f"data.root={layout(folder)}"])
+    protocol = chosen_protocol(config.data, config.protocol)
+    frames = open_split(config.data, "train", protocol)
     return trained_sizes(list(config.data.input_size), protocol, frames), frames
 
 
@@ -62,9 +66,11 @@ def test_sizes_of_whole_frames(tmp_path: Path) -> None:
     assert kitti == {"input_size": [176, 608], "whole_frame_size": [188, 621]}
     nyu, _ = training("nyu_hdf5", tmp_path / "nyu")
     assert nyu == {"input_size": [228, 304], "whole_frame_size": [240, 320]}
-    config = compose("train", ["data=kitti", f"data.root={tmp_path / 'kitti/depth'}", "data.input_size=null"])
-    protocol = build_protocol(config)
-    sizes = trained_sizes(None, protocol, build_split(config, "train", protocol))
+    config = compose(
+        TrainSettings, ["data=kitti", f"data.root={tmp_path / 'kitti/depth'}", "data.input_size=null"]
+    )
+    protocol = chosen_protocol(config.data, config.protocol)
+    sizes = trained_sizes(None, protocol, open_split(config.data, "train", protocol))
     assert sizes == {"input_size": None, "whole_frame_size": [375, 1242]}
 
 
@@ -78,9 +84,11 @@ def test_a_training_tells_its_model(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr("eldenet.training.trainer.Trainer.fit", fit)
     given = ["data=kitti", f"data.root={layouts.kitti_depth(tmp_path)}", "model=eldenet_s", "model_name=m"]
-    config = compose("train", [*given, "run_dir=r", "runtime.threads=1", "runtime.workers=0"])
+    config = compose(
+        TrainSettings, [*given, f"output={tmp_path / 'run'}", "runtime.threads=1", "runtime.workers=0"]
+    )
     with pytest.raises(Fitted) as told:
-        train(build_training(config, tmp_path / "run"))
+        train(config)
     assert told.value.args[0]["whole_frame_size"] == [188, 621]
     assert told.value.args[0]["input_size"] == [176, 608]
 
@@ -88,23 +96,23 @@ def test_a_training_tells_its_model(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_where_frames_are_seen_whole_nothing_is_added(tmp_path: Path) -> None:
     tree = layouts.cityscapes(tmp_path, layouts.content((1024, 2048)))
     for overrides in (["data=cityscapes"], ["+experiment=cityscapes_paper"]):
-        config = compose("train", [*overrides, f"data.root={tree}"])
-        protocol = build_protocol(config)
-        sizes = trained_sizes([128, 256], protocol, build_split(config, "train", protocol))
+        config = compose(TrainSettings, [*overrides, f"data.root={tree}"])
+        protocol = chosen_protocol(config.data, config.protocol)
+        sizes = trained_sizes([128, 256], protocol, open_split(config.data, "train", protocol))
         assert sizes == {"input_size": [128, 256]}
 
 
 def test_frames_that_are_squeezed_into_the_input_are_squeezed_by_the_predictor(tmp_path: Path) -> None:
     """A folder of 16:9 pictures and an input of 4:3."""
     tree = layouts.folder(tmp_path, layouts.content((36, 64)))
-    config = compose("train", ["data=folder", f"data.root={tree}", "data.input_size=[48,64]"])
-    protocol = build_protocol(config)
-    sizes = trained_sizes([48, 64], protocol, build_split(config, "train", protocol))
+    config = compose(TrainSettings, ["data=folder", f"data.root={tree}", "data.input_size=[48,64]"])
+    protocol = chosen_protocol(config.data, config.protocol)
+    sizes = trained_sizes([48, 64], protocol, open_split(config.data, "train", protocol))
     assert sizes == {"input_size": [48, 64], "stretch": pytest.approx(0.75)}
     model = small_net()
     model.info = sizes
     assert DepthPredictor(model).size_for(36, 64) == (48, 64)
-    assert trained_sizes(None, protocol, build_split(config, "train", protocol)) == {"input_size": None}
+    assert trained_sizes(None, protocol, open_split(config.data, "train", protocol)) == {"input_size": None}
 
 
 WHOLE, PART = [60, 76], [48, 64]
@@ -119,7 +127,9 @@ def network_of_crops() -> DepthNet:
 def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> None:
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
-        config = compose("export", ["checkpoint=eldenet", f"output='{tmp_path / 'm.onnx'}'", *overrides])
+        config = compose_config(
+            "export", ["checkpoint=eldenet", f"output='{tmp_path / 'm.onnx'}'", *overrides]
+        )
         assert list(target_of(build_export(config), model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)
@@ -131,7 +141,7 @@ def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> Non
 def test_a_protocol_decides_which_size_is_scored() -> None:
     model = network_of_crops()
     crops, whole = (
-        build_protocol(compose("train", [f"protocol={name}"]))
+        instantiate(compose(TrainSettings, [f"protocol={name}"]).protocol)
         for name in ("kitti_eigen_garg_improved", "kitti_eigen_garg_raw")
     )
     assert (trained_size(model, crops), trained_size(model, whole)) == (PART, WHOLE)

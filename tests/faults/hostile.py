@@ -157,6 +157,7 @@ def a_study_that_names_write_text(folder: Path) -> Attack:
 
 @hostile
 def a_study_with_a_python_tag(folder: Path) -> Attack:
+
     from eldenet.config import training_composition
     from eldenet.results.studies.plan import read_study
 
@@ -317,6 +318,7 @@ def hdf5_of_a_terabyte(folder: Path) -> Attack:
 
 
 def _plan_of(folder: Path, text: str) -> Attack:
+
     from eldenet.config import training_composition
     from eldenet.results.studies.plan import read_study
 

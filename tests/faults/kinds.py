@@ -51,18 +51,19 @@ def one_file(
 
 @cache
 def _config(layout: str, root: Path) -> Any:
-    from eldenet.config import compose
+    from eldenet.compose import compose
+    from eldenet.train import TrainSettings
 
     given = [f"data={LAYOUTS[layout].data}", "protocol=folder", "data.input_size=[24,32]"]
-    return compose("train", given + [text.format(root=root) for text in LAYOUTS[layout].overrides])
+    return compose(TrainSettings, given + [text.format(root=root) for text in LAYOUTS[layout].overrides])
 
 
 def frames(root: Path, layout: str) -> list[Any]:
     """All frames of a data set, as a training gets them and as they are on disk."""
-    from eldenet.config import build_protocol, build_split
+    from eldenet.evaluation.splits import chosen_protocol, open_split
 
     config, split = _config(layout, root), LAYOUTS[layout].split
-    data = build_split(config, split, build_protocol(config))
+    data = open_split(config.data, split, chosen_protocol(config.data, config.protocol))
     return [(data[index], data.load_frame(index)) for index in range(len(data))]  # with every pixel, too
 
 
@@ -367,6 +368,7 @@ def _study(root: Path) -> None:
 
 def _tables(root: Path) -> Any:
     """The tables of a study."""
+
     from eldenet.config import training_composition
     from eldenet.results.studies.plan import read_study
     from eldenet.results.studies.tables import build_blocks
@@ -378,6 +380,7 @@ def _tables(root: Path) -> Any:
 
 
 def _plan(root: Path) -> Any:
+
     from eldenet.config import training_composition
     from eldenet.results.studies.plan import read_study
 
@@ -443,6 +446,7 @@ def _write_latencies(root: Path) -> None:
 
 
 def _read_latencies(root: Path) -> Any:
+
     from eldenet.config import training_composition
     from eldenet.results.studies.latency import Latencies
     from eldenet.results.studies.plan import read_study
@@ -462,6 +466,7 @@ def _write_choice(root: Path) -> None:
 
 
 def _read_choice(root: Path) -> Any:
+
     from eldenet.config import training_composition
     from eldenet.results.studies.matching import stored_choice
     from eldenet.results.studies.plan import read_study
@@ -473,9 +478,11 @@ def _read_choice(root: Path) -> Any:
 
 @cache
 def _setup(root: Path) -> Any:
-    from eldenet.config import build_training, compose
 
-    return build_training(compose("train", ["model_name=small", f"output='{root}'", "ckpt_path=auto"]), root)
+    from eldenet.compose import compose
+    from eldenet.train import TrainSettings
+
+    return compose(TrainSettings, ["model_name=small", f"output='{root}'", "ckpt_path=auto"])
 
 
 def _begun_run(root: Path) -> None:

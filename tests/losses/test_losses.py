@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from support.depth_maps import maps, patchy, value_and_gradient
 from torch import Tensor
 
-from eldenet.config import compose, instantiate
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.losses.base import Loss, LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.gradient import GradientLoss
 from eldenet.losses.pointwise import BerHuLoss, L1Loss, L2Loss
 from eldenet.losses.silog import SILogLoss
 from eldenet.losses.ssim import SSIMLoss
+from eldenet.train import TrainSettings
 
 FOLDER = Path(__file__).parents[2] / "configs" / "loss"
 OF_THEIR_OWN = {
@@ -38,7 +40,7 @@ ANYTHING = [0.0, -3.0, 1e6, 1e30, math.nan, math.inf, -math.inf]
 
 
 def from_yaml(name: str) -> WeightedSum:
-    return instantiate(compose("train", [f"loss={name}"]).loss)
+    return instantiate(compose(TrainSettings, [f"loss={name}"]).loss)
 
 
 # --- every loss that a YAML file names ---

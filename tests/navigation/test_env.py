@@ -77,9 +77,12 @@ def test_the_entry_point_registers_the_environment():
 
 
 def test_noisy_is_the_same_as_in_the_command():
-    from eldenet.config import compose, instantiate
+    from eldenet.compose import compose_config
+    from eldenet.configurable import instantiate
 
-    assert make_sensor("noisy").errors == instantiate(compose("navigate", ["sensor=noisy"]).sensor).errors
+    assert (
+        make_sensor("noisy").errors == instantiate(compose_config("navigate", ["sensor=noisy"]).sensor).errors
+    )
     with pytest.raises(ValueError, match="give one of ranges, noisy"):
         make_sensor("camera")
 

@@ -5,7 +5,8 @@ import json
 
 import pytest
 
-from eldenet.config import compose, instantiate
+from eldenet.compose import compose_config
+from eldenet.configurable import instantiate
 from eldenet.navigate import MODES
 from eldenet.navigation.modes import refuse_to_replace
 from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS
@@ -43,17 +44,17 @@ def read_run(folder) -> dict:
 def test_each_mode_accepts_its_own_settings_only(modes, setting):
     for mode in MODES:
         if mode in modes:
-            compose("navigate", [f"mode={mode}", setting])
+            compose_config("navigate", [f"mode={mode}", setting])
         else:
             with pytest.raises(ValueError, match="Could not override"):
-                compose("navigate", [f"mode={mode}", setting])
+                compose_config("navigate", [f"mode={mode}", setting])
 
 
 def test_planners_have_no_checkpoint_and_paper_policies_set_their_observer():
     for mode in DRIVES:
         with pytest.raises(ValueError, match="Could not override 'checkpoint'"):
-            compose("navigate", [f"mode={mode}", "policy=dwa", "checkpoint=runs/driver"])
-        paper = compose(
+            compose_config("navigate", [f"mode={mode}", "policy=dwa", "checkpoint=runs/driver"])
+        paper = compose_config(
             "navigate", [f"mode={mode}", "policy=paper_literal", "observer.memory=6", "checkpoint=a"]
         )
         assert (paper.policy.path, paper.policy.observer.memory, paper.policy.observer.bins) == ("a", 6, 0)
@@ -117,7 +118,7 @@ def test_record_makes_a_video_without_a_display(run_command, tmp_path):
     from PIL import Image
 
     finished = run_command(
-        "navigate", "density=5", "time_limit=2", "video=gif", "physics=kinematic", "run_dir=run", DISPLAY=""
+        "navigate", "density=5", "time_limit=2", "video=gif", "physics=kinematic", "output=run", DISPLAY=""
     )
     assert finished.returncode == 0, finished.stderr
     (video,) = (tmp_path / "run").glob("*.gif")
@@ -137,7 +138,7 @@ def test_evaluate_writes_rows_and_a_record_of_driver_and_sensor(run_command, tmp
     Navigator.load().save(tmp_path / "a" / "policy.safetensors")
     finished = run_command(
         "navigate", "mode=evaluate", "checkpoint=[a,a/policy.safetensors]", "policy.slows_within=2",
-        "density=[5,20]", "episodes=2", "physics=kinematic", "sensor=noisy", "run_dir=run",
+        "density=[5,20]", "episodes=2", "physics=kinematic", "sensor=noisy", "output=run",
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr
     assert "success [%]" in finished.stdout
@@ -158,7 +159,7 @@ def test_train_resumes_and_writes_a_policy(run_command, tmp_path):
     small = (
         "mode=train", "learner.total_timesteps=600", "learner.checkpoint_interval=300",
         "learner.learning_starts=100", "learner.batch_size=16", "training.robots=4", "training.validate=2",
-        "training.arenas.densities=[0,5]", "run_dir=run",
+        "training.arenas.densities=[0,5]", "output=run",
     )  # fmt: skip
     finished = run_command("navigate", *small)
     assert finished.returncode == 0, finished.stderr
@@ -176,7 +177,7 @@ def test_drivers_and_sensors_are_identified_by_content(tmp_path):
     assert identity is not None
     weights = sha256(DEFAULT_WEIGHTS.read_bytes())
     assert identity["files"] == [{"file": str(DEFAULT_WEIGHTS), "sha256": weights}]
-    sensor = instantiate(compose("navigate", ["sensor=objects"]).sensor)
+    sensor = instantiate(compose_config("navigate", ["sensor=objects"]).sensor)
     depth = sha256((PACKAGED / "eldenet_arenas" / "model.safetensors").read_bytes())
     assert sensor_identity(sensor) == {"depth": {"source": "eldenet_arenas", "sha256": depth}}
     (tmp_path / "detector.onnx").write_bytes(b"finds")

@@ -8,7 +8,8 @@ from support.networks import canonical_predictor
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.config import compose, instantiate
+from eldenet.compose import compose_config
+from eldenet.configurable import instantiate
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
@@ -172,7 +173,9 @@ def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
     from support.detector_files import FILES, WANTED, save
 
     path = save(tmp_path / "d.onnx", *FILES["yolov9"])
-    config = compose("navigate", ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"])
+    config = compose_config(
+        "navigate", ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"]
+    )
     sensor = instantiate(config.sensor)
     assert sensor.sources["detector"] == (str(path), path)
     scan = instance_of(sensor).scan()
@@ -191,7 +194,7 @@ def test_the_network_of_a_camera_is_told_the_robots_lens():
     "sensor", ["ranges", "objects", "depth_camera"]
 )  # tests of the modes use noisy and camera
 def test_sensors_of_the_configs_scan(sensor):
-    config = compose("navigate", [f"sensor={sensor}"])
+    config = compose_config("navigate", [f"sensor={sensor}"])
     instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
 

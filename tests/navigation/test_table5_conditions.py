@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from eldenet.config import compose
+from eldenet.compose import compose_config
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode
 from eldenet.navigation.sensors import Ranges
@@ -61,4 +61,4 @@ def test_planners_drive_with_the_carrot_that_the_rule_chose(method):
     rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv")
     assert race.PLANNERS[method]().carrot == race.tuned(rows, method)
     if method in ("astar_dwa", "astar_online_dwa", "dwa"):
-        assert compose("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)
+        assert compose_config("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.table5 import FOLDER, given
 
-from eldenet.config import compose, plain
+from eldenet.compose import compose_config, plain
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
@@ -121,8 +121,8 @@ def test_what_there_is_not_is_refused(command, tmp_path, options, message):
 
 def test_learnt_rows_are_trainings_of_the_command(methods):
     for method in methods.LEARNED.values():
-        compose("navigate", ["mode=train", *method.options])
-    literal = compose("navigate", ["mode=train", *methods.LEARNED["paper_literal"].options])
+        compose_config("navigate", ["mode=train", *method.options])
+    literal = compose_config("navigate", ["mode=train", *methods.LEARNED["paper_literal"].options])
     assert (literal.observer.memory, literal.learner.n_step, literal.learner.max_grad_norm) == (0, 1, 0)
 
 
@@ -143,7 +143,7 @@ def policy_folder(tmp_path: Path, config: dict, version: int = TRAINING_VERSION)
 def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
     row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
     options = given(tmp_path)
-    config = plain(compose("navigate", ["mode=train", "seed=1", "run_dir=x"]))
+    config = plain(compose_config("navigate", ["mode=train", "seed=1", "output=x"]))
     folder = policy_folder(tmp_path, config)
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
     policy_folder(tmp_path, config | {"learner": config["learner"] | {"total_timesteps": 7}})

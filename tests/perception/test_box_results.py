@@ -11,7 +11,8 @@ from support.detector_files import FILES, save
 from support.standing_boxes import BLANK, CAMERA, boxes
 
 from eldenet.boxes import Detections2D
-from eldenet.config import build_prediction, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_prediction
 from eldenet.deploy.outputs import open_video
 from eldenet.deploy.prediction import predict
 from eldenet.perception.box_results import box_results
@@ -32,7 +33,7 @@ def run(model_folder, tmp_path):
             f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true",
             f"perception.detector.path='{detector}'", "runtime.threads=1", "runtime.workers=0", INTRINSICS,
         ]  # fmt: skip
-        return predict(build_prediction(compose("predict", [*options, *overrides])))
+        return predict(build_prediction(compose_config("predict", [*options, *overrides])))
 
     return predict_boxes
 
@@ -61,7 +62,7 @@ def test_a_detector_in_the_place_of_its_path_is_refused_in_one_line(model_folder
     with pytest.raises(
         ValueError, match=r"^perception\.detector=d\.onnx: give the file as perception\.dete.*$"
     ):
-        build_prediction(compose("predict", [*options, "perception.detector=d.onnx", INTRINSICS]))
+        build_prediction(compose_config("predict", [*options, "perception.detector=d.onnx", INTRINSICS]))
 
 
 def test_depth_that_contradicts_known_sizes_is_said_and_boxes_are_recorded(run, tmp_path, capsys):

@@ -10,7 +10,8 @@ import torch
 from torch import nn
 
 import eldenet
-from eldenet.config import build_calibration, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_calibration
 from eldenet.geometry import pinhole
 from eldenet.perception.camera_height import (
     FLOOR_SHARE,
@@ -119,7 +120,7 @@ def test_the_scale_is_stored_with_the_weights_and_held_out_frames_decide(walk, c
     for height, kept in ((0.8, True), (0.8 / 1.5, False)):
         given = [f"source={walk / 'walk'}", f"intrinsics={list(CAMERA)}", f"camera_height={height}"]
         given += ["camera_pitch=11.459", "runtime.threads=1"]
-        assert calibrate(build_calibration(compose("adapt", given), walk / "run")) is kept
+        assert calibrate(build_calibration(compose_config("adapt", given), walk / "run")) is kept
         model, info = saved.pop()
         assert model.head.scale == pytest.approx(
             scale_of_all(np.log(1.5), known_pitch=True) if kept else 1.0, rel=0.1
@@ -161,13 +162,13 @@ def test_wrong_settings_end_in_one_line(tmp_path, overrides, match):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((*SIZE, 3), np.uint8))
     given = [f"source={tmp_path}", f"intrinsics={list(CAMERA)}", *overrides]
     with pytest.raises(ValueError, match=match):
-        build_calibration(compose("adapt", given), tmp_path / "run")
+        build_calibration(compose_config("adapt", given), tmp_path / "run")
 
 
 def test_a_principal_point_outside_the_pictures_is_refused(walk):
     given = [f"source={walk / 'walk'}", "intrinsics=[50,50,500,20]", "camera_height=0.8"]
     with pytest.raises(ValueError, match="principal point"):
-        calibrate(build_calibration(compose("adapt", given), walk / "run"))
+        calibrate(build_calibration(compose_config("adapt", given), walk / "run"))
 
 
 def test_the_level_camera_looks_down_by_its_pitch():

@@ -29,7 +29,7 @@ PRELOADED = (
     "eldenet.data.rooms", "eldenet.data.transforms", "eldenet.decoders.fast_upconv",
     "eldenet.evaluation.metrics",
     "eldenet.navigation.env", "eldenet.navigation.modes", "eldenet.results.score", "eldenet.results.tables",
-    "eldenet.training.run", "eldenet.zoo",
+    "eldenet.training.trainer", "eldenet.zoo",
 )  # fmt: skip
 
 

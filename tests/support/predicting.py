@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.config import build_prediction, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_prediction
 from eldenet.deploy.outputs import Results
 from eldenet.deploy.prediction import PredictionSetup, predict
 from eldenet.model import DepthNet
@@ -55,7 +56,7 @@ def exported(model: DepthNet, path: Path) -> Path:
 def setup(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> PredictionSetup:
     quoted = [f"checkpoint='{checkpoint}'", f"source='{source}'", f"output='{output}'"]
     words = [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]
-    return build_prediction(compose("predict", words))
+    return build_prediction(compose_config("predict", words))
 
 
 def run(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> Results:

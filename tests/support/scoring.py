@@ -1,22 +1,26 @@
 """What the tests of metrics and protocols share."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from eldenet.config import build_training, compose, instantiate
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.evaluation.metrics import DepthMetrics
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import chosen_protocol
 from eldenet.results.run_log import RunLog
-from eldenet.results.score import ScoreSetup, score_and_record
+from eldenet.results.score import score
+from eldenet.train import TrainSettings
 from support.networks import small_net
 from support.training import ONE_THREAD
 
 
 def from_yaml(name: str) -> EvalProtocol:
-    return instantiate(compose("train", [f"protocol={name}"]).protocol)
+    return instantiate(compose(TrainSettings, [f"protocol={name}"]).protocol)
 
 
 def batch(seed: int, images: int = 3, size: tuple[int, int] = (14, 18), known: float = 0.7):
@@ -40,19 +44,8 @@ def assert_same(ours: dict[str, float], expected: dict[str, float], rel: float =
     }
 
 
-def score_small(config, folder: Path, split: str) -> dict:
-    """``run.json`` of an untrained small network on a split of a composed ``train`` config."""
-    setup = build_training(config, folder)
-    scoring = ScoreSetup(
-        folder=folder,
-        name="small",
-        data=setup.data,
-        seed=0,
-        protocol=setup.protocol,
-        make_split=setup.make_split,
-        resources=ONE_THREAD,
-        settings=setup.settings,
-        split=split,
-        training_frames=setup.settings["data"]["train"].get("frames"),
-    )
-    return score_and_record(scoring, small_net(), RunLog(folder))
+def score_small(s, folder: Path, split: str) -> dict:
+    """``run.json`` of an untrained small network on a split, by the settings of a training."""
+    protocol = chosen_protocol(s.data, s.protocol)
+    log = RunLog(folder)
+    return score(small_net(), folder, asdict(s), protocol, ONE_THREAD, log, name="small", seed=0, split=split)

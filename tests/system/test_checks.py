@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from eldenet.config import build_training, compose
-from eldenet.system.checks import check_arguments
+from eldenet.compose import compose
+from eldenet.configurable import check_arguments, instantiate
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.system.resources import choose_resources
+from eldenet.train import TrainSettings
 
 
 @pytest.mark.parametrize(
@@ -28,9 +30,10 @@ from eldenet.system.resources import choose_resources
 )
 def test_a_wrong_value_of_a_training_is_named(tmp_path: Path, given: str, line: str) -> None:
     def build() -> None:
-        setup = build_training(compose("train", ["model_name=small", given]), tmp_path)
-        setup.make_trainer()
-        setup.make_loss()
+        s = compose(TrainSettings, [given, f"output={tmp_path}"])
+        optimizer = instantiate(s.optimizer, "optimizer")
+        instantiate(s.trainer, "trainer", optimizer=optimizer, scheduler=None)
+        instantiate(s.loss, "loss")
 
     with pytest.raises(ValueError, match=line) as error:
         build()
@@ -39,9 +42,9 @@ def test_a_wrong_value_of_a_training_is_named(tmp_path: Path, given: str, line: 
 
 @pytest.mark.parametrize("given", ["data.size=[-96,128]", "data.frames.val=-5", "data.size=[abc,128]"])
 def test_wrong_sizes_and_counts_of_data_are_named(tmp_path: Path, given: str) -> None:
-    setup = build_training(compose("train", ["model_name=small", given, f"data.root={tmp_path}"]), tmp_path)
+    s = compose(TrainSettings, [given, f"data.root={tmp_path}"])
     with pytest.raises(ValueError, match=r"data\.val\.(size|frames)=.*: give") as error:
-        setup.make_split("val", setup.protocol)
+        open_split(s.data, "val", chosen_protocol(s.data, s.protocol))
     assert "\n" not in str(error.value)
 
 

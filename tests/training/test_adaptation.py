@@ -9,7 +9,8 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.config import build_adaptation, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_adaptation
 from eldenet.data.folder import FolderDataset
 from eldenet.results.before_after import Change
 from eldenet.training.adaptation import adapt, affordable_epochs, best_candidate, fit_scale, make_frames
@@ -56,7 +57,9 @@ def start(folder: Path, head: str = "linear") -> Path:
 
 def setup(root: Path, *overrides: str):
     given = [f"data.root={root}", f"weights={root / 'start'}", "runtime.threads=1", "runtime.workers=0"]
-    config = compose("adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=60", *overrides])
+    config = compose_config(
+        "adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=60", *overrides]
+    )
     return build_adaptation(config, root / "run")
 
 

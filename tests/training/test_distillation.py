@@ -9,14 +9,15 @@ from support.training import Stopped, fit, make_trainer, stopping_at
 
 import eldenet
 from eldenet import zoo
-from eldenet.config import build_training, compose, instantiate
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.system.resources import seed_everything
+from eldenet.train import TrainSettings, train
 from eldenet.training.checkpoint import load_checkpoint
-from eldenet.training.run import train
 
 SHAPE = (2, 1, 64, 96)
 NOTHING_KNOWN = torch.zeros(SHAPE, dtype=torch.bool)
@@ -127,11 +128,13 @@ def test_a_teacher_describes_its_image_sizes(networks):
             r"teacher has no network\.backbone",
         ),
         (
-            lambda *_: instantiate(compose("train", ["loss=ssim_l1_distill"]).loss),
+            lambda *_: instantiate(compose(TrainSettings, ["loss=ssim_l1_distill"]).loss),
             r"for a loss as teacher=\.\.\.",
         ),
         (
-            lambda *_: instantiate(compose("train", ["data=mix_photographs"]).data.sources.photographs.data),
+            lambda *_: instantiate(
+                compose(TrainSettings, ["data=mix_photographs"]).data["sources"]["photographs"]["data"]
+            ),
             r"for photographs as data\.sources\.photographs\.data\.teacher\.source=\.\.\.",
         ),
         (lambda *_: zoo.build_teacher("eldenet"), "without trained weights"),
@@ -146,10 +149,10 @@ def test_a_teacher_or_features_that_are_missing_are_named(make, message: str, ne
 def test_a_teacher_without_a_distilled_term_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where "runs/big" may be a Hub id
     config = compose(
-        "train", ["teacher=runs/big", "model_name=a", f"run_dir={tmp_path}", "runtime.threads=1"]
+        TrainSettings, ["teacher=runs/big", "model_name=a", f"output={tmp_path}", "runtime.threads=1"]
     )
     with pytest.raises(ValueError, match="teacher=runs/big: no term of this loss"):
-        train(build_training(config, tmp_path))
+        train(config)
 
 
 def distill(folder: Path, network: torch.nn.Module, *, stop: int = 0, ckpt_path: Path | None = None) -> None:
@@ -187,7 +190,7 @@ TINY = (
 def test_the_train_command_distills_from_a_saved_model(run_command, tmp_path, networks):
     networks[1].save_pretrained(tmp_path / "big", info={"input_size": [64, 96]})
     finished = run_command(
-        *("train", *TINY, "loss=ssim_l1_distill", "teacher=big", "run_dir=student"),
+        *("train", *TINY, "loss=ssim_l1_distill", "teacher=big", "output=student"),
         "loss.terms.distilled.feature_weight=0.1",
     )
     assert finished.returncode == 0, finished.stderr

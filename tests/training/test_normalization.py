@@ -10,11 +10,13 @@ import torch
 from support import layouts
 from support.networks import same_model
 
-from eldenet.config import build_model, build_training, compose, plain
+from eldenet.compose import compose, plain
+from eldenet.configurable import instantiate
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import channel_statistics
 from eldenet.model import IMAGENET_MEAN, DepthNet
 from eldenet.results.run_log import RunLog
+from eldenet.train import TrainSettings
 from eldenet.training.initialization import initial_model
 from eldenet.training.normalization import normalization, write_normalization
 
@@ -48,12 +50,12 @@ def test_the_draw_is_seeded(frames: FolderDataset) -> None:
 
 
 def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) -> None:
-    config = compose("train", [])
+    config = compose(TrainSettings, [])
     assert plain(config.normalization) == "imagenet"
     assert normalization("imagenet", frames) == {}
-    chosen = build_model(config.model, **normalization("imagenet", frames))
-    assert chosen.config == build_model(config.model).config  # so older checkpoints still fit
-    torch.testing.assert_close(build_model(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
+    chosen = instantiate(config.model, **normalization("imagenet", frames))
+    assert chosen.config == instantiate(config.model).config  # so older checkpoints still fit
+    torch.testing.assert_close(instantiate(config.model).mean.flatten(), torch.tensor(IMAGENET_MEAN))
 
 
 def test_a_resumed_run_keeps_its_numbers(frames: FolderDataset, tmp_path: Path) -> None:
@@ -90,15 +92,16 @@ def test_pictures_of_one_color_are_refused(tmp_path: Path) -> None:
 def seeded(tmp_path: Path, *words: str, **arguments: Any) -> DepthNet:
     source = tmp_path / "start"
     config = compose(
-        "train", ["model=eldenet_s", "model_name=s", f"weights={source}", "model.head.max_depth=10", *words]
+        TrainSettings,
+        ["model=eldenet_s", "model_name=s", f"weights={source}", "model.head.max_depth=10", *words],
     )
-    return initial_model(build_training(config, tmp_path), RunLog(tmp_path), **arguments)
+    return initial_model(config.model, 0, config.weights, (), arguments, RunLog(tmp_path))
 
 
 def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
     theirs = {"mean": [0.3, 0.31, 0.32], "std": [0.2, 0.21, 0.22]}
-    config = compose("train", ["model=eldenet_s", "model.head.max_depth=10"])
-    start = build_model(config.model, **theirs)
+    config = compose(TrainSettings, ["model=eldenet_s", "model.head.max_depth=10"])
+    start = instantiate(config.model, **theirs)
     start.save_pretrained(tmp_path / "start")
     model, image = seeded(tmp_path), torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(0))
     assert same_model(model, start)
@@ -118,7 +121,7 @@ def test_weights_bring_their_normalization(tmp_path: Path, capsys) -> None:
 
 def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
     """Their tensors fit as well, and mean something else here."""
-    start = build_model(compose("train", ["model=eldenet_s", "model.head.max_depth=10"]).model)
+    start = instantiate(compose(TrainSettings, ["model=eldenet_s", "model.head.max_depth=10"]).model)
     start.save_pretrained(tmp_path / "start")
     assert same_model(seeded(tmp_path), start)
     assert capsys.readouterr().out == f"weights: 226 of 226 tensors copied from {tmp_path / 'start'}\n"
@@ -136,7 +139,7 @@ def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Pat
         "trainer.batch_size=4",
         "runtime.workers=0",
         "normalization=dataset",
-        "run_dir=run",
+        "output=run",
     )
     finished = run_command("train", *arguments)
     assert finished.returncode == 0, finished.stderr
@@ -150,6 +153,6 @@ def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Pat
     resumed = run_command("train", *arguments, "ckpt_path=auto")
     assert resumed.returncode == 0, resumed.stderr
     assert json.loads((tmp_path / "run/normalization.json").read_text()) == kept
-    both = run_command("train", *arguments[:-1], "run_dir=other", "+model.mean=[0.5,0.5,0.5]")
+    both = run_command("train", *arguments[:-1], "output=other", "+model.mean=[0.5,0.5,0.5]")
     assert both.returncode == 1
     assert "use one of them" in both.stderr

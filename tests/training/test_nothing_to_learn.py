@@ -9,12 +9,14 @@ from support import layouts
 from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL, fit
 
-from eldenet.config import build_training, compose
+from eldenet.compose import compose
+from eldenet.evaluation import splits
 from eldenet.evaluation.evaluator import evaluate
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm
 from eldenet.losses.pointwise import L1Loss
-from eldenet.training.run import collapse, make_splits, train
+from eldenet.train import TrainSettings, train
+from eldenet.training.notes import collapse
 from eldenet.training.trainer import Trainer
 
 
@@ -52,19 +54,15 @@ def test_unlabeled_frames_teach_where_a_teacher_sees_them(tmp_path: Path, monkey
 
 
 @pytest.mark.parametrize("split", ["train", "val", "test"])
-def test_a_split_without_a_known_pixel_is_refused_before_the_training(tmp_path: Path, split: str) -> None:
-    def make_split(name: str, protocol, **_):
+def test_a_split_without_a_known_pixel_is_refused_before_the_training(monkeypatch, split: str) -> None:
+    def open_split(data, name: str, protocol, **_):
         return PartlyUnknown(3, 3 if name == split else 2)
 
-    class Setup:
-        protocol, seed = PROTOCOL, 0
-
-    Setup.make_split = staticmethod(make_split)
-    resources = None
+    monkeypatch.setattr(splits, "open_split", open_split)
     with pytest.raises(ValueError, match=r"no pixel of 3 frames such as synthetic/0 has a known depth"):
-        make_splits(Setup(), resources)  # type: ignore[arg-type]
+        splits.open_splits({}, PROTOCOL)
     if split == "train":
-        make_splits(Setup(), resources, labeled=False)  # type: ignore[arg-type]
+        splits.open_splits({}, PROTOCOL, labeled=False)
 
 
 def test_nothing_can_be_scored_where_nothing_is_known(model) -> None:
@@ -108,9 +106,9 @@ def test_a_rate_that_is_far_too_high_is_said_in_one_line(tmp_path: Path, capsys)
     words = ["data=folder", f"data.root={tmp_path / 'data'}", "model=eldenet_s", "data.input_size=[32,64]"]
     words += ["optimizer.lr=1e3", "trainer.epochs=2", "model_name=small", "runtime.workers=0"]
     folder = tmp_path / "run"
-    setup = build_training(compose("train", [*words, "runtime.threads=1", f"output={folder}"]), folder)
+    s = compose(TrainSettings, [*words, "runtime.threads=1", f"output={folder}"])
     try:
-        train(setup)
+        train(s)
         said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning")]
     except (FloatingPointError, ValueError) as error:  # in some precisions the weights overflow
         said = str(error).splitlines()

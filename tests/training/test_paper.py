@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,9 @@ import torch
 from support import layouts
 
 import eldenet
-from eldenet.config import build_training, compose
+from eldenet.compose import compose
 from eldenet.refinement import JointBilateral
-from eldenet.training.run import train
+from eldenet.train import TrainSettings, train
 
 SET_UPS = {
     "paper": (
@@ -39,11 +40,11 @@ def test_the_recipe_trains(name: str, tmp_path: Path) -> None:
     if name == "paper_kitti":
         layouts.kitti_depth(tmp_path / "data")
     words = [f"+experiment={name}", f"data.root={layout(tmp_path / 'data')}", *overrides]
-    config = compose("train", [*words, "model_name=eldenet_paper", "trainer.epochs=2"])
+    config = compose(TrainSettings, [*words, "model_name=eldenet_paper", "trainer.epochs=2"])
     config.runtime.update({"workers": 0, "threads": 1, "precision": "fp32"})
-    assert not config.model.backbone.shortcuts
-    assert config.trainer.batch_size == 32
-    train(build_training(config, tmp_path / "run"))
+    assert not config.model["backbone"]["shortcuts"]
+    assert config.trainer["batch_size"] == 32
+    train(replace(config, output=str(tmp_path / "run")))
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert math.isfinite(record["metrics"]["abs_rel"])
     rows = list(csv.DictReader((tmp_path / "run" / "history.csv").open()))

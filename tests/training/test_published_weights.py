@@ -14,8 +14,10 @@ from torch import Tensor
 import eldenet
 from eldenet.baselines import meter
 from eldenet.baselines.meter import METER, UpBlock
-from eldenet.config import build_protocol, build_split, compose
+from eldenet.compose import compose
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.model import DepthNet
+from eldenet.train import TrainSettings
 
 
 @pytest.fixture
@@ -75,9 +77,9 @@ def test_meter_predicts_nyu(weights_dir: Path) -> None:
     result: it shows that every tensor is in its place.
     """
     real_folder("nyu_depth_v2/labeled", "data/nyu2_train.csv")
-    config = compose("train", ["data=nyu_labelled", "data.input_size=[192,256]"])
-    protocol = build_protocol(config)
-    frames = build_split(config, "val", protocol)
+    config = compose(TrainSettings, ["data=nyu_labelled", "data.input_size=[192,256]"])
+    protocol = chosen_protocol(config.data, config.protocol)
+    frames = open_split(config.data, "val", protocol)
     model, predictions, truths = published(weights_dir, "nyu"), [], []
     for index in range(0, 130, 10):
         sample = frames[index]

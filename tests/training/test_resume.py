@@ -4,25 +4,24 @@ import math
 import os
 import random
 import signal
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 from support.damages import refusal
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, Stopped, digest, fit, make_trainer, stopping_at
 
-from eldenet.config import build_training, compose, plain
+from eldenet.compose import compose
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.losses.pointwise import L1Loss
-from eldenet.system.files import write_json
+from eldenet.system.files import write_json, write_yaml
+from eldenet.train import TrainSettings, train
 from eldenet.training.checkpoint import Progress, TrainingState, load_checkpoint, save_checkpoint
 from eldenet.training.optim import cosine
-from eldenet.training.run import train
 
 
 class NoisyLoss(L1Loss):
@@ -64,14 +63,14 @@ TINY = (
 
 
 def test_sigkill_at_random_steps_with_workers_and_augmentation(tmp_path, command_server):
-    whole = command_server.run("eldenet.train", (*TINY, "run_dir=whole"), tmp_path)
+    whole = command_server.run("eldenet.train", (*TINY, "output=whole"), tmp_path)
     assert whole.returncode == 0, whole.stderr
     generator = random.Random(0)
     kills = 0
     for _attempt in range(8):
         killed = command_server.run(
             "eldenet.train",
-            (*TINY, "run_dir=killed", "ckpt_path=auto"),
+            (*TINY, "output=killed", "ckpt_path=auto"),
             tmp_path,
             interrupt_at="killed/checkpoints/last.pt" if kills < 3 else None,  # once it has made progress
             number=signal.SIGKILL,
@@ -119,27 +118,27 @@ def test_resuming_another_training_is_refused(tmp_path):
 )
 def test_a_run_goes_on_with_its_settings_alone(tmp_path, monkeypatch, given, output):
     monkeypatch.chdir(tmp_path)
-    begun = compose("train", ["model_name=small", "run_dir=begun", "loss.terms.l1.weight=7"])
+    begun = compose(TrainSettings, ["model_name=small", "output=begun", "loss.terms.l1.weight=7"])
     Path("begun/checkpoints").mkdir(parents=True)
-    OmegaConf.save(begun, "begun/config.yaml", resolve=True)
+    write_yaml(Path("begun/config.yaml"), asdict(begun))
     save_checkpoint(Path("begun/checkpoints/last.pt"), {"progress": {}})
-    other = compose("train", ["model_name=small", f"run_dir={output}", f"ckpt_path={given}"])
+    other = compose(TrainSettings, ["model_name=small", f"output={output}", f"ckpt_path={given}"])
     advice = "give another folder" if output == "begun" else r"or start from its weights=.*begun"
     with pytest.raises(
         ValueError, match=rf"other settings: loss\.terms\.l1\.weight=.* \(there 7\).*{advice}"
     ):
-        train(build_training(other, tmp_path / output))
+        train(other)
 
 
 def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeypatch):
-    config = compose("train", ["model_name=small", f"run_dir={tmp_path}", "ckpt_path=auto"])
-    record = {"metrics": {}, "config": plain(config), "training": None}
+    config = compose(TrainSettings, ["model_name=small", f"output={tmp_path}", "ckpt_path=auto"])
+    record = {"metrics": {}, "config": asdict(config), "training": None}
     write_json(tmp_path / "run.json", record)
     with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
-        train(build_training(config, tmp_path))
+        train(config)
     write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
-    monkeypatch.setattr("eldenet.config.build_split", lambda *_, **__: SyntheticDepth(2))
-    assert math.isnan(train(build_training(config, tmp_path)))
+    monkeypatch.setattr("eldenet.training.resume.open_split", lambda *_, **__: SyntheticDepth(2))
+    assert math.isnan(train(config))
 
 
 def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):

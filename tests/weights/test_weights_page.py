@@ -5,7 +5,7 @@ from pathlib import Path
 
 import eldenet
 from eldenet.cli.commands import COMMANDS
-from eldenet.config import config_folder
+from eldenet.compose import config_folder
 from eldenet.weights import PACKAGED
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "weights.md"

@@ -62,7 +62,7 @@ def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> No
 
 def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     """A run with a teacher has a higher total; its curve is that of the labels, in every epoch."""
-    config = cfg.compose("train", ["model_name=a", "run_dir=b", "loss=ssim_l1_distill", "teacher=big"])
+    config = cfg.compose("train", ["model_name=a", "output=b", "loss=ssim_l1_distill", "teacher=big"])
     epochs = [{"epoch": 1, "train_total": 3.0, "train_distilled": 2.0}]
     epochs += [{"epoch": 2, "train_total": 1.5, "train_distilled": 0.75, "val_mse": 1.0}]
     run = {"config": {"loss": cfg.plain(config.loss)}, "training": {"history": epochs}}
@@ -82,6 +82,6 @@ def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     ],
 )
 def test_the_validation_loss_is_that_of_the_training_if_metrics_give_it(overrides, expected):
-    config = cfg.compose("train", ["model_name=a", "run_dir=b", *overrides])
+    config = cfg.compose("train", ["model_name=a", "output=b", *overrides])
     run = {"config": {"loss": cfg.plain(config.loss)}}
     assert validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(expected)
