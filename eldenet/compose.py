@@ -26,9 +26,10 @@ from hydra.core.config_store import ConfigStore  # noqa: E402
 from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
-from omegaconf import DictConfig, OmegaConf, open_dict  # noqa: E402
+from omegaconf import MISSING, DictConfig, OmegaConf, open_dict  # noqa: E402
 from omegaconf.errors import OmegaConfBaseException  # noqa: E402
 
+REQUIRED: Any = MISSING  # the default of a setting that has none
 #: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
 FOCAL_RANGE = (0.4, 2.0)
 Settings = TypeVar("Settings")

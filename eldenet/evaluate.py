@@ -8,11 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import MISSING
-
 import eldenet
 from eldenet.cli.entry_point import entry_point
-from eldenet.compose import listed
+from eldenet.compose import REQUIRED, listed
 from eldenet.data.splits import check_folders, split_settings
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
@@ -29,11 +27,11 @@ if TYPE_CHECKING:
 class EvaluateSettings:
     """What ``python -m eldenet.evaluate`` reads."""
 
-    data: dict[str, Any] = MISSING
-    runtime: dict[str, Any] = MISSING
+    data: dict[str, Any] = REQUIRED
+    runtime: dict[str, Any] = REQUIRED
     protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
     checkpoint: str = (
-        MISSING  # run, model folder, Hub id, packaged weights, or an exported .onnx or .xml file
+        REQUIRED  # run, model folder, Hub id, packaged weights, or an exported .onnx or .xml file
     )
     engine: str = "auto"  # for exported files: onnxruntime, openvino, or auto (the fastest)
     precision: str | None = None  # for exported files: bf16 (openvino only); null: the file's own

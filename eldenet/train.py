@@ -14,10 +14,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from omegaconf import MISSING
-
 from eldenet.cli.entry_point import entry_point, given_settings
-from eldenet.compose import listed
+from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate, modules_named_in
 from eldenet.data.splits import check_folders
 from eldenet.system.files import sole_writer, write_yaml
@@ -30,14 +28,14 @@ from eldenet.weights import find_checkpoint
 class TrainSettings:
     """What ``python -m eldenet.train`` reads; ``configs/train.yaml`` names the defaults of the sections."""
 
-    data: dict[str, Any] = MISSING
-    model: dict[str, Any] = MISSING
-    loss: dict[str, Any] = MISSING
-    optimizer: dict[str, Any] = MISSING
-    scheduler: dict[str, Any] = MISSING
+    data: dict[str, Any] = REQUIRED
+    model: dict[str, Any] = REQUIRED
+    loss: dict[str, Any] = REQUIRED
+    optimizer: dict[str, Any] = REQUIRED
+    scheduler: dict[str, Any] = REQUIRED
     augmentation: dict[str, Any] = field(default_factory=dict)
-    trainer: dict[str, Any] = MISSING
-    runtime: dict[str, Any] = MISSING
+    trainer: dict[str, Any] = REQUIRED
+    runtime: dict[str, Any] = REQUIRED
     protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
     # such as 0.8: the network predicts depth for a camera of this focal length [widths of its input], so that
     # its meters are right for any lens; null: only for the training's lens

@@ -164,7 +164,7 @@ def test_every_experiment_composes(experiment: str) -> None:
     config = compose(TrainSettings, [f"+experiment={experiment}"])
     chosen_protocol(config.data, config.protocol)
     for name in ("data", "model", "loss", "optimizer", "scheduler", "trainer"):
-        assert list(nodes(plain(config[name])))
+        assert list(nodes(plain(getattr(config, name))))
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
             [sys.executable, *arguments], capture_output=True, text=True, check=True, **options
         ).stdout
 
-    where = printed("-c", "from eldenet.config import config_folder; print(config_folder())")
+    where = printed("-c", "from eldenet.compose import config_folder; print(config_folder())")
     assert where.strip() == str(site / "eldenet" / "configs")
     assert "eldenet.backbones.pplcnet.PPLCNet" in printed("-m", "eldenet.train", "--cfg", "job")
 

@@ -23,8 +23,7 @@ COMMANDS = {
     "check-data": "is a data set complete, and does it hold what its config says?",
     "navigate": "drive a simulated robot by depth; evaluate or train its driver",
 }
-#: Commands that are not the module of their name at the top of the package.
-MODULES = {"demo": "eldenet.cli.demo"}
+
 # Hydra completes the settings of a command: it reads COMP_LINE and drops its first word. Names of files may
 # hold anything, so no script here reads them: the shell itself completes and quotes them.
 _BASH = """\
@@ -134,7 +133,7 @@ def _start(name: str, words: Sequence[str]) -> None:
 
 def module_of(name: str) -> str:
     """Return the module of a command, as ``python -m`` takes it."""
-    return MODULES.get(name, f"eldenet.{name.replace('-', '_')}")
+    return f"eldenet.{name.replace('-', '_')}"
 
 
 def _print(text: str) -> None:

@@ -283,6 +283,6 @@ def test_without_npm_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):
 
 
 def test_a_wrong_port_is_refused(run_command):
-    done = run_command("cli.demo", "port=99999")
+    done = run_command("demo", "port=99999")
     assert done.returncode == 1
     assert "port=99999: give a number from 0" in done.stderr

@@ -138,7 +138,7 @@ def test_a_factor_that_no_camera_needs_is_refused(walk, height):
     given = [f"source={walk / 'walk'}", f"intrinsics={list(CAMERA)}", f"camera_height={height}"]
     given += ["camera_pitch=11.459", "runtime.threads=1"]
     with pytest.raises(ValueError, match=r"multiplied by .* no factor above 3 .*: check camera_height \[m\]"):
-        calibrate(build_calibration(compose("adapt", given), walk / "run"))
+        calibrate(build_calibration(compose_config("adapt", given), walk / "run"))
     assert not saved
 
 

@@ -1,4 +1,4 @@
-"""``python -m eldenet.cli.demo``: a page that runs the network in the browser, on this machine alone."""
+"""``python -m eldenet.demo``: a page that runs the network in the browser, on this machine alone."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
