@@ -166,7 +166,8 @@ def plain(config: Any, *, resolve: bool = True) -> Any:
 
 def listed(value: Any) -> list[Any]:
     """Return a setting that takes several values as a list; a single value becomes a list of one."""
-    return list(value) if isinstance(value, list | tuple) else [value]
+    values = plain(value)
+    return list(values) if isinstance(values, list | tuple) else [values]
 
 
 # --- what YAML files call as ${name:argument,...} -----------------------------------------------------------

@@ -85,7 +85,7 @@ REFERENCE = {
         "Training and evaluation",
         "One run, the rules by which depth is scored, and the metrics.",
         (
-            "eldenet.training.run.train",
+            "eldenet.train.train",
             "eldenet.training.trainer.Trainer",
             "eldenet.evaluation.protocol.EvalProtocol",
             "eldenet.evaluation.evaluator.evaluate",

@@ -8,14 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from eldenet.training.run import train
 from support import layouts
 
 import eldenet
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.evaluation.evaluator import evaluate
-from eldenet.train import TrainSettings
+from eldenet.train import TrainSettings, train
 
 TINY = (
     "data.size=[32,40]",

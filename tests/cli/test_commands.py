@@ -185,9 +185,3 @@ def test_output_names_the_folder_of_a_sweep(run_command, tmp_path):
     assert "/a is not a folder" in finished.stderr
     assert (tmp_path / "sweep" / "multirun.yaml").is_file()
     assert not (tmp_path / "runs").exists()
-
-
-def test_the_folder_has_one_name(run_command):
-    finished = run_command("train", "output=a", "output=b")
-    assert finished.returncode == 1
-    assert finished.stderr == "error: output and run_dir are the same setting: give output alone\n"
