@@ -5,7 +5,6 @@ Tested with stand-ins for ROS's modules, not in ROS.
 
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 
 from eldenet.geometry import back_project
@@ -67,13 +66,8 @@ class DepthNode(Node):
         if self.sigma is not None:
             self.sigma.publish(BUILDER.depth_image(header, estimate.sigma))
         if self.cloud.get_subscription_count():
-            depth = (
-                estimate.depth
-                if estimate.sigma is None
-                else np.where(estimate.unsure, np.nan, estimate.depth)
-            )
             each = (slice(None, None, self.settings.cloud_step),) * 2
-            points = back_project(depth, intrinsics)
+            points = back_project(estimate.depth, intrinsics)  # the unsure ones too: a costmap must see them
             self.cloud.publish(BUILDER.point_cloud(header, points[each], frame[each]))
 
 
