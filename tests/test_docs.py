@@ -157,7 +157,8 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
 
     import eldenet
     from eldenet.deploy import runtimes
-    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import write_onnx
 
     monkeypatch.chdir(tmp_path)
     model = eldenet.load("eldenet_s")
@@ -186,7 +187,8 @@ def test_the_snippet_of_embedded_gives_what_predict_gives(name, size, tmp_path, 
     import skimage
 
     import eldenet
-    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import write_onnx
 
     monkeypatch.chdir(tmp_path)
     model = eldenet.load(name)

@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from eldenet.backbones.weights import Weights, download_from_hub, load_weights, read_weights, rename_timm
+from eldenet.system.onnx_files import read_graph
 
 PUBLISHED = {0.5: "lcnet_050.ra2_in1k", 0.75: "lcnet_075.ra2_in1k", 1.0: "lcnet_100.ra2_in1k"}
 
@@ -68,10 +69,9 @@ def from_onnx(path: str | Path, module: nn.Module) -> Weights:
     Raises:
         ValueError: the graph is not that of a PP-LCNet.
     """
-    import onnx
+    graph = read_graph(path, "fetch it again").graph
     from onnx import numpy_helper
 
-    graph = onnx.load(str(path)).graph
     tensors = {item.name: torch.from_numpy(numpy_helper.to_array(item).copy()) for item in graph.initializer}
     found = _onnx_convolutions(graph, tensors)
     convolutions = {name: layer for name, layer in module.named_modules() if isinstance(layer, nn.Conv2d)}

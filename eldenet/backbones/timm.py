@@ -8,13 +8,14 @@ from torch import Tensor
 
 from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import Weights, read_weights
+from eldenet.system.errors import missing_extra
 from eldenet.types import FeatureInfo
 
 
 class TimmBackbone(Backbone):
     """A network of the timm library, with every stage that timm offers as a feature.
 
-    Needs the extra ``pip install eldenet[timm]``. Channels and strides are those that timm declares for
+    Needs the extra ``pip install -e '.[timm]'``. Channels and strides are those that timm declares for
     ``features_only=True``; most networks start at stride 2, some at 1 or 4. Networks with a single stride
     (plain vision transformers) cannot feed a decoder and are refused here; those with a fixed input size
     are refused by timm when they run.
@@ -36,7 +37,7 @@ class TimmBackbone(Backbone):
         try:
             import timm
         except ImportError as error:
-            raise ImportError("TimmBackbone needs the package timm: pip install eldenet[timm]") from error
+            raise missing_extra("TimmBackbone", "timm", "timm") from error
 
         weights = read_weights(pretrained) if isinstance(pretrained, str) else None
         overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.system.errors import reading
+from eldenet.system.errors import missing_extra, reading
 
 PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
 
@@ -127,7 +127,7 @@ def read_exr(path: Path) -> np.ndarray:
     try:
         import OpenEXR
     except ImportError as error:
-        raise ImportError("reading .exr files needs OpenEXR: pip install 'eldenet[exr]'") from error
+        raise missing_extra("reading .exr files", "OpenEXR", "exr") from error
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), header_only=True) as file:
         first, last = (np.array(corner, np.int64) for corner in file.header()["dataWindow"])
         sides = (last - first + 1).tolist()

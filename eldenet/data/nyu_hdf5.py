@@ -13,7 +13,7 @@ from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
 from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
-from eldenet.system.errors import reading
+from eldenet.system.errors import missing_extra, reading
 from eldenet.types import Frame
 
 HDF5_TREE = """
@@ -167,7 +167,7 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise ImportError("reading NYU's HDF5 files needs h5py: pip install 'eldenet[nyu]'") from error
+        raise missing_extra("reading NYU's HDF5 files", "h5py", "nyu") from error
     with reading(source, "HDF5 file"):
         opened = h5py.File(file, "r")
     return opened

@@ -20,7 +20,7 @@ from eldenet.visualization import write_picture
 USAGE = """python -m eldenet.data.prepare nyu_labelled source=nyu_depth_v2_labeled.mat [output=nyu_labelled]
     Writes the 795 labeled training frames of NYU Depth V2 for data=nyu_labelled, and the 654 official test
     frames for data=nyu_densedepth, into one folder (data.root). source: the official file, with splits.mat
-    beside it. Needs h5py: pip install 'eldenet[nyu]'"""
+    beside it. Needs h5py: pip install -e '.[nyu]'"""
 JPEG_QUALITY = 95
 
 

@@ -74,7 +74,8 @@ def build_page(model: "DepthNet", setup: DemoSetup, log: "RunLog") -> None:
     Raises:
         ValueError: npm is missing or fails.
     """
-    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import write_onnx
     from eldenet.model import size_of_frames
 
     install_runtime(setup.output / "runtime", log)

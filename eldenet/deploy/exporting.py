@@ -1,6 +1,7 @@
 """Export a trained network for other runtimes, and check the file against torch."""
 
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import eldenet
+from eldenet.data.io import IMAGE_ENDINGS, read_image
+from eldenet.data.splits import evenly_spaced
 from eldenet.deploy import runtimes
+from eldenet.deploy.metadata import describe
 from eldenet.deploy.predictor import DepthPredictor, as_image
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.system.files import safe_stem
+from eldenet.system.onnx_files import read_graph
 from eldenet.uncertainty import DepthEstimate
 from eldenet.weights import find_checkpoint, name_of
 
@@ -64,8 +69,8 @@ def export(setup: ExportSetup) -> Path:
     Raises:
         ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
     """
-    from eldenet.deploy.files import describe, write_onnx, write_openvino
-    from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
+    from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
+    from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
     from eldenet.results.run_log import RunLog, untrained_note
 
     model = eldenet.load(setup.checkpoint, trusted_modules=setup.trusted_modules)
@@ -125,6 +130,29 @@ def target_of(setup: ExportSetup, model: "DepthNet") -> Target:
     return Target(setup, name, size, output)
 
 
+def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray]:
+    """Up to ``count`` pictures ``(H, W, 3)`` uint8 RGB, evenly spread over a folder or a pattern.
+
+    Without a source they are frames of the built-in rooms.
+
+    Raises:
+        ValueError: the source holds no pictures.
+    """
+    if source is None:
+        from eldenet.data.rooms import Rooms
+
+        rooms = Rooms(split, frames=count)
+        return [rooms.load_frame(index).image for index in range(len(rooms))]
+    folder = Path(source).expanduser()
+    paths = sorted(folder.iterdir() if folder.is_dir() else folder.parent.glob(folder.name))
+    paths = [path for path in paths if path.suffix.lower() in IMAGE_ENDINGS]
+    if not paths:
+        raise ValueError(
+            f"pictures={source} holds no pictures: give a folder, or a pattern such as 'photos/*.jpg'"
+        )
+    return [read_image(paths[index], upright=True) for index in evenly_spaced(len(paths), count)]
+
+
 def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
     """Pictures as the file takes them: one array each, repeated to a fixed batch."""
     camera = target.setup.camera
@@ -141,8 +169,6 @@ def compare_with_torch(
     Raises:
         ValueError: an output of an fp32 file differs from torch's.
     """
-    from eldenet.deploy.files import map_errors
-
     setup, output = target.setup, target.output
     seen = [resize_image(picture, setup.camera or target.size) for picture in pictures]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
@@ -182,8 +208,6 @@ def compare_with_torch(
 
 def say_contents(output: Path, log: "RunLog") -> None:
     """Print the file's operations and its size."""
-    from eldenet.deploy.files import count_operations
-
     kinds = count_operations(output)
     norms = sum(number for kind, number in kinds.items() if "BatchNorm" in kind)
     counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common(4))
@@ -191,3 +215,26 @@ def say_contents(output: Path, log: "RunLog") -> None:
     megabytes = sum(path.stat().st_size for path in files if path.exists()) / 1e6
     log.say(f"{kinds.total()} operations ({counted}, ...), {norms} batch normalizations")
     log.say(f"written to {output} ({megabytes:.2f} MB)")
+
+
+def count_operations(path: str | Path) -> Counter[str]:
+    """Number of each operation in an ONNX or OpenVINO file, without constants."""
+    if Path(path).suffix == ".onnx":
+        kinds = [node.op_type for node in read_graph(path).graph.node]
+    else:
+        import xml.etree.ElementTree as ElementTree
+
+        kinds = [layer.attrib["type"] for layer in ElementTree.parse(path).getroot().iter("layer")]
+    return Counter(kind for kind in kinds if kind not in ("Constant", "Const", "Parameter", "Result"))
+
+
+def map_errors(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Largest and median difference of two maps, in meters and relative to the reference."""
+    meters = np.abs(depth.astype(np.float64) - reference)
+    relative = meters / np.abs(reference)
+    return {
+        "max_m": float(meters.max()),
+        "median_m": float(np.median(meters)),
+        "max_relative": float(relative.max()),
+        "median_relative": float(np.median(relative)),
+    }

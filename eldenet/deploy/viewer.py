@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, back_project
-from eldenet.system.errors import writing
+from eldenet.system.errors import missing_extra, writing
 from eldenet.system.files import part_path
 from eldenet.uncertainty import DepthEstimate, as_estimate
 
@@ -122,9 +122,7 @@ def log_boxes(log: Callable[..., Any], boxes: "Boxes3D", path: str = WORLD) -> N
 def check_installed() -> None:
     """Raise ImportError if Rerun's SDK is not installed."""
     if find_spec("rerun") is None:
-        raise ImportError(
-            "viewer=rerun needs rerun-sdk, which is not installed: pip install 'eldenet[viewer]'"
-        )
+        raise missing_extra("viewer=rerun", "rerun-sdk", "viewer")
 
 
 @contextmanager

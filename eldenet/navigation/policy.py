@@ -24,7 +24,7 @@ from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.system.digests import KEY, canonical, digest_of
 from eldenet.system.errors import reading
-from eldenet.system.files import parse_json, part_file, write_bytes
+from eldenet.system.files import parse_json, write_bytes
 from eldenet.weights import check_packaged
 
 SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
@@ -224,17 +224,12 @@ def export_onnx(navigator: Navigator, path: str | Path) -> None:
 
     The file's metadata has the observer's options as "navigator".
     """
-    import onnx
-
     network = copy.deepcopy(navigator.network).float()
     rows = torch.export.Dim("robots", min=1)
-    with part_file(Path(path)) as unfinished:
-        torch.onnx.export(
-            network.eval(), (torch.zeros(2, network.inputs),), str(unfinished), input_names=["observation"],
-            output_names=["values"], dynamic_shapes=({0: rows},), dynamo=True, external_data=False,
-            verbose=False,
-        )  # fmt: skip
-        model = onnx.load(str(unfinished))
-        notes = model.metadata_props.add()
-        notes.key, notes.value = "navigator", json.dumps(navigator.observer.options)
-        onnx.save(model, str(unfinished))
+    program: Any = torch.onnx.export(
+        network.eval(), (torch.zeros(2, network.inputs),), input_names=["observation"],
+        output_names=["values"], dynamic_shapes=({0: rows},), dynamo=True, verbose=False,
+    )  # fmt: skip
+    graph = program.model_proto
+    graph.metadata_props.add(key="navigator", value=json.dumps(navigator.observer.options))
+    write_bytes(Path(path), graph.SerializeToString())

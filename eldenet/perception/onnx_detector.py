@@ -17,6 +17,7 @@ from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
 from eldenet.system.errors import reading
+from eldenet.system.onnx_files import open_session
 
 _STRIDES = (8, 16, 32)
 _INPUTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # half=True of many exporters
@@ -118,14 +119,16 @@ class OnnxDetector:
         keep: names of the classes to keep; None: all.
         box_style: how its boxes enclose objects.
         threads: of ONNX Runtime; 0: its own choice.
-        providers: of ONNX Runtime, in order of preference.
+        providers: of ONNX Runtime, in order of preference; the first one that is installed must run.
 
     Raises:
         FileNotFoundError: the file does not exist.
-        ValueError: not an ONNX file, an unknown layout, a number out of range, or no provider is available.
+        ImportError: ONNX Runtime is not installed.
+        ValueError: not an ONNX file, an unknown layout, a number out of range, or no provider is available or
+            starts.
 
     Warns:
-        UserWarning: the first provider does not run, but another one does; or the file is under the AGPL.
+        UserWarning: another provider than the first one runs; or the file is under the AGPL.
     """
 
     def __init__(
@@ -149,7 +152,7 @@ class OnnxDetector:
             if not 0 <= share <= 1:
                 raise ValueError(f"{name}={share}: give a share from 0 to 1, such as 0.5")
         self.path = path = Path(path).expanduser()
-        self.session = _open(path, threads, providers)
+        self.session = open_session(path, providers, threads=threads)
         metadata = self.session.get_modelmeta().custom_metadata_map
         _warn_of_license(path, metadata)
         node = self.session.get_inputs()[0]
@@ -219,36 +222,6 @@ class OnnxDetector:
         if count is not None and len(found) != count:
             raise ValueError(f"{path} has {count} classes, but {len(found)} names: give names=[...] for all")
         return found
-
-
-def _open(path: Path, threads: int, providers: Sequence[str]) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: give the path of a detector's .onnx file")
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise ValueError("OnnxDetector needs ONNX Runtime: pip install 'eldenet[deploy]'") from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    available = onnxruntime.get_available_providers()
-    usable = [name for name in providers if name in available]
-    if not usable:
-        raise ValueError(
-            f"providers={providers}: this ONNX Runtime has {', '.join(available)}; give a list of some "
-            "(CUDAExecutionProvider needs onnxruntime-gpu)"
-        )
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=usable)
-    except Exception as error:  # its exceptions share no base class
-        raise ValueError(f"ONNX Runtime cannot load {path}: {error}") from error
-    active = session.get_providers()[0]
-    if active != providers[0]:  # it falls back silently
-        warnings.warn(
-            f"{path} runs on {active}: {providers[0]} is not installed, or cannot start on this machine",
-            stacklevel=3,
-        )
-    return session
 
 
 def _input_size(shape: list[Any], wanted: tuple[int, int] | None, path: Path) -> tuple[int, int]:

@@ -15,8 +15,7 @@ from eldenet.compose import compose, compose_config
 from eldenet.config import build_export
 from eldenet.data.base import DepthDataset
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import export
-from eldenet.deploy.files import differences
+from eldenet.deploy.exporting import export, map_errors
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.evaluation.splits import chosen_protocol, open_split
@@ -63,7 +62,7 @@ def main() -> None:
         reference = scores if reference is None else reference
         mean, low, high = paired_interval(scores, reference, draw_seeds=False)
         metrics = [f"{result.metrics[name]:.4f}" for name in ("delta1", "abs_rel", "rmse")]
-        found = differences(depth_maps(network, val_set), exact)
+        found = map_errors(depth_maps(network, val_set), exact)
         tail = [f"{100 * found[name]:.2f}" for name in ("median_relative", "max_relative")]
         rows.append([runtime, precision, *metrics, f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]", *tail])
         print(*rows[-1], flush=True)

@@ -12,7 +12,7 @@ import torch
 
 import eldenet
 from eldenet.deploy import runtimes
-from eldenet.deploy.files import write_onnx
+from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluation.cost import median_ms, percentile_ms, time_interleaved
 from eldenet.results.run_record import environment

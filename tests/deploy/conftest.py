@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.rooms_network import meters, smooth_pictures, trained
 
-from eldenet.deploy.files import decline_telemetry
+from eldenet.deploy.openvino_export import decline_telemetry
 from eldenet.model import DepthNet
 
 decline_telemetry()  # some tests import OpenVINO themselves

@@ -10,10 +10,9 @@ import torch
 import eldenet
 from eldenet.compose import compose_config
 from eldenet.config import build_export
-from eldenet.deploy import quantize, runtimes
-from eldenet.deploy.exporting import compare_with_torch, export, target_of
-from eldenet.deploy.files import map_errors, read_metadata
-from eldenet.deploy.quantize import read_pictures
+from eldenet.deploy import exporting, runtimes
+from eldenet.deploy.exporting import compare_with_torch, export, map_errors, read_pictures, target_of
+from eldenet.deploy.metadata import read_metadata
 from eldenet.results.run_log import RunLog
 from eldenet.uncertainty import DepthEstimate
 
@@ -57,7 +56,7 @@ def image_of(photos: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -> None:
-    from eldenet.deploy.files import write_onnx
+    from eldenet.deploy.onnx_export import write_onnx
 
     torch.manual_seed(0)
     model = eldenet.load(name)
@@ -135,7 +134,7 @@ def test_export_says_why_it_renders_rooms(
     def render(*_: object) -> None:
         raise RenderedError
 
-    monkeypatch.setattr(quantize, "read_pictures", render)
+    monkeypatch.setattr(exporting, "read_pictures", render)
     words = [f"checkpoint='{model_folder}'", f"output='{tmp_path / 'r.onnx'}'"]
     with pytest.raises(RenderedError):
         export(build_export(compose_config("export", words)))

@@ -11,8 +11,9 @@ from support.predicting import photo, read_ply, save, setup
 from torch import nn
 
 import eldenet
-from eldenet.deploy.files import describe, write_onnx
 from eldenet.deploy.lens import Lens, exif_focal
+from eldenet.deploy.metadata import describe
+from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.prediction import predict
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import focal_of_fov

@@ -4,7 +4,7 @@ import logging
 import sys
 import threading
 
-from eldenet.deploy.files import quiet
+from eldenet.deploy.onnx_export import quiet
 
 
 def test_threads_that_leave_in_another_order_than_they_entered_leave_the_terminal_as_it_was() -> None:

@@ -10,7 +10,9 @@ from support.networks import small_net
 from support.predicting import listed, photo, save, setup
 
 from eldenet.deploy import runtimes
-from eldenet.deploy.files import describe, write_onnx, write_openvino
+from eldenet.deploy.metadata import describe
+from eldenet.deploy.onnx_export import write_onnx
+from eldenet.deploy.openvino_export import write_openvino
 from eldenet.deploy.prediction import predict
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import LinearHead, UncertainHead

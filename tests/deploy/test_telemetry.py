@@ -31,8 +31,8 @@ node = helper.make_node("Conv", ["image", "w"], ["depth"], pads=[1, 1, 1, 1])
 graph = helper.make_graph([node], "g", [image], [depth], [weight])
 onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), "a.onnx")
 from eldenet import runtimes
-from eldenet.deploy.files import write_openvino
-from eldenet.deploy.quantize import quantize_openvino
+from eldenet.deploy.openvino_export import write_openvino
+from eldenet.deploy.openvino_export import quantize_openvino
 images = np.ones((1, 3, 8, 8), np.float32)
 write_openvino("a.onnx", "a.xml", {})
 quantize_openvino("a.onnx", "b.xml", [images], {})

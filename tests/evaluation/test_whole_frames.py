@@ -12,7 +12,7 @@ from eldenet.config import build_export
 from eldenet.configurable import compose_config, instantiate
 from eldenet.deploy import runtimes
 from eldenet.deploy.exporting import target_of
-from eldenet.deploy.files import describe
+from eldenet.deploy.metadata import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork

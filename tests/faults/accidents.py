@@ -130,13 +130,14 @@ def _dqn(folder: Path) -> None:
 
 
 def _onnx(folder: Path) -> None:
-    from eldenet.deploy.files import write_onnx
+    from eldenet.deploy.onnx_export import write_onnx
 
     write_onnx(trained(), folder / "net.onnx", (32, 64), batch=1, opset=17)
 
 
 def _openvino(folder: Path) -> None:
-    from eldenet.deploy.files import write_onnx, write_openvino
+    from eldenet.deploy.onnx_export import write_onnx
+    from eldenet.deploy.openvino_export import write_openvino
 
     source = folder.parent.parent / "source.onnx"  # on another disk
     if not source.is_file():

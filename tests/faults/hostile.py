@@ -421,10 +421,10 @@ def latex_html_and_formulas_in_a_name(folder: Path) -> Attack:
 @hostile
 def odd_sizes_in_the_metadata_of_an_onnx_file(folder: Path) -> Attack:
     from eldenet.deploy import runtimes
-    from eldenet.deploy.files import set_metadata, write_onnx
+    from eldenet.deploy.onnx_export import write_onnx
 
-    file = write_onnx(trained(), folder / "net.onnx", (32, 64), batch=1, opset=17)
-    set_metadata(file, {"input_size": '"7"', "camera_size": "[1e6, 1e6]"})
+    odd = {"input_size": '"7"', "camera_size": "[1e6, 1e6]"}
+    file = write_onnx(trained(), folder / "net.onnx", (32, 64), batch=1, opset=17, metadata=odd)
     return file, lambda: runtimes.load(file, "onnxruntime", threads=1).info
 
 

@@ -252,7 +252,9 @@ def _save_weights(path: Path) -> None:
 
 def _exported(root: Path) -> None:
     """An ONNX file and OpenVINO's two; they are made once for all kinds that read them."""
-    from eldenet.deploy.files import describe, write_onnx, write_openvino
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import write_onnx
+    from eldenet.deploy.openvino_export import write_openvino
 
     shared = root.parent.parent / "exported"
     if not shared.is_dir():

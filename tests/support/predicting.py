@@ -47,7 +47,8 @@ def small_model(folder: Path) -> Path:
 
 
 def exported(model: DepthNet, path: Path) -> Path:
-    from eldenet.deploy.files import describe, write_onnx
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import write_onnx
 
     pytest.importorskip("onnxruntime")
     return write_onnx(model, path, (32, 64), batch=1, opset=17, metadata=describe(model, "small", (32, 64)))

@@ -11,7 +11,8 @@ import torch
 from support.networks import small_net
 
 from eldenet.data.rooms import Rooms
-from eldenet.deploy.files import write_onnx, write_openvino
+from eldenet.deploy.onnx_export import write_onnx
+from eldenet.deploy.openvino_export import write_openvino
 from eldenet.deploy.outputs import open_video
 from eldenet.results.run_log import RunLog
 from eldenet.system.errors import DiskError

@@ -20,15 +20,17 @@ from eldenet.deploy.benchmarking.rows import (
     read_rows,
 )
 from eldenet.deploy.benchmarking.tables import read_accuracies, write_results
-from eldenet.deploy.files import describe, write_onnx, write_openvino
+from eldenet.deploy.exporting import read_pictures
 from eldenet.deploy.fold import fold
+from eldenet.deploy.metadata import describe, is_whole
+from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
+from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
 from eldenet.deploy.predictor import as_image
-from eldenet.deploy.quantize import quantize_onnx, quantize_openvino, read_pictures
 from eldenet.deploy.runtimes import TORCH, installed
-from eldenet.deploy.sealing import is_whole
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
+from eldenet.system.errors import missing_extra
 from eldenet.system.files import safe_stem
 from eldenet.weights import find_checkpoint, name_of
 
@@ -255,7 +257,7 @@ def prepare(case: Case, model: "DepthNet", fingerprint: str, setup: BenchmarkSet
 def _make(case: Case, model: "DepthNet", name: str, setup: BenchmarkSetup) -> Path:
     folder, size = setup.output / "exports", (case.height, case.width)
     if not installed(case.runtime):
-        raise ImportError(f"{case.runtime} is not installed: pip install 'eldenet[deploy]'")
+        raise missing_extra(f"runtime={case.runtime}", case.runtime, "deploy")
     if case.runtime in TORCH:
         return model.save_pretrained(folder / name)
     stem = f"{name}-{case.height}x{case.width}-batch{case.batch}"

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import eldenet
+from eldenet.deploy.metadata import canonical_camera, check_seal, describe
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
-from eldenet.deploy.sealing import check_seal
 from eldenet.deploy.stream import DepthStream
 from eldenet.system.checks import one_of
+from eldenet.system.errors import missing_extra
 from eldenet.system.resources import available_cores
 from eldenet.system.timing import median_ms, time_interleaved
 from eldenet.weights import find_checkpoint
@@ -73,7 +74,7 @@ def load(
                 "give the model's folder"
             )
         return _open(path, runtime, precision, threads, device)
-    from eldenet.deploy.files import canonical_camera, describe, write_onnx
+    from eldenet.deploy.onnx_export import write_onnx
     from eldenet.model import DepthNet, size_of_frames
 
     model = source if isinstance(source, DepthNet) else eldenet.load(source, trusted_modules=trusted_modules)
@@ -145,7 +146,7 @@ def installed(runtime: str) -> bool:
 
 def _open(path: Path, runtime: str, precision: str | None, threads: int, device: str) -> Runtime:
     if not installed(runtime):
-        raise ImportError(f"{runtime} is not installed: pip install 'eldenet[deploy]'")
+        raise missing_extra(f"runtime={runtime}", runtime, "deploy")
     check_seal(path)
     if runtime == "onnxruntime":
         from eldenet.deploy.runtimes.onnx import OnnxRuntime

@@ -1,12 +1,15 @@
 """The base class of all runtimes: images in, meters out."""
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from eldenet.deploy.files import metadata_value
-from eldenet.system.checks import one_of
+from eldenet.system.checks import check_size, one_of
+from eldenet.system.errors import reading
+from eldenet.system.files import parse_json
+from eldenet.system.onnx_files import EXPORT_AGAIN
 from eldenet.uncertainty import DepthEstimate
 
 if TYPE_CHECKING:
@@ -30,63 +33,66 @@ class Runtime:
         precision: "fp32", "bf16", "fp16" or "int8".
         threads: on a CPU.
         device: "cpu" or the accelerator's name.
-        metadata: of the file (:func:`eldenet.deploy.files.describe`).
+        metadata: of the file (:func:`eldenet.deploy.metadata.describe`).
+        source: of the metadata, for messages.
+        info: like ``DepthNet.info``: the size that the network sees [px], its stretch, and the model's name.
+        fixed_size: the only ``(height, width)`` that the network can see [px]; None: any.
+        camera_size: ``(height, width)`` of the frames that it takes [px], or None.
         takes_frames: whether it takes uint8 frames.
+        whole_frame_size: ``(height, width)`` [px] of a whole frame at the training's scale; None: it did not
+            crop.
+        canonical_px: focal length of the canonical camera [px]; None: the output is in meters of the
+            training's lens.
+        max_depth: largest depth that the network can predict [m]; None: not stated.
+        distribution: of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma.
+        params: number of weights, or None.
+        gmacs: billions of multiply-adds for one image, or None.
+
+    Raises:
+        ValueError: the metadata is damaged.
     """
 
     runtime = ""
 
-    def __init__(self, precision: str, threads: int, device: str, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        precision: str,
+        threads: int,
+        device: str,
+        metadata: Mapping[str, str],
+        source: object = "metadata",
+    ) -> None:
         self.precision, self.threads, self.device = precision, threads, device
-        self.metadata = dict(metadata)
-        self.takes_frames = self._sizes("camera_size") is not None
-
-    def _sizes(self, key: str) -> tuple[int, int] | None:
-        value = metadata_value(self.metadata, key)
-        return None if value is None else (int(value[0]), int(value[1]))
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """Like ``DepthNet.info``: the size that the network sees [px], its stretch, and the model's name."""
-        known = {
-            "input_size": self._sizes("input_size"),
-            "stretch": metadata_value(self.metadata, "stretch"),
+        self.metadata, self.source = dict(metadata), source
+        with reading(source, "exported network", EXPORT_AGAIN):
+            self.camera_size, self.whole_frame_size, self.fixed_size = map(
+                self._size, ("camera_size", "whole_frame_size", "input_size")
+            )
+            focal, width = map(self._number, ("canonical_focal", "canonical_width"))
+            self.canonical_px = None if focal is None or width is None else focal * width
+            self.max_depth, self.params, self.gmacs, stretch = map(
+                self._number, ("max_depth", "params", "gmacs", "stretch")
+            )
+            self.distribution: str | None = self._value("distribution")
+        self.takes_frames = self.camera_size is not None
+        info = {
+            "input_size": self.fixed_size,
+            "stretch": stretch,
             "model_name": self.metadata.get("model"),
         }
-        return {key: value for key, value in known.items() if value is not None}
+        self.info: dict[str, Any] = {key: value for key, value in info.items() if value is not None}
 
-    @property
-    def canonical_px(self) -> float | None:
-        """Focal length of the canonical camera [px]; None: the output is in meters of the training's lens."""
-        focal, width = (metadata_value(self.metadata, f"canonical_{key}") for key in ("focal", "width"))
-        return None if focal is None else float(focal) * float(width)
+    def _value(self, name: str) -> Any:
+        return parse_json(self.metadata.get(name, "null"), name)
 
-    @property
-    def max_depth(self) -> float | None:
-        """Largest depth that the network can predict [m]; None: not stated."""
-        found = metadata_value(self.metadata, "max_depth")
-        return None if found is None else float(found)
+    def _size(self, name: str) -> tuple[int, int] | None:
+        return check_size(name, self._value(name))
 
-    @property
-    def distribution(self) -> str | None:
-        """Distribution of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma."""
-        found: str | None = metadata_value(self.metadata, "distribution")
-        return found
-
-    @property
-    def camera_size(self) -> tuple[int, int] | None:
-        """``(height, width)`` of the frames that it takes [px], or None."""
-        return self._sizes("camera_size")
-
-    @property
-    def whole_frame_size(self) -> tuple[int, int] | None:
-        """``(height, width)`` [px] of a whole frame at the training's scale; None: it did not crop."""
-        return self._sizes("whole_frame_size")
-
-    @property
-    def fixed_size(self) -> tuple[int, int] | None:
-        """The only ``(height, width)`` that the network can see [px]; None: any."""
-        return self._sizes("input_size")
+    def _number(self, name: str) -> float | None:
+        value = self._value(name)
+        if value is not None and not (type(value) in (int, float) and 0 < value < math.inf):
+            raise ValueError(f"{name} is {value!r}, but must be null or a number above 0")
+        return value
 
     @property
     def fixed_batch(self) -> int | None:

@@ -64,10 +64,10 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
         calls[name] = lambda images=images: network.run_prepared(images)
     with torch.inference_mode():
         times = time_interleaved(calls, synchronize=network.synchronize)
-    gmacs = float(network.metadata.get("gmacs", "nan"))
+    gmacs = math.nan if network.gmacs is None else network.gmacs
     of_one = times["one"] if one == 1 else [math.nan]
     return CostReport(
-        params=int(network.metadata.get("params", 0)),
+        params=int(network.params or 0),
         gmacs=gmacs,
         gflops=2 * gmacs,
         latency_ms_p50=median_ms(of_one),

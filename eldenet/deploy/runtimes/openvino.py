@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.deploy.files import decline_telemetry, read_metadata
+from eldenet.deploy.metadata import read_metadata
+from eldenet.deploy.openvino_export import decline_telemetry
 from eldenet.deploy.runtimes.base import Runtime, refuse
+from eldenet.system.errors import reading
+from eldenet.system.onnx_files import EXPORT_AGAIN
 
 HINTS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16", "int8": "f32"}  # int8: of the layers between
 
@@ -62,11 +65,9 @@ class OpenvinoRuntime(Runtime):
         settings: dict[str, str | int] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": hint}
         if name == "CPU":
             settings["INFERENCE_NUM_THREADS"] = threads
-        try:
+        with reading(path, "file for OpenVINO", EXPORT_AGAIN):
             self.compiled = core.compile_model(str(path), name, settings)
-        except Exception as error:  # of a damaged file, of any type
-            raise ValueError(f"OpenVINO cannot load {path}: {error}") from error
-        super().__init__(precision, threads, device.lower(), metadata)
+        super().__init__(precision, threads, device.lower(), metadata, path)
         self.request = self.compiled.create_infer_request()
         self._one_at_a_time = threading.Lock()
 

@@ -52,7 +52,7 @@ class TorchRuntime(Runtime):
             full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
         super().__init__(precision, threads, name, metadata or {})
-        self.runtime = layout
+        self.runtime, self.fixed_size = layout, None  # torch takes any size
         self.target = torch.device(device)
         self.layout = torch.contiguous_format if layout == "torch" else torch.channels_last
         network = fold(model)
@@ -62,11 +62,6 @@ class TorchRuntime(Runtime):
         if layout == "torch_compile":
             # frozen weights: the compiler lays them out once, for the fastest kernels
             self.network = torch.compile(self.network, dynamic=False, options={"freezing": device == "cpu"})
-
-    @property
-    def fixed_size(self) -> None:
-        """Torch takes any size."""
-        return None
 
     def prepared(self, images: np.ndarray) -> Tensor:
         """Tensor on the device, in the layout."""

@@ -1,0 +1,252 @@
+"""Networks as ONNX files: the graph around the network, the opset, and int8 by quantization."""
+
+import logging
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from eldenet import __version__
+from eldenet.deploy.fold import fold
+from eldenet.deploy.metadata import BLANK, DIGEST, PREFIX, PRODUCER, read_metadata, sealed
+from eldenet.geometry import same_aspect, size_of_aspect
+from eldenet.model import DepthNet
+from eldenet.system.errors import first_line
+from eldenet.system.files import write_bytes
+from eldenet.system.onnx_files import read_graph
+
+if TYPE_CHECKING:
+    import onnx
+
+NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
+OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
+_ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
+
+
+def write_onnx(
+    model: DepthNet,
+    path: str | Path,
+    size: tuple[int, int],
+    *,
+    batch: int | None = None,
+    opset: int = NEWEST_OPSET,
+    camera_size: tuple[int, int] | None = None,
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """Write an ONNX file of fp32 weights; the network is folded first (:func:`eldenet.deploy.fold.fold`).
+
+    Args:
+        model: is not changed.
+        path: of the file, ``.onnx``.
+        size: ``(height, width)`` that the network sees [px]; fixed.
+        batch: fixed number of images; None: any number.
+        opset: 18, or an older one (11 to 17) for old boards.
+        camera_size: ``(height, width)`` of uint8 frames [px]: the graph takes these and resizes itself.
+        metadata: from :func:`eldenet.deploy.metadata.describe`.
+
+    Raises:
+        ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, or the
+            opset cannot express this network.
+    """
+    if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
+        raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
+    if (batch is not None and batch < 1) or min(size) < 1:
+        raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
+    network: nn.Module = fold(model).cpu()
+    outputs = ["depth"]
+    if model.distribution is not None:
+        network, outputs = SigmaNet(network), ["depth", "sigma"]  # type: ignore[arg-type]
+    name, example = "image", torch.rand(batch or 2, 3, *size)
+    if camera_size is not None:
+        seen = (camera_size[0], camera_size[1] * (model.info.get("stretch") or 1.0))
+        if not same_aspect(size, seen):
+            raise ValueError(
+                f"size={list(size)} would stretch frames of camera={list(camera_size)}: give size="
+                f"{list(size_of_aspect(size, seen))}, or leave it out"
+            )
+        network = CameraNet(network, camera_size, size)
+        name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
+    try:
+        with quiet(), torch.no_grad():
+            graph = _to_onnx(network.eval(), example, [name, *outputs], any_batch=batch is None, opset=opset)
+    except RuntimeError as error:  # base class of the exporter's errors
+        raise ValueError(f"opset={opset} cannot express this network: {first_line(error)}") from error
+    return write_graph(graph, Path(path), metadata or {})
+
+
+def _to_onnx(
+    network: nn.Module, example: Tensor, ports: list[str], *, any_batch: bool, opset: int
+) -> "onnx.ModelProto":
+    import onnx
+
+    names: dict[str, Any] = {"input_names": ports[:1], "output_names": ports[1:], "opset_version": opset}
+    if opset == NEWEST_OPSET:
+        shapes = ({0: torch.export.Dim("batch", min=1, max=4096)},) if any_batch else None
+        program: Any = torch.onnx.export(
+            network, (example,), dynamo=True, dynamic_shapes=shapes, verbose=False, **names
+        )
+        return program.model_proto
+    content: Any = BytesIO()
+    axes = {port: {0: "batch"} for port in ports} if any_batch else None
+    torch.onnx.export(network, (example,), content, dynamo=False, dynamic_axes=axes, **names)
+    return onnx.load_from_string(content.getvalue())
+
+
+def write_graph(graph: "onnx.ModelProto", path: Path, metadata: Mapping[str, str]) -> Path:
+    """Write a graph with its metadata and a digest of all of it (:mod:`eldenet.deploy.metadata`)."""
+    import onnx
+
+    graph.producer_name, graph.producer_version = PRODUCER, __version__
+    entries = {**metadata, DIGEST: BLANK}
+    onnx.helper.set_model_props(graph, {PREFIX + key: value for key, value in entries.items()})
+    onnx.checker.check_model(graph)
+    write_bytes(path, sealed(graph.SerializeToString()))
+    return path
+
+
+def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndarray]) -> Path:
+    """Turn fp32 ONNX into int8 ONNX with quantize/dequantize pairs (QDQ), scales per channel.
+
+    Post-training quantization: calibration pictures give the scales, nothing is trained. Convolutions and
+    matrix products are quantized; the rest stays fp32, as ONNX Runtime has no int8 kernels for it.
+
+    Args:
+        source: fp32 file from :func:`write_onnx`.
+        path: of the new file.
+        inputs: calibration batches, as the graph takes them.
+    """
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+    from onnxruntime.quantization.shape_inference import quant_pre_process
+
+    class Reader(CalibrationDataReader):
+        def __init__(self, name: str) -> None:
+            self.feeds = iter([{name: value} for value in inputs])
+
+        def get_next(self) -> dict[str, np.ndarray] | None:
+            return next(self.feeds, None)
+
+    with tempfile.TemporaryDirectory() as folder, quiet():
+        prepared, quantized = Path(folder) / "prepared.onnx", Path(folder) / "int8.onnx"
+        quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
+        quantize_static(
+            str(prepared),
+            str(quantized),
+            Reader(read_graph(prepared).graph.input[0].name),
+            quant_format=QuantFormat.QDQ,
+            op_types_to_quantize=["Conv", "MatMul"],
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+        )
+        return write_graph(read_graph(quantized), Path(path), {**read_metadata(source), "precision": "int8"})
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal.
+
+    Other threads wait: if they left in a different order than they entered, the terminal would stay silent.
+    """
+    with _ONE_AT_A_TIME:
+        disabled = logging.root.manager.disable
+        logging.disable(logging.WARNING)
+        try:
+            with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+                warnings.simplefilter("ignore")
+                yield
+        finally:
+            logging.disable(disabled)
+
+
+class SigmaNet(nn.Module):
+    """Depth and standard deviation as two outputs.
+
+    Args:
+        model: with a head that predicts its sigma.
+    """
+
+    def __init__(self, model: DepthNet) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """``image (B, 3, H, W)`` -> depth and sigma ``(B, 1, H, W)`` [m] each."""
+        estimate = self.model.predict(image)
+        return estimate.depth, estimate.sigma
+
+
+class CameraNet(nn.Module):
+    """Frames in, meters at the camera's size out, in one graph.
+
+    Frames are resized as by :func:`eldenet.geometry.resize_image` (area where they shrink, else bilinear),
+    but not rounded to whole gray levels. Depth is resized bilinearly, as by
+    :class:`~eldenet.deploy.predictor.DepthPredictor`.
+
+    Args:
+        model: image -> meters, or a tuple of such maps.
+        camera_size: ``(height, width)`` of the frames [px].
+        input_size: ``(height, width)`` that the network sees [px].
+
+    Raises:
+        ValueError: one side would shrink and the other grow.
+    """
+
+    rows: Tensor
+    cols: Tensor
+
+    def __init__(self, model: nn.Module, camera_size: tuple[int, int], input_size: tuple[int, int]) -> None:
+        super().__init__()
+        pairs = list(zip(camera_size, input_size, strict=True))
+        self.shrinks = any(seen < given for given, seen in pairs)
+        if self.shrinks and any(seen > given for given, seen in pairs):
+            raise ValueError(
+                f"camera={list(camera_size)} would shrink one way and grow the other to size="
+                f"{list(input_size)}: give sizes that are both smaller or both larger"
+            )
+        self.model, self.camera_size, self.input_size = model, camera_size, input_size
+        whole = [given // seen for given, seen in pairs if given % seen == 0]
+        self.blocks = (whole[0], whole[1]) if len(whole) == 2 else None
+        rows, cols = (area_weights(given, seen) if self.shrinks else torch.eye(1) for given, seen in pairs)
+        self.register_buffer("rows", rows)
+        self.register_buffer("cols", cols.T.contiguous())
+
+    def forward(self, frame: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m], or the maps of the model."""
+        image = frame.permute(0, 3, 1, 2).float()
+        if self.camera_size != self.input_size:
+            image = self.resized(image)
+        maps = self.model(image / 255.0)
+        if isinstance(maps, tuple):
+            return tuple(self.enlarged(each) for each in maps)
+        return self.enlarged(maps)
+
+    def enlarged(self, depth: Tensor) -> Tensor:
+        """A map of the model at the camera's size."""
+        if self.camera_size == self.input_size:
+            return depth
+        return F.interpolate(depth, size=self.camera_size, mode="bilinear", align_corners=False)
+
+    def resized(self, image: Tensor) -> Tensor:
+        """``image (B, 3, H, W)`` at ``input_size``: averaged over areas, or bilinear where it grows."""
+        if not self.shrinks:
+            return F.interpolate(image, size=self.input_size, mode="bilinear", align_corners=False)
+        if self.blocks is not None:
+            return F.avg_pool2d(image, self.blocks)
+        return (self.rows @ image) @ self.cols
+
+
+def area_weights(given: int, wanted: int) -> Tensor:
+    """Return ``(wanted, given)``: the share of each given pixel in each wanted one; rows add up to 1."""
+    edges = torch.arange(wanted + 1, dtype=torch.float64) * given / wanted
+    pixels = torch.arange(given, dtype=torch.float64)
+    covered = torch.minimum(edges[1:, None], pixels + 1) - torch.maximum(edges[:-1, None], pixels)
+    return (covered.clamp_min(0) * wanted / given).float()

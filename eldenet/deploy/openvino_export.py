@@ -1,0 +1,77 @@
+"""Networks as OpenVINO files, ``.xml`` + ``.bin``: converted from ONNX files, and int8 by quantization."""
+
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eldenet.deploy.metadata import BLANK, DIGEST, sealed
+from eldenet.system.errors import missing_extra
+from eldenet.system.files import part_file
+
+
+def decline_telemetry() -> None:
+    """Keep OpenVINO and nncf from sending telemetry in this process; call it before they are imported.
+
+    Each import and each conversion is reported to Google Analytics, unless a file in the user's home folder
+    declines. Without ``openvino_telemetry``, an optional package, nothing is sent or stored.
+    """
+    telemetry = sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
+    if telemetry is not None:  # the program has imported OpenVINO itself
+        telemetry.main.TelemetrySender.send = lambda *message: None
+
+
+def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, str]) -> Path:
+    """Convert an ONNX file to OpenVINO IR (``.xml`` + ``.bin``) with fp32 weights."""
+    decline_telemetry()
+    import openvino
+
+    return _save(openvino.convert_model(str(source)), Path(path), metadata)
+
+
+def quantize_openvino(
+    source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
+) -> Path:
+    """Turn fp32 ONNX or OpenVINO IR into int8 OpenVINO IR with nncf.
+
+    Raises:
+        ImportError: nncf is not installed.
+    """
+    from eldenet.deploy.onnx_export import quiet
+
+    decline_telemetry()
+    import openvino
+
+    try:
+        with quiet():
+            import nncf
+    except ImportError as error:
+        raise missing_extra(f"int8 for OpenVINO ({error})", "nncf", "deploy") from error
+    network = openvino.Core().read_model(str(source))
+    with quiet():
+        quantized = nncf.quantize(
+            network,
+            nncf.Dataset(list(inputs)),
+            preset=nncf.QuantizationPreset.MIXED,  # hard swish is not symmetric
+            subset_size=len(inputs),
+        )
+    return _save(quantized, Path(path), {**metadata, "precision": "int8"})
+
+
+def _save(network: Any, path: Path, metadata: Mapping[str, str]) -> Path:
+    """Write a network with its metadata and a digest of both files (:mod:`eldenet.deploy.metadata`)."""
+    import openvino
+
+    for key, value in {**metadata, DIGEST: BLANK}.items():
+        network.set_rt_info(value, ["eldenet", key])
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / path.name
+        openvino.save_model(network, str(draft), compress_to_fp16=False)
+        content, weights = draft.read_bytes(), draft.with_suffix(".bin").read_bytes()
+    with part_file(path) as unfinished, part_file(path.with_suffix(".bin")) as unfinished_weights:
+        unfinished_weights.write_bytes(weights)
+        unfinished.write_bytes(sealed(content, weights))
+    return path
