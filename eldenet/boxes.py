@@ -31,7 +31,7 @@ class ArrayRows:
     """A frozen dataclass of arrays over the same N rows (and of values that hold for all rows)."""
 
     def select(self, chosen: np.ndarray | slice) -> Self:
-        """The rows that ``chosen`` (bool, indices or a slice) picks."""
+        """The rows that ``chosen (N,)`` bool, indices or a slice picks."""
         arrays = {name: value[chosen] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)  # type: ignore[type-var]
 
@@ -225,7 +225,7 @@ class Boxes3D(ArrayRows):
         return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
 
     def select(self, chosen: np.ndarray | slice) -> Self:
-        """The boxes that ``chosen`` (bool, indices or a slice) picks."""
+        """The boxes that ``chosen (N,)`` bool, indices or a slice picks."""
         quality = {name: values[chosen] for name, values in self.quality.items()}
         return replace(super().select(chosen), quality=quality)
 
@@ -278,5 +278,5 @@ def clipped_edges(corners: np.ndarray, near: float) -> np.ndarray:
 
 
 def wrap_half(yaw: np.ndarray) -> np.ndarray:
-    """Wrap angles modulo pi to [-pi/2, pi/2): front and back are the same."""
+    """Wrap angles ``(N,)`` modulo pi to [-pi/2, pi/2): front and back are the same."""
     return np.asarray((yaw + np.pi / 2) % np.pi - np.pi / 2)

@@ -115,7 +115,7 @@ def fit_into(size: tuple[int, int], frame: tuple[float, float]) -> tuple[int, in
 
 
 def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
-    """Intrinsics after the crop ``image[top:, left:]``, which leaves depth unchanged."""
+    """Intrinsics ``(3, 3)`` after the crop ``image[top:, left:]``, which leaves depth unchanged."""
     shifted = np.array(intrinsics, dtype=np.float64)
     shifted[0, 2] -= left
     shifted[1, 2] -= top
@@ -123,7 +123,7 @@ def crop_intrinsics(intrinsics: np.ndarray, top: int, left: int) -> np.ndarray:
 
 
 def from_corner(pixels: np.ndarray) -> np.ndarray:
-    """Convert pixel coordinates counted from the image corner (COCO, YOLO, torchvision) to this module's.
+    """Convert points ``(..., 2)`` or boxes ``(..., 4)`` [px] counted from the image corner (COCO, YOLO).
 
     There the first pixel reaches from 0 to 1, here from -0.5 to 0.5.
     """
@@ -131,7 +131,7 @@ def from_corner(pixels: np.ndarray) -> np.ndarray:
 
 
 def to_corner(pixels: np.ndarray) -> np.ndarray:
-    """Convert this module's pixel coordinates to those counted from the image corner."""
+    """Convert this module's points ``(..., 2)`` or boxes ``(..., 4)`` [px] to corner counts."""
     return np.asarray(pixels, np.float64) + 0.5
 
 

@@ -38,7 +38,7 @@ class Head(Configurable, nn.Module):
         self.min_depth, self.max_depth = float(min_depth), float(max_depth)
 
     def to_meters(self, raw: Tensor) -> Tensor:
-        """Map any real number to meters."""
+        """Map any real numbers ``(B, 1, H, W)`` to meters."""
         raise NotImplementedError
 
     def to_spread(self, raw: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ class LinearHead(Head):
     """``min + (max - min) * sigmoid(raw)``: an error in meters counts the same at every distance."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
-        """Map any real number to meters."""
+        """Map any real numbers ``(B, 1, H, W)`` to meters."""
         return self.min_depth + (self.max_depth - self.min_depth) * raw.sigmoid()
 
 
@@ -72,7 +72,7 @@ class InverseHead(Head):
     """The sigmoid is inverse depth, as in Monodepth (Godard et al. 2017, eq. 6): near depth is finer."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
-        """Map any real number to meters."""
+        """Map any real numbers ``(B, 1, H, W)`` to meters."""
         far, near = 1 / self.max_depth, 1 / self.min_depth
         return 1 / (far + (near - far) * raw.sigmoid())
 
@@ -81,7 +81,7 @@ class LogHead(Head):
     """The sigmoid is the logarithm of depth: errors count by their ratio, as in AbsRel and delta."""
 
     def to_meters(self, raw: Tensor) -> Tensor:
-        """Map any real number to meters."""
+        """Map any real numbers ``(B, 1, H, W)`` to meters."""
         log_ratio = math.log(self.max_depth / self.min_depth)
         return self.min_depth * torch.exp(log_ratio * raw.sigmoid())  # a power takes longer in ONNX Runtime
 
@@ -108,7 +108,7 @@ class ScaledHead(Head):
         self.scale = float(scale)
 
     def to_meters(self, raw: Tensor) -> Tensor:
-        """Map any real number to meters."""
+        """Map any real numbers ``(B, 1, H, W)`` to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)
 
     def rescaled(self, factor: float) -> Self:

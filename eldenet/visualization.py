@@ -44,6 +44,7 @@ def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) ->
 
 
 def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.ndarray:
+    """Colors ``(H, W, 3)`` uint8 RGB of shares ``(H, W)`` in [0, 1]."""
     colors = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), palette)[..., ::-1].copy()
     if known is not None:
         colors[~known] = UNKNOWN
@@ -80,20 +81,22 @@ def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Ten
 
 
 def _blank(height: int, width: int) -> np.ndarray:
+    """White ``(height, width, 3)`` uint8."""
     return np.full((height, width, 3), 255, np.uint8)
 
 
 def _enlarged(picture: np.ndarray, times: int) -> np.ndarray:
+    """Picture ``(times * H, times * W, 3)`` of ``(H, W, 3)``."""
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
 def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) -> None:
-    """Write black letters; ``place`` is their lower left corner (column, row) [px]."""
+    """Write black letters on ``(H, W, 3)``; ``place`` is their lower left corner (column, row) [px]."""
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Stack rows of :func:`depth_row` below ``titles`` of their panels; narrow rows are padded."""
+    """Stack rows ``(h, w, 3)`` of :func:`depth_row` below ``titles``; narrow rows are padded."""
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     gap = _blank(GAP, width)
@@ -134,7 +137,7 @@ def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> 
 
 
 def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.ndarray:
-    """Titled panels of one width in rows of ``columns``; a long title keeps its end."""
+    """Titled panels ``(h, W, 3)`` of one width in rows of ``columns``; a long title keeps its end."""
     width = panels[0][1].shape[1]
     rows = []
     for first in range(0, len(panels), columns):
@@ -151,7 +154,7 @@ def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.
 
 
 def visible_range(depth: np.ndarray) -> tuple[float, float]:
-    """The 2nd and the 98th percentile of known depth [m]: the range of its colors."""
+    """The 2nd and the 98th percentile of known depth ``(H, W)`` [m]: the range of its colors."""
     known = depth[np.isfinite(depth) & (depth > 0)]
     if not known.size:
         return 0.0, 1.0

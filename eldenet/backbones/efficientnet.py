@@ -45,6 +45,7 @@ class _InvertedResidual(nn.Module):
         self.shortcut = stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
+        """``(B, in, H, W)`` -> ``(B, out, ceil(H / stride), ceil(W / stride))``."""
         return x + self.layers(x) if self.shortcut else self.layers(x)
 
 

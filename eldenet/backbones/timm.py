@@ -58,7 +58,7 @@ class TimmBackbone(Backbone):
         info: Any = self.body.feature_info
         channels, strides = info.channels(), info.reduction()
         self.feature_info = tuple(map(FeatureInfo, channels, strides))
-        # Swin and its kin put channels last.
+        # networks such as Swin put channels last
         self.channels_last = str(getattr(self.body, "output_fmt", "NCHW")).endswith("NHWC")
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:

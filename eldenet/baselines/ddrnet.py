@@ -146,4 +146,5 @@ class DDRNet(nn.Module):
 
 
 def _resize(x: Tensor, like: Tensor) -> Tensor:
+    """``x (B, C, h, w)`` at the size of ``like (B, C, H, W)``."""
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)

@@ -95,6 +95,7 @@ class FourierPosition(nn.Module):
         rates = 10000 ** (-steps / FREQUENCIES)
 
         def waves(count: int) -> Tensor:
+            """Sines and cosines of every position ``(2 * FREQUENCIES, count)``."""
             positions = torch.arange(1, count + 1, device=x.device, dtype=torch.float32)
             angles = rates[:, None] * positions * (2 * math.pi / count)
             return torch.stack([angles.sin(), angles.cos()], dim=1).flatten(0, 1)  # (2 frequencies, count)
@@ -175,7 +176,7 @@ class Encoder(nn.Module):
         init_kaiming(self)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features, finest first."""
+        """Image ``(B, 3, H, W)`` -> features ``(B, C, h, w)``, finest first."""
         shrunk, joined = image, [self.stem(image)]
         features = []
         for down, stage in zip(self.down, self.stages, strict=True):
@@ -235,7 +236,7 @@ class LiteMono(Configurable, nn.Module):
                 nn.init.zeros_(layer.bias)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 2), ceil(W / 2))``."""
+        """Features ``(B, C, h, w)``, finest first."""
         features = self.encoder(image)
         x = features[-1]
         for before, after, skip in zip(

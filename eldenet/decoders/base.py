@@ -40,7 +40,7 @@ class Decoder(Configurable, nn.Module):
         raise NotImplementedError
 
     def within_image(self, raw: Tensor, features: Sequence[Tensor]) -> Tensor:
-        """Crop a raw map at :attr:`stride` to the image.
+        """Crop a raw map ``(B, 1, h, w)`` at :attr:`stride` to the image.
 
         Doubling the deepest feature gives the map of a padded image: 4 rows of stride 32 stand for 128 rows,
         where the image may have 97. Without the crop, resizing to the image would squeeze the depth map.
@@ -64,7 +64,7 @@ def kernel_conv(in_channels: int, out_channels: int, kernel: Sequence[int]) -> l
 
 
 def crop_or_pad(x: Tensor, like: Tensor) -> Tensor:
-    """Crop or pad ``x`` to the height and width of ``like``: odd sizes leave up-sampled maps a pixel off."""
+    """``x (B, C, h, w)`` at the height and width of ``like``: odd sizes leave up-sampled maps a pixel off."""
     missing_rows, missing_cols = like.shape[-2] - x.shape[-2], like.shape[-1] - x.shape[-1]
     if missing_rows > 0 or missing_cols > 0:
         x = F.pad(x, (0, max(missing_cols, 0), 0, max(missing_rows, 0)), mode="replicate")

@@ -43,14 +43,14 @@ class UpConv2d(nn.Module):
         return self.interleaved(x) if self.fast else self.unpooled(x)
 
     def unpooled(self, x: Tensor) -> Tensor:
-        """Compute the operator by its definition."""
+        """Compute the operator by its definition: ``(B, out, 2H, 2W)``."""
         batch, channels, height, width = x.shape
         sparse = x.new_zeros(batch, channels, 2 * height, 2 * width)
         sparse[..., ::2, ::2] = x
         return F.conv2d(sparse, self.weight, padding=2)
 
     def interleaved(self, x: Tensor) -> Tensor:
-        """Compute the operator without the multiplications by zero."""
+        """Compute the operator without the multiplications by zero: ``(B, out, 2H, 2W)``."""
         phases = [
             F.conv2d(F.pad(x, padding), self.weight[:, :, rows, cols]) for rows, cols, padding in PARITIES
         ]
@@ -75,7 +75,7 @@ class UpConvDecoder(Decoder):
     modules, each halving the channels -> 3x3 convolution to one channel. There are no skips. With ResNet18:
     12,396,720 parameters.
 
-    Convention: where the image is no multiple of the deepest stride, rows and columns beyond the image are
+    Convention: where the image is not a multiple of the deepest stride, rows and columns beyond the image are
     cropped; sparse-to-dense keeps them and squeezes the whole map to the image (256 rows to 228). It also
     aligns the corners in that resize, and starts from a variance of 2 / (25 x output channels).
 

@@ -68,6 +68,7 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
 
 
 def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
+    """Random images ``(batch, 3, *size)`` on the model's device."""
     return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device_of(model))
 
 

@@ -33,7 +33,7 @@ def error_sums(prediction: Tensor, depth: Tensor, valid: Tensor, *, ssim_range: 
 def class_sums(prediction: Tensor, depth: Tensor, valid: Tensor, labels: Tensor, classes: int) -> Tensor:
     """The sums of :func:`error_sums` over each class's valid pixels ``(classes, 12)``; SSIM's two are 0.
 
-    ``labels`` is ``(B, 1, H, W)``; pixels of a label that is no class (255) are left out.
+    ``labels`` is ``(B, 1, H, W)``; pixels of a label that is not a class (255) are left out.
     """
     valid = valid & (labels < classes)
     of_class = labels[valid].long()
@@ -45,12 +45,12 @@ def class_sums(prediction: Tensor, depth: Tensor, valid: Tensor, labels: Tensor,
 
 
 def _filled(values: Tensor, valid: Tensor) -> Tensor:
-    """fp32 with 1 where nothing is known, so that no NaN arises."""
+    """fp32 ``(B, 1, H, W)`` with 1 where nothing is known, so that no NaN arises."""
     return values.float().masked_fill(~valid, 1.0)
 
 
 def _pixel_errors(prediction: Tensor, depth: Tensor) -> list[Tensor]:
-    """The first ten columns of :func:`error_sums`, pixel by pixel."""
+    """The first ten columns of :func:`error_sums`, pixel by pixel: ``(B, 1, H, W)`` each."""
     error = (prediction - depth).abs()
     # without a clamp a prediction may be 0 or negative: no delta counts it, and its logarithm is undefined
     ratio = torch.maximum(prediction / depth, depth / prediction).masked_fill(prediction <= 0, math.inf)

@@ -229,7 +229,7 @@ class EvalProtocol:
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 
     def to_metric_space(self, prediction: "Tensor", depth: "Tensor") -> tuple["Tensor", "Tensor"]:
-        """Convert both to what the metrics compare: depth [m], or its inverse (infinite where unknown)."""
+        """Convert maps ``(B, 1, H, W)`` to what the metrics compare: depth [m], or its inverse."""
         if self.inverse_scale is None:
             return prediction, depth
         return self.inverse_scale / prediction.clamp(min=self.min_depth), self.inverse_scale / depth
@@ -240,6 +240,7 @@ def _is_box(box: Sequence[float], limits: Sequence[float]) -> bool:
 
 
 def _median_ratio(prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Tensor":
+    """Median of the truth over that of the prediction, per image ``(B, 1, 1, 1)``."""
     import torch
 
     ratios = [
@@ -250,7 +251,7 @@ def _median_ratio(prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Te
 
 
 def _fitted(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> "Tensor":
-    """Return factor x prediction + shift, with each image's least squared error over its valid pixels."""
+    """Return factor x prediction + shift ``(B, 1, H, W)`` of each image's least squared error."""
     fitted = prediction.clone()
     for image, target, known, result in zip(prediction, truth, valid, fitted, strict=True):
         if known.any():
@@ -263,6 +264,6 @@ def _fitted(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> "Tensor":
 
 
 def _median(values: "Tensor") -> "Tensor":
-    """Median as in NumPy: of an even number the mean of the middle two; torch takes the lower."""
+    """Median of ``(N,)`` as in NumPy: of an even number the mean of the middle two; torch takes the lower."""
     ordered = values.sort().values
     return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2

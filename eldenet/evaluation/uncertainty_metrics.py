@@ -121,7 +121,7 @@ def sparsification(error: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
 
 
 def log_density(log_error: np.ndarray, spread: np.ndarray, distribution: str) -> np.floating[Any]:
-    """Mean negative log-likelihood of ln depth, as :mod:`eldenet.losses.likelihood` has it."""
+    """Mean negative log-likelihood of ln depth ``(N,)``, as in :mod:`eldenet.losses.likelihood`."""
     if distribution == "laplace":
         scale = spread / math.sqrt(2)
         return (log_error / scale + np.log(2 * scale)).mean()

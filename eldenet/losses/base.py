@@ -53,7 +53,7 @@ class Loss(nn.Module):
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
-    """Return the mean of ``values`` where ``mask`` is True; 0 where it is False everywhere.
+    """Return the mean, a scalar, of ``values`` where ``mask`` is True; 0 where it is False everywhere.
 
     Values outside the mask are replaced, not multiplied by zero: 0 x NaN would be NaN.
     """
@@ -61,7 +61,7 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
 
 
 def fill_masked(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Set masked pixels of both maps to 1 m, so that logarithms, ratios and windows stay finite there."""
+    """Set masked pixels of maps ``(B, 1, H, W)`` to 1 m: logarithms, ratios and windows stay finite there."""
     return prediction.masked_fill(~mask, 1.0), target.masked_fill(~mask, 1.0)
 
 

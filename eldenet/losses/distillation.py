@@ -166,7 +166,7 @@ class DistilledTerm(WeightedTerm):
         return value if self.feature_weight == 0 else value + self.feature_weight * self._feature_loss()
 
     def _feature_loss(self) -> Tensor:
-        """Mean square of projected student minus teacher features, divided by the teacher's mean square."""
+        """Mean square of projected student minus teacher features over the teacher's mean square; scalar."""
         losses = []
         for stride in self.feature_strides:
             wanted = self._features["teacher"][stride].float()

@@ -52,7 +52,7 @@ class LikelihoodTerm(WeightedTerm):
     def forward(self, inputs: LossInputs) -> Tensor:
         """Return the term without its weight, a scalar; it needs ``spread``."""
         prediction, target, mask = inputs[:3]
-        assert inputs.spread is not None  # WeightedSum sees to it
+        assert inputs.spread is not None  # WeightedSum has checked it
         prediction, target = fill_masked(prediction, target, mask)
         error = target.log() - (prediction.detach() if self.detach_depth else prediction).log()
         spread = inputs.spread.masked_fill(~mask, 1.0)

@@ -43,7 +43,7 @@ class ScaleShiftInvariantLoss(Loss):
         return total.mean()
 
     def _centered(self, values: Tensor, mask: Tensor) -> Tensor:
-        """Each image's values minus their median, divided by their spread; 0 where the mask is False."""
+        """Values ``(B, 1, H, W)`` minus their image's median, over its spread; 0 where the mask is False."""
         flat, seen = values.flatten(1), mask.flatten(1)
         median = flat.masked_fill(~seen, torch.nan).nanmedian(dim=1).values
         centered = (values - median.view(-1, 1, 1, 1)).masked_fill(~mask, 0.0)

@@ -14,7 +14,7 @@ SIGMA = 1.5  # [px], Wang et al. 2004
 @lru_cache(maxsize=32)
 @torch.inference_mode(False)  # cached: training may use one that an evaluation made
 def _blur_matrix(length: int, window: int) -> Tensor:
-    """Return the Gaussian blur of ``length`` pixels in a row, ends reflected, as a banded float64 matrix."""
+    """Return the Gaussian blur of pixels in a row, ends reflected, as ``(length, length)`` float64."""
     radius = window // 2
     kernel = torch.exp(-((torch.arange(window, dtype=torch.float64) - radius) ** 2) / (2 * SIGMA**2))
     kernel /= kernel.sum()
@@ -28,6 +28,7 @@ def _blur_matrix(length: int, window: int) -> Tensor:
 
 
 def _blur(maps: Tensor, window: int) -> Tensor:
+    """Blurred maps ``(B, 1, H, W)``."""
     down, across = (_blur_matrix(length, window).to(maps) for length in maps.shape[-2:])
     return down @ maps @ across.T
 
@@ -44,7 +45,7 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     but within half a window of the border.
 
     Raises:
-        ValueError: a map is no larger than the window's radius, which reflection needs.
+        ValueError: a map is not larger than the window's radius, as reflection needs.
     """
     if min(prediction.shape[-2:]) <= window // 2:
         raise ValueError(

@@ -139,7 +139,7 @@ class CameraInstance:
         return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
 
     def _depth(self) -> np.ndarray:
-        """The renderer's own depth, exact or as a depth camera measures it."""
+        """The renderer's own depth ``(H, W)`` [m], exact or as a depth camera measures it."""
         if self.sensor.artifacts is None:
             return self.photo.depth
         focal = float(self.view.intrinsics[0, 0])
@@ -169,7 +169,7 @@ def footprints(boxes: Boxes3D) -> np.ndarray:
 
 
 def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
-    """Network from a run folder, model folder, exported file (.onnx, .xml) or Hub id; None for None.
+    """Network ``(H, W, 3)`` uint8 -> ``(H, W)`` [m] from a run folder, model, file or Hub id; None for None.
 
     One that predicts its sigma gives it too.
 

@@ -68,7 +68,7 @@ class ArcTable:
 
 
 def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Distance from points in the robot's frame to its footprint, 0 inside [m]."""
+    """Distance ``(M,)`` from points in the robot's frame to its footprint, 0 inside [m]."""
     along = np.maximum(np.abs(x) - np.float32(ROBOT.length / 2), 0)
     across = np.maximum(np.abs(y) - np.float32(ROBOT.width / 2), 0)
     out: np.ndarray = np.hypot(along, across)

@@ -216,7 +216,10 @@ class DQN:
     def loss(
         self, obs: Tensor, action: Tensor, value: Tensor, next_obs: Tensor, discount: Tensor
     ) -> tuple[Tensor, float]:
-        """Mean squared error or quantile regression loss of the taken actions, and their mean value."""
+        """Loss of the taken actions of ``B`` transitions (mean square or quantile), and their mean value.
+
+        ``obs`` and ``next_obs`` are ``(B, inputs)``, the others ``(B,)``.
+        """
         rows = torch.arange(len(obs))
         with torch.no_grad():
             chooser = self.policy_dqn if self.settings.double else self.target_dqn
@@ -281,7 +284,7 @@ class ReplayBuffer:
         self.added += len(action)
 
     def sample(self, rng: np.random.Generator, count: int) -> tuple[Tensor, ...]:
-        """Return transitions drawn uniformly, with replacement."""
+        """Return transitions ``(count, ...)`` drawn with replacement, as :meth:`DQN.loss` takes them."""
         rows = torch.from_numpy(rng.integers(0, len(self), count))
         columns = (self.obs, self.action, self.value, self.next_obs, self.discount)
         return tuple(
@@ -317,7 +320,10 @@ class NStepWindows:
         terminated: np.ndarray,
         ended: np.ndarray,
     ) -> None:
-        """Add a step; where an episode ended, ``next_obs`` is its own last observation."""
+        """Add a step of ``N`` robots; where an episode ended, ``next_obs`` is its own last observation.
+
+        ``obs`` and ``next_obs`` are ``(N, inputs)``, the others ``(N,)``.
+        """
         self.steps = (
             [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
         )

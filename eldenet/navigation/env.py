@@ -24,8 +24,8 @@ def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
     is missing from our copy of the text.
 
     Args:
-        progress: toward the way-point [m].
-        events: :class:`~eldenet.navigation.episodes.Event` numbers.
+        progress: toward the way-point ``(N,)`` [m].
+        events: :class:`~eldenet.navigation.episodes.Event` numbers ``(N,)``.
     """
     out: np.ndarray = PROGRESS_REWARD * progress + STEP_REWARD
     out = out + GOAL_REWARD * (events == Event.GOAL) + COLLISION_REWARD * (events == Event.COLLISION)
@@ -89,7 +89,7 @@ class ArenaNavVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every slot; a list of seeds has one for each slot.
+        """Start an episode in every slot and return ``(num_envs, size)``; seeds in a list are one per slot.
 
         ``options={"progress": share}`` is the share of the training that is done, for a curriculum; it needs
         a seed after the first call.
@@ -110,7 +110,7 @@ class ArenaNavVectorEnv(VectorEnv):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Run one control period of every robot."""
+        """Run one control period of every robot by action numbers ``(num_envs,)``."""
         progress, events = self.episodes.step(self.observer.commands(np.asarray(actions)))
         observation = self.observer.observe(self.episodes.sense())
         terminated = (events == Event.GOAL) | (events == Event.COLLISION)
@@ -180,7 +180,7 @@ class ArenaNavEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; a seed restarts the stream of arenas."""
+        """Start an episode and return ``(size,)``; a seed restarts the stream of arenas."""
         super().reset(seed=seed)
         if seed is not None:
             self._arenas = self._arenas.fresh()
@@ -192,7 +192,7 @@ class ArenaNavEnv(gym.Env):
         return observation, {"arena": arena.name, "fed_by": self._fed_by}
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Run one control period."""
+        """Run one control period; the observation is ``(size,)``."""
         progress, events = self.episodes.step(self.observer.commands(np.array([int(action)])))
         observation = self.observer.observe(self.episodes.sense())[0]
         event = Event(int(events[0]))

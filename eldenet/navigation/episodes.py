@@ -220,6 +220,7 @@ class Episodes:
         return self._goals_from(self.poses)
 
     def _goals_from(self, poses: np.ndarray) -> np.ndarray:
+        """As :meth:`goals`, from other poses ``(N, 3)``."""
         points = np.array([self.goal(slot) for slot in range(self.count)])
         dx, dy = (points - poses[:, :2]).T
         bearing = np.arctan2(dy, dx) - poses[:, 2]

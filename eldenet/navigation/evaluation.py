@@ -201,8 +201,8 @@ def spl(success: np.ndarray, length: np.ndarray, shortest: np.ndarray) -> float:
     """Success weighted by path length: Anderson et al., "On evaluation of embodied navigation agents", 2018.
 
     Args:
-        success: bool.
-        length: of the driven path [m].
-        shortest: length of the shortest path [m].
+        success: ``(N,)`` bool.
+        length: ``(N,)`` of the driven path [m].
+        shortest: ``(N,)`` length of the shortest path [m].
     """
     return float(np.mean(np.asarray(success) * shortest / np.maximum(length, shortest)))

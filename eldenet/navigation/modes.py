@@ -30,7 +30,7 @@ class ModeSetup:
 
     Attributes:
         mode: its name.
-        folder: of the run.
+        folder: Run folder.
         threads: of torch, or "auto".
         make_sensor: builds the sensor, and loads its networks.
         episode: conditions of the episodes.

@@ -52,7 +52,7 @@ class Senses(NamedTuple):
     scanned_from: np.ndarray | None = None
 
     def of(self, robots: np.ndarray) -> "Senses":
-        """The senses of some robots."""
+        """The senses of some robots, whose numbers are ``(K,)``."""
         return Senses(*(None if values is None else values[robots] for values in self))  # type: ignore[arg-type]
 
     def scan(self, robot: int) -> tuple[np.ndarray, np.ndarray | None]:

@@ -84,6 +84,7 @@ class Memory:
     def _forget_seen_through(
         self, who: np.ndarray, ranges: np.ndarray, cameras: np.ndarray, yaw: np.ndarray
     ) -> None:
+        """Forget points that scans ``(K, columns)`` [m] of robots ``(K,)`` see through."""
         points, camera = self._points[who], cameras.astype(np.float32)
         dx, dy = points[..., 0] - camera[:, 0, None, None], points[..., 1] - camera[:, 1, None, None]
         squared = dx * dx + dy * dy
@@ -105,7 +106,10 @@ class Memory:
         self._points[tuple(part[gone] for part in place)] = _NOWHERE
 
     def _follow(self, robot: int, frame: np.ndarray, ranges: np.ndarray, camera: np.ndarray) -> None:
-        """Forget the trails of pedestrians, also in this scan, and mark where they will be."""
+        """Forget the trails of pedestrians, also in this scan, and mark where they will be.
+
+        ``frame (columns, 2)`` has the points and ``ranges (columns,)`` the ranges of the scan [m].
+        """
         moving = self._walkers[robot].update(frame, ranges)
         self._marks[robot] = _NOWHERE
         if not moving:

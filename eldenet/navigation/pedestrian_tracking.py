@@ -78,6 +78,7 @@ class PedestrianTracker:
 
 
 def _correct(track: Track, middle: np.ndarray, columns: slice) -> None:
+    """Update a track with the center ``(2,)`` [m] and the columns of its segment."""
     surprise = middle - track.position
     track.position = track.position + ALPHA * surprise
     track.velocity = track.velocity + BETA / ROBOT.period * surprise
@@ -88,7 +89,10 @@ def _correct(track: Track, middle: np.ndarray, columns: slice) -> None:
 
 
 def slim_segments(points: np.ndarray, ranges: np.ndarray) -> list[slice]:
-    """Return the columns of each segment that is at most :data:`MAX_WIDTH` wide and fully in view."""
+    """Return the columns of each segment that is at most :data:`MAX_WIDTH` wide and fully in view.
+
+    ``points (columns, 2)`` and ``ranges (columns,)`` are those of a scan [m].
+    """
     nearer = np.minimum(ranges[1:], ranges[:-1])
     steps = np.flatnonzero(np.abs(np.diff(ranges)) > np.maximum(DEPTH_STEP, 0.1 * nearer)) + 1
     out = []

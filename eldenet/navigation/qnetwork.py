@@ -30,7 +30,7 @@ class QNetwork(nn.Module):
         return out.unflatten(1, (self.actions, self.quantiles))
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Values, the higher the better."""
+        """Values ``(N, actions)``, the higher the better."""
         return self.spread(observation).mean(2)
 
     @torch.no_grad()

@@ -51,7 +51,7 @@ class RangeErrors:
 
     @property
     def middles(self) -> np.ndarray:
-        """Middle of each bin [m]."""
+        """Middle of each bin ``(bins,)`` [m]."""
         return (np.array(self.edges[1:]) + self.edges[:-1]) / 2
 
     def write(self, path: Path) -> None:

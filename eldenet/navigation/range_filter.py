@@ -85,10 +85,10 @@ class RangeFilter:
     def _counts(self, ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Mask of the readings that neighbors or the last scan agree with ``(columns,)``."""
         with np.errstate(invalid="ignore"):
-            asked = np.clip(np.floor(SLIMMEST / (_STEP * ranges)), 1, MOST)
-            asked[[0, 1, -2, -1]] = np.minimum(asked[[0, 1, -2, -1]], 2)  # the rest may be out of view
-            enough = (_agreeing(ranges) >= np.maximum(asked, 2)) | (ranges >= ROBOT.far)
-        slim = asked == 1
+            needed = np.clip(np.floor(SLIMMEST / (_STEP * ranges)), 1, MOST)
+            needed[[0, 1, -2, -1]] = np.minimum(needed[[0, 1, -2, -1]], 2)  # the rest may be out of view
+            enough = (_agreeing(ranges) >= np.maximum(needed, 2)) | (ranges >= ROBOT.far)
+        slim = needed == 1
         slim[[0, -1]] = True
         slim &= ~enough
         if slim.any():
@@ -96,7 +96,7 @@ class RangeFilter:
         return enough & ~np.isnan(ranges)
 
     def _seen_before(self, ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Mask of the readings that the last scan shows too ``(columns,)``; nobody doubts the first scan."""
+        """Mask of the readings that the last scan shows too ``(columns,)``; all of the first scan's."""
         if self._before is None:
             return np.full(ROBOT.columns, True)
         bearing, away = seen_from(pose, *self._before)
@@ -107,7 +107,7 @@ class RangeFilter:
         return np.asarray((beside & same).any(axis=1))
 
     def _watch(self, ranges: np.ndarray, pose: np.ndarray) -> None:
-        """Follow narrow near readings that stay the same while the robot moves."""
+        """Follow narrow near ``ranges (columns,)`` [m] that stay the same while the robot moves."""
         way = 0.0
         if self._before is not None:
             dx, dy, turn = pose - self._before[1]
@@ -155,6 +155,7 @@ def without_dips(ranges: np.ndarray) -> np.ndarray:
 
 
 def _apart(ranges: np.ndarray) -> np.ndarray:
+    """How far readings ``(columns,)`` [m] may differ and still agree [m]."""
     return np.maximum(APART, APART_SHARE * ranges)
 
 

@@ -74,11 +74,12 @@ class RangeScale:
         return self._corrected(ranges), None if cautious is None else self._corrected(cautious)
 
     def _corrected(self, ranges: np.ndarray) -> np.ndarray:
+        """Ranges ``(columns,)`` [m] times the factor."""
         inside = (ranges > ROBOT.near) & (ranges < ROBOT.far)
         return np.where(inside, np.clip(ranges * self.factor, ROBOT.near, ROBOT.far), ranges)
 
     def _compare(self, ranges: np.ndarray, pose: np.ndarray) -> None:
-        """Compare a scan with earlier ones, and update the factor."""
+        """Compare a scan ``(columns,)`` [m] with earlier ones, and update the factor."""
         for way in WAYS:
             earlier = [scan for scan in self._scans if way <= self._way - scan[2] <= way + LONGEST]
             if not earlier:

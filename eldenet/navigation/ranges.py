@@ -32,7 +32,7 @@ def depth_to_ranges(
 
     This is the 10 % quantile of the horizontal ranges of a column's pixels between ``heights``. A range also
     needs as many pixels as 8 % of what a surface at that distance fills of the column, so that a few wrong
-    pixels in an otherwise empty column are no obstacle.
+    pixels in an otherwise empty column are not an obstacle.
 
     Infinite depth means nothing in range (ROS REP 117), negative infinite depth something too close. Unknown
     pixels (0, negative, nan) count as an object that stands on the floor right above the last visible floor
@@ -52,7 +52,7 @@ def depth_to_ranges(
 
     Raises:
         ValueError: ``depth`` is in millimeters, the camera's field of view is too small, its pixels are too
-            few for the columns, or its intrinsics or height are no measures of a camera.
+            few for the columns, or its intrinsics or height are impossible.
     """
     check_meters(depth)
     height, width = depth.shape
@@ -83,15 +83,15 @@ def depth_to_ranges(
             continue
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
-        asked = OUTLIERS * pixels.shape[1] * np.interp(values[first:], *rows)
-        enough = np.flatnonzero(np.arange(first, values.size) + 1 > asked)
+        needed = OUTLIERS * pixels.shape[1] * np.interp(values[first:], *rows)
+        enough = np.flatnonzero(np.arange(first, values.size) + 1 > needed)
         if enough.size:
             out[number] = values[first + enough[0]]
     return np.clip(out, robot.near, robot.far)
 
 
 def check_meters(depth: np.ndarray) -> None:
-    """Raise ``ValueError`` for millimeters, which as meters would let a robot see everything far.
+    """Raise ``ValueError`` for millimeters in ``depth`` of any shape: as meters, all would seem far.
 
     These are whole numbers, and floats of which nearly all known ones are above ``LARGEST``. Infinite depth,
     which means nothing in range, does not count.

@@ -100,7 +100,7 @@ def as_drift(drift: Drift | Mapping[str, float]) -> Drift:
     """Return a drift from its two values by name, or as it is.
 
     Raises:
-        ValueError: a value is no standard deviation.
+        ValueError: a value is not a standard deviation.
     """
     drift = drift if isinstance(drift, Drift) else Drift(**drift)
     for name, value in drift._asdict().items():

@@ -48,7 +48,7 @@ def train(
     Args:
         learner: with its environment.
         sensor: for the validation.
-        folder: of the run.
+        folder: Run folder.
         log: what the person sees.
         validate: number of arenas to validate on; 0: no validation.
         config: resolved, for the record.

@@ -68,6 +68,7 @@ class Scene:
         return round(self.size / 2 + x * self.scale), round(self.size / 2 - y * self.scale)
 
     def _obstacle(self, picture: np.ndarray, obstacle: Obstacle, time: float) -> None:
+        """Draw an obstacle at a time [s] on a picture ``(H, W, 3)`` uint8, in place."""
         x, y = obstacle.position(time)
         color = _WALL if obstacle.is_wall else _COLORS[obstacle.kind]
         if obstacle.round:
@@ -83,6 +84,7 @@ class Scene:
         half: tuple[float, float],
         color: tuple[int, int, int],
     ) -> None:
+        """Draw a turned rectangle on a picture ``(H, W, 3)`` uint8, in place."""
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
         corners = [
@@ -124,7 +126,7 @@ class Scene:
         return picture
 
     def _scale_bar(self, picture: np.ndarray) -> None:
-        """Draw ``SCALE_BAR`` meters in the lower right corner, in place."""
+        """Draw ``SCALE_BAR`` meters in the lower right corner of ``(H, W, 3)`` uint8, in place."""
         right, low = self.size - 14, self.size - 14
         text = f"{SCALE_BAR:.0f} m"
         left = right - round(SCALE_BAR * self.scale)
@@ -165,21 +167,21 @@ class Scene:
 
 
 def _titled(picture: np.ndarray, note: str) -> np.ndarray:
-    """Add a line of text above a picture."""
+    """Add a line of text above a picture: ``(H + TITLE, W, 3)`` uint8."""
     line = np.full((TITLE, picture.shape[1], 3), 255, np.uint8)
     cv2.putText(line, note, (6, 14), _FONT, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
     return np.concatenate([line, picture], axis=0)
 
 
 def _label(picture: np.ndarray, text: str) -> None:
-    """Write text on a white patch in the upper left corner, in place."""
+    """Write text on a white patch in the upper left corner of ``(H, W, 3)`` uint8, in place."""
     (width, height), below = cv2.getTextSize(text, _FONT, 0.4, 1)
     cv2.rectangle(picture, (0, 0), (width + 7, height + below + 3), (255, 255, 255), -1)
     cv2.putText(picture, text, (4, height + 2), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _scale(depth: np.ndarray) -> None:
-    """Draw the scale of the colors along the lower edge, in place; it is the same in all frames."""
+    """Draw the scale of the colors along the lower edge of ``(H, W, 3)`` uint8, in place."""
     height, width = depth.shape[:2]
     left, right, top, low = 30, width - 30, height - 16, height - 6
     depth[top - 4 :] = 255
@@ -209,7 +211,7 @@ def camera_panels(scan: Observation, size: int) -> np.ndarray:
 
 
 def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
-    """Nearest range [m] and its source per sector, left to right as in the camera image."""
+    """Nearest range [m] and its source per sector, as the camera sees them: ``(*size, 3)`` uint8 RGB."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
     for number, (near, source) in enumerate(zip(scan.sectors, scan.sectors_fed_by, strict=True)):

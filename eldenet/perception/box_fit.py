@@ -138,7 +138,7 @@ def linearize(problem: Problem, camera: PinholeCamera, state: np.ndarray) -> Qua
 def _point_terms(
     problem: Problem, camera: PinholeCamera, state: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cost, gradient and matrix of the points, which lie on the faces toward the camera; robust (Cauchy)."""
+    """Cost ``(B,)``, gradient, matrix of the points, which lie on the faces toward the camera (Cauchy)."""
     c, s = np.cos(state[:, YAW])[:, None], np.sin(state[:, YAW])[:, None]
     half_l, half_w = (0.5 * problem.fill[:, None] * np.exp(state[:, [k]]) for k in (LENGTH, WIDTH))
     tall = np.exp(state[:, [HEIGHT]])
@@ -183,7 +183,7 @@ def _face_distances(
     eye: tuple[np.ndarray, np.ndarray, np.ndarray],
     extent: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Distance of every point beyond the face that it should lie on [m], whether it is outside, derivatives.
+    """Distance ``(B, P)`` of every point beyond its face [m], whether it is outside, derivatives ``(B, P)``.
 
     A point outside belongs to the face that it is farthest beyond, one inside to the nearest of the faces
     that the camera sees. ``point`` and ``eye`` are along the length (u), the width (v) and up from the lower

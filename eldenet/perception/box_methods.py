@@ -56,7 +56,7 @@ class ObjectEvidence(ArrayRows):
         return np.array([prior.size if prior else (np.nan,) * 3 for prior in self.priors]).reshape(-1, 3)
 
     def with_priors(self, rows: np.ndarray, priors: Sequence[ClassPrior | None]) -> "ObjectEvidence":
-        """The objects with the indices ``rows``, each with its own prior."""
+        """The objects with the indices ``rows (K,)``, each with its own prior."""
         foreground, detections = self.foreground.select(rows), self.detections.select(rows)
         return replace(self.select(rows), foreground=foreground, detections=detections, priors=priors)
 
@@ -74,12 +74,12 @@ class RawBoxes(ArrayRows):
 
     @classmethod
     def without_fit(cls, center: np.ndarray, size: np.ndarray, yaw: np.ndarray) -> "RawBoxes":
-        """Boxes of a method that neither scales depth nor has a cost."""
+        """Boxes ``(N, 3)``, ``(N, 3)``, ``(N,)`` of a method that neither scales depth nor has a cost."""
         count = len(yaw)
         return cls(center, size, yaw, np.ones(count), np.full(count, np.nan), np.zeros(count, bool))
 
     def where(self, chosen: np.ndarray, other: "RawBoxes") -> "RawBoxes":
-        """``other``'s boxes where ``chosen``, marked as fall-backs."""
+        """``other``'s boxes where ``chosen (N,)`` is True, marked as fall-backs."""
         mixed = {
             name: np.where(chosen.reshape(-1, *[1] * (value.ndim - 1)), getattr(other, name), value)
             for name, value in vars(self).items()
@@ -252,7 +252,7 @@ def _bounds(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _with_a_point(evidence: ObjectEvidence, empty: np.ndarray) -> ObjectEvidence:
-    """Give objects without points one, so that extents exist; their boxes are replaced afterwards."""
+    """Give ``empty (N,)`` objects one point, so that extents exist; their boxes are replaced afterwards."""
     weight = evidence.foreground.weight.copy()
     weight[empty, 0] = 1.0
     return replace(evidence, foreground=replace(evidence.foreground, weight=weight))

@@ -68,6 +68,7 @@ def box_results(
     def write(
         name: str, image: np.ndarray, depth: Any, taken: float | None, camera: PinholeCamera | None = None
     ) -> None:
+        """Write what is found in ``image (H, W, 3)`` uint8 RGB."""
         nonlocal show, last, reach, found, unsure
         rate = results.frames_per_second
         interval = 1 / rate if taken is None or last is None else max(taken - last, MIN_INTERVAL)

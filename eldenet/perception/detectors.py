@@ -30,7 +30,7 @@ class Detector(Protocol):
     """``frame (H, W, 3)`` uint8 RGB -> :class:`~eldenet.boxes.Detections2D` in pixels of that frame."""
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """Find objects."""
+        """Find objects in ``(H, W, 3)`` uint8 RGB."""
         ...
 
 
@@ -51,7 +51,7 @@ class FixedDetections:
         self._remaining = iter(detections)
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """The next frame's detections; StopIteration where none are left."""
+        """The detections of the next frame ``(H, W, 3)``; StopIteration where none are left."""
         return next(self._remaining)
 
 
@@ -74,7 +74,7 @@ class CallableDetector:
         self.function, self.names, self.box_style = function, tuple(names), box_style
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """Find objects."""
+        """Find objects in ``(H, W, 3)`` uint8 RGB."""
         xyxy, score, label = (np.asarray(part) for part in self.function(frame))
         return Detections2D(
             from_corner(xyxy.reshape(-1, 4)),
@@ -106,7 +106,7 @@ class TorchvisionDetector:
         self.threshold, self.box_style = threshold, box_style
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """Find objects."""
+        """Find objects in ``(H, W, 3)`` uint8 RGB."""
         import torch
 
         check_frame(frame)

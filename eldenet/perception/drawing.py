@@ -95,7 +95,7 @@ def draw_bev(
     reach: float | None = None,
     truth: Boxes3D | None = None,
 ) -> np.ndarray:
-    """Draw boxes in a bird's-eye view, with the camera at the bottom and a grid in round meters.
+    """Draw a bird's-eye view ``(*size, 3)`` uint8: the camera at the bottom, boxes, a grid in round meters.
 
     Args:
         boxes: in the level frame; doubtful ones are dashed, tracked ones get an arrow to where they are in a
@@ -112,6 +112,7 @@ def draw_bev(
     panel = np.full((height, wide, 3), _GROUND, np.uint8)
 
     def place(points: np.ndarray) -> np.ndarray:
+        """Pixels ``(..., 2)`` of ground points ``(..., 2)`` x, z [m]."""
         return np.stack([wide / 2 + points[..., 0] * scale, height - 6 - points[..., 1] * scale], axis=-1)
 
     edges = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
@@ -153,7 +154,7 @@ def bev_reach(boxes: Boxes3D, size: tuple[int, int]) -> float:
 
 
 def picture_beside_bev(picture: np.ndarray, panel: np.ndarray) -> np.ndarray:
-    """Join the drawn image and the bird's-eye view, resized to one height; the result has even sides."""
+    """Join two pictures ``(h, w, 3)`` uint8, resized to one height; the result has even sides."""
     tall = max(picture.shape[0], panel.shape[0])
     parts = [
         np.asarray(cv2.resize(part, (round(part.shape[1] * tall / part.shape[0]), tall)), np.uint8)
@@ -181,11 +182,12 @@ def _line(
 
 
 def _fixed(points: np.ndarray) -> np.ndarray:
-    """Pixels in sixteenths, for OpenCV's ``shift=4``."""
+    """Pixels ``(..., 2)`` in sixteenths, for OpenCV's ``shift=4``."""
     return np.asarray(np.round(np.clip(points, -20000, 20000) * 16), np.int32)
 
 
 def _write(picture: np.ndarray, text: str, left: float, top: float, color: tuple[int, int, int]) -> None:
+    """Write text on a dark patch of ``(H, W, 3)`` uint8, in place."""
     size = max(0.35, picture.shape[0] / 900)
     (wide, tall), _ = cv2.getTextSize(text, _FONT, size, 1)
     x = int(np.clip(left, 0, max(0, picture.shape[1] - wide - 2)))

@@ -127,7 +127,7 @@ def gather(
 def _box_pixels(
     depth: np.ndarray, detections: Detections2D, index: int, nearer: np.ndarray, back: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of some 400 pixels of a box whose depth is known, without those of nearer objects."""
+    """Rows and columns ``(P,)`` of some 400 known pixels of a box, without those of nearer objects."""
     left, top, right, bottom = _pixel_range(detections.xyxy[index], depth.shape)
     crop = depth[top:bottom, left:right]
     known = np.isfinite(crop) & (crop > 0)
@@ -151,14 +151,14 @@ def _box_pixels(
 
 
 def _pixel_range(box: np.ndarray, size: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """First column and row, and those past the last, of the pixels whose centers lie in a box."""
+    """First column and row, and those past the last, of the pixels whose centers lie in a box ``(4,)``."""
     low = np.clip(np.ceil(box[:2]), 0, None).astype(int)
     high = np.clip(np.floor(box[2:]) + 1, low, np.maximum((size[1], size[0]), low)).astype(int)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def _above_ground(points: np.ndarray, depth: np.ndarray, ground: GroundPlane | None) -> np.ndarray:
-    """Bool per pixel: above the ground; all pixels if fewer than five are."""
+    """``(P,)`` bool: the point is above the ground; all if fewer than five are."""
     if ground is None:
         return np.ones(len(depth), bool)
     standing = ground.height_above(points) > 0.12 + 0.006 * depth
@@ -168,7 +168,7 @@ def _above_ground(points: np.ndarray, depth: np.ndarray, ground: GroundPlane | N
 def _in_the_middle(
     rows: np.ndarray, columns: np.ndarray, box: np.ndarray, standing: np.ndarray
 ) -> np.ndarray:
-    """Bool per pixel: standing and in the middle of the box; all that stand if fewer than five are."""
+    """``(P,)`` bool: standing and in the middle of the box; all that stand if fewer than five are."""
     x, y = (columns - box[0]) / (box[2] - box[0] + 1e-9), (rows - box[1]) / (box[3] - box[1] + 1e-9)
     middle = standing & (np.abs(x - 0.5) < 0.25) & (np.abs(y - 0.5) < 0.3)
     return middle if middle.sum() >= 5 else standing
@@ -182,7 +182,7 @@ def _within_reach(depth: np.ndarray, centers: np.ndarray, reach: float, depth_si
 
 
 def _likely_depth(depth: np.ndarray, expected: np.ndarray, reach: float, depth_sigma: float) -> float:
-    """The depth that holds many of the pixels and fits the size of the class in the image.
+    """The depth [m] that holds many of the pixels ``(P,)`` and fits the size of the class in the image.
 
     The median alone falls on whatever hides most of the object.
     """

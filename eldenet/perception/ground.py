@@ -86,12 +86,12 @@ def fit_ground(
 
 
 def floor_tolerance(distance: np.ndarray) -> np.ndarray:
-    """How far a point at ``distance`` [m] may lie off its plane [m]: depth errors grow with depth."""
+    """How far a point at ``distance (N,)`` [m] may lie off its plane [m]: depth errors grow with depth."""
     return 0.03 + 0.012 * distance
 
 
 def _known_pixels(depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of up to ``_SAMPLES`` pixels of the lower half whose depth is known."""
+    """Rows and columns ``(P,)`` of up to ``_SAMPLES`` pixels of the lower half whose depth is known."""
     top, width = depth.shape[0] // 2, depth.shape[1]
     lower = depth[top:].reshape(-1)
     tried = rng.integers(0, len(lower), 2 * _SAMPLES)
@@ -125,7 +125,7 @@ class GroundHomography:
 
     @classmethod
     def from_depth(cls, depth: np.ndarray, camera: PinholeCamera) -> "GroundHomography":
-        """From a depth map.
+        """From a depth map ``(H, W)`` [m].
 
         Raises:
             ValueError: the depth map shows no ground.
@@ -146,7 +146,7 @@ class GroundHomography:
         return np.stack([height * h[0] + t[0] * (n @ h), height * h[2] + t[2] * (n @ h), n @ h])
 
     def depth(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Depth [m] of ground pixels; inf at and above the horizon."""
+        """Depth ``(...)`` [m] of ground pixels ``(...)``; inf at and above the horizon."""
         pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float64)
         slope = pixels @ (self.plane.normal @ self.camera.homography)
         height = self.plane.offset - self.plane.normal @ self.camera.translation

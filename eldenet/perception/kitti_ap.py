@@ -8,7 +8,7 @@ Rules: an object counts at a difficulty if its 2D box is higher than the minimum
 neither more occluded nor more truncated than allowed. Other objects are ignored (neither found nor missed),
 and so are those of a neighboring class (Van for Car, Person_sitting for Pedestrian). Detections lower than
 the minimum height are ignored, whatever their class, as in the benchmark's code. In 2D, detections in
-DontCare areas are no false positives.
+DontCare areas are not false positives.
 """
 
 from collections.abc import Sequence
@@ -116,7 +116,7 @@ def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficult
 
 
 def _matched_scores(frame: _Frame, min_overlap: float) -> np.ndarray:
-    """Scores of the detections that find a counted object; each object takes the best score that matches."""
+    """Scores ``(K,)`` of the detections that find a counted object; each takes its best match."""
     free = np.ones(len(frame.score), bool)
     scores = []
     for row, overlap in enumerate(frame.overlap):
@@ -131,13 +131,13 @@ def _matched_scores(frame: _Frame, min_overlap: float) -> np.ndarray:
 
 
 def _thresholds(scores: np.ndarray, count: int) -> list[float]:
-    """Scores at which recall is nearest to 0, 1/40, 2/40 ..."""
+    """Those of the scores ``(K,)`` at which recall is nearest to 0, 1/40, 2/40 ..."""
     scores = np.sort(scores)[::-1]
     chosen, recall = [], 0.0
     for index, score in enumerate(scores):
-        here = (index + 1) / count
-        after = (index + 2) / count if index < len(scores) - 1 else here
-        if after - recall < recall - here and index < len(scores) - 1:
+        at_score = (index + 1) / count
+        at_next = (index + 2) / count if index < len(scores) - 1 else at_score
+        if at_next - recall < recall - at_score and index < len(scores) - 1:
             continue
         chosen.append(float(score))
         recall += 1 / (POINTS - 1)

@@ -64,13 +64,13 @@ class KittiLabels(ArrayRows):
         return len(self.types)
 
     def select(self, chosen: np.ndarray | slice) -> Self:
-        """The objects that ``chosen`` (bool or indices) picks."""
+        """The objects that ``chosen (N,)`` bool, or indices, pick."""
         types = tuple(self.types[index] for index in np.arange(len(self))[chosen])
         return replace(super().select(chosen), types=types)
 
     @property
     def _numbered(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Number of each object's class, and the names: KITTI's in every frame, then others as they come."""
+        """Number ``(N,)`` of each object's class, and the names: KITTI's, then others as they come."""
         names = tuple(dict.fromkeys((*KITTI_NAMES, *self.types)))
         return np.array([names.index(name) for name in self.types], np.int64), names
 
@@ -98,18 +98,18 @@ def read_labels(path: Path) -> KittiLabels:
     types, rows = [], []
     text = read_text(path, "fetch it again, it comes with KITTI's object labels")
     for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
-        if not words:
+        columns = line.split()
+        if not columns:
             continue
         try:
-            values = [float(word) for word in words[1:]]
+            values = [float(column) for column in columns[1:]]
         except ValueError:
             values = []
         if len(values) not in (14, 15) or not np.isfinite(values).all():
             raise ValueError(
                 f"{path}, line {number}: {line[:60]!r} is not a type and 14 or 15 numbers, all finite"
             )
-        types.append(words[0])
+        types.append(columns[0])
         rows.append(values if len(values) == 15 else [*values, 1.0])
     table = np.array(rows, np.float64).reshape(-1, 15)
     return KittiLabels(

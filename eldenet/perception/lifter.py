@@ -180,6 +180,7 @@ class BoxLifter:
 
 
 def _warn_of_odd_depth(depth: np.ndarray) -> None:
+    """Warn if no pixel of ``(H, W)`` is known, or the values look like millimeters."""
     if not (np.isfinite(depth) & (depth > 0)).any():
         warnings.warn("no pixel of the depth is known: the boxes use class sizes instead", stacklevel=3)
     known = depth[::8, ::8]

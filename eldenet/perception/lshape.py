@@ -67,6 +67,7 @@ def length_axis(found: tuple[np.ndarray, np.ndarray], yaw: np.ndarray, size: np.
     facing = np.abs(to_axes(ray, yaw)[:, ::-1])  # the sides that show the extents along u and v
 
     def misfit(wanted: np.ndarray) -> np.ndarray:
+        """How badly sides ``(N, 2)`` [m] fit what is seen ``(N,)``."""
         excess, lack = np.maximum(seen - wanted, 0), np.maximum(wanted - seen, 0)
         return np.asarray((excess + facing**2 * lack).sum(1))
 

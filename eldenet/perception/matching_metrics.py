@@ -57,7 +57,7 @@ class Pairs(ArrayRows):
         return np.asarray(np.maximum(0.0, 1.0 - self.error / self.distance))
 
     def select(self, chosen: np.ndarray | slice) -> Self:
-        """The pairs that ``chosen`` picks; ``truths`` counts only these, so recalls become match rates."""
+        """The pairs that ``chosen (P,)`` picks; ``truths`` counts these, so recalls become match rates."""
         pairs = super().select(chosen)
         return replace(pairs, truths=len(pairs))
 
@@ -85,7 +85,7 @@ def pair_up(truth_xyxy: np.ndarray, found_xyxy: np.ndarray) -> tuple[np.ndarray,
 
 
 def compare(truth: Boxes3D, predicted: Boxes3D, rows: np.ndarray, columns: np.ndarray) -> Pairs:
-    """Pairs of one frame: ``truth[rows]`` against ``predicted[columns]``."""
+    """Pairs of one frame: ``truth[rows]`` against ``predicted[columns]``, indices ``(P,)`` each."""
     first, second = truth.select(rows), predicted.select(columns)
     bev, iou = box_ious(first, second)
     offset = second.center - first.center

@@ -41,7 +41,7 @@ class Layout(NamedTuple):
 
 
 def _center_to_corners(boxes: np.ndarray) -> np.ndarray:
-    """Convert cx, cy, w, h to xyxy."""
+    """Convert cx, cy, w, h ``(N, 4)`` to xyxy ``(N, 4)``."""
     center, half = boxes[:, :2], boxes[:, 2:] / 2
     return np.concatenate([center - half, center + half], axis=1)
 

@@ -87,7 +87,7 @@ def select_boxes(
 
 
 def cross_class_nms(xyxy: np.ndarray, label: np.ndarray, threshold: float) -> np.ndarray:
-    """Indices of the boxes to keep: of two of different classes with a larger IoU than this, the first.
+    """Indices ``(K,)`` of the boxes to keep: of two of other classes with a larger IoU than this, the first.
 
     A pick-up that is detected as a car and as a truck would become two objects in one place. 1: keep all.
     """

@@ -136,7 +136,7 @@ class BoxTracker:
             track.xyxy = track.xyxy + np.tile(track.xyxy_speed, 2) * seconds
 
     def _assign(self, boxes: Boxes3D, xyxy: np.ndarray | None) -> list[tuple[int, int]]:
-        """Index pairs of tracks and boxes of one class with the least total cost.
+        """Index pairs of tracks and boxes (2D: ``(N, 4)``) of one class with the least total cost.
 
         The cost is the distance as a share of the reach. Where 2D boxes overlap, their overlap counts most.
         """
@@ -166,6 +166,7 @@ class BoxTracker:
         return [(row, column) for row, column in pairs if allowed[row, column]]
 
     def _noise(self, distance: float) -> np.ndarray:
+        """Covariance ``(7, 7)`` of a box measured at a distance [m]."""
         position = self.position_sigma * max(distance, 3.0) / 10
         return np.diag([position] * 3 + [0.2] + [0.3, 0.15, 0.15]) ** 2
 

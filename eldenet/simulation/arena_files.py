@@ -1,4 +1,4 @@
-"""Arenas of one's own, as YAML files: obstacles, a start and way-points, checked before a robot drives."""
+"""Your own arenas as YAML files: obstacles, a start and way-points, checked before a robot drives."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

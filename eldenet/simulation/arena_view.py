@@ -135,7 +135,7 @@ def render_arena(
 
 
 def render_arena_objects(split: str, index: int, size: tuple[int, int]) -> tuple[np.ndarray, Detections2D]:
-    """Render the first frame of :func:`render_arena`, and the 2D boxes of its obstacles.
+    """Render the first image ``(H, W, 3)`` of :func:`render_arena`, and the 2D boxes of its obstacles.
 
     Raises:
         ValueError: unknown split or index out of range.
@@ -186,7 +186,7 @@ def _photos(
 
 
 def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> tuple[float, float, float]:
-    """Draw a place where the robot fits, and any heading."""
+    """Draw a place where the robot fits by ``clearance (n, n)`` [m], and any heading."""
     people = [pedestrian.position(time) for pedestrian in arena.pedestrians]
     far = _CLOSE if draw.chance(0.5) else np.inf
     places = np.argwhere((clearance >= _MIN_CLEARANCE) & (clearance < far))
@@ -209,7 +209,7 @@ def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarra
 
 
 def _obstacle_numbers(model: Any, arena: Arena) -> np.ndarray:
-    """Return every geom's index in :attr:`Arena.obstacles`, -1 for other geoms and, last, for no geom.
+    """Return every geom's index ``(G + 1,)`` in :attr:`Arena.obstacles`; -1: another, and last no geom.
 
     Geoms have no names, but their order is that of :func:`~eldenet.simulation.arena_mjcf.arena_mjcf`:
     the world's (floor, walls, hall, standing obstacles), then those of the pedestrians' bodies.

@@ -158,7 +158,9 @@ def _draw_pedestrian(draw: Draw, start: tuple[float, float, float]) -> Obstacle:
 def draw_start_and_goal(
     draw: Draw, clearance: np.ndarray, min_distance: float, pedestrians: Sequence[Obstacle] = ()
 ) -> tuple[tuple[float, float, float], Point] | None:
-    """Draw a start with its heading and a goal that a robot can reach from there; None after three failures.
+    """Draw a start with its heading and a goal that a robot can reach; None after three failures.
+
+    ``clearance (n, n)`` [m] is a :func:`clearance_map`.
 
     The start keeps its distance from where ``pedestrians`` set out. A goal is reachable if the grid, inflated
     by :data:`INFLATION`, connects it to the start in four directions.
@@ -184,7 +186,7 @@ def draw_start_and_goal(
 
 
 def connected(clearance: np.ndarray, start: Sequence[float], goal: Point) -> bool:
-    """Whether start and goal are clear, and the grid, inflated by :data:`INFLATION`, connects them."""
+    """Whether start and goal are clear and the inflated grid ``(n, n)`` [m] connects them."""
     from skimage.measure import label
 
     regions = label(clearance >= INFLATION, connectivity=1)

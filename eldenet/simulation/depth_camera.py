@@ -23,7 +23,7 @@ class StereoArtifacts(NamedTuple):
     dead_columns: int = 1
 
     def draw_dead(self, width: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw the dead columns of a frame of ``width`` pixels."""
+        """Draw the numbers ``(dead_columns,)`` of the dead columns of a frame of ``width`` pixels."""
         return rng.choice(width, self.dead_columns, replace=False)
 
     def apply(

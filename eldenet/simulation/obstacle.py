@@ -54,7 +54,7 @@ class Obstacle:
         return self.half[0] if self.round else math.hypot(*self.half)
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the distance from points on the floor to the footprint [m], 0 inside."""
+        """Return the distance ``(...)`` from points on the floor to the footprint [m], 0 inside."""
         dx, dy = x - self.x, y - self.y
         if self.round:
             return np.maximum(np.hypot(dx, dy) - self.half[0], 0.0)

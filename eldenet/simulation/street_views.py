@@ -233,8 +233,8 @@ def _visibility(
 ) -> tuple[float, bool]:
     """Return the visible share of an object and whether the image border cuts it.
 
-    The object's pixels ``mask`` are compared with those of the object alone in an image twice as wide and
-    high, at a quarter of the resolution.
+    The object's pixels ``mask (H, W)`` are compared with those of the object alone in an image twice as wide
+    and high, at a quarter of the resolution.
     """
     height, width = camera.size
     shift = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1.0]])
@@ -251,7 +251,7 @@ def _visibility(
 def _boxes(
     scene: CompiledRoom, kept: list[int], label: np.ndarray, position: np.ndarray, rotation: np.ndarray
 ) -> Boxes3D:
-    """Return the exact boxes of bodies, from the extents of their geoms."""
+    """Return the exact boxes of ``N`` bodies with labels ``(N,)``, from the extents of their geoms."""
     center, size, yaw = np.zeros((len(kept), 3)), np.zeros((len(kept), 3)), np.zeros(len(kept))
     for row, number in enumerate(kept):
         low, high = _extent(scene.model, number + 1)

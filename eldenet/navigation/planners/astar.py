@@ -31,7 +31,7 @@ class _PathFollower:
         self._paths: list[np.ndarray | None] = [None] * robots
 
     def _follow(self, robot: int, pose: np.ndarray, goal: tuple[float, float], points: np.ndarray) -> None:
-        """Choose the next command, among points in the robot's frame."""
+        """Choose the next command at ``pose (3,)``, among points ``(M, 2)`` in the robot's frame."""
         path = self._paths[robot]
         target = goal if path is None else carrot(path, pose, self.carrot)
         self.last[robot] = self.window.choose(
@@ -68,19 +68,18 @@ class AStarDWA(_PathFollower):
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         for robot in range(len(self.last)) if robots is None else robots:
             world = self._worlds[robot]
-            here = pose = np.array(world.pose)
+            scanned = pose = np.array(world.pose)
             if senses.scanned_from is not None:  # decide for a later pose
-                here, then, was = pose, senses.odometry[robot], senses.scanned_from[robot]
-                pose = np.array(
-                    [*from_robot(to_robot(then[None, :2], was), here)[0], here[2] + then[2] - was[2]]
-                )
+                before, after = senses.scanned_from[robot], senses.odometry[robot]
+                place = from_robot(to_robot(after[None, :2], before), scanned)[0]
+                pose = np.array([*place, scanned[2] + after[2] - before[2]])
             goal = goal_in_world(pose, senses.goal[robot])
-            before = self._goals[robot]
-            if before is None or math.dist(goal, before) > 0.1:
+            last_goal = self._goals[robot]
+            if last_goal is None or math.dist(goal, last_goal) > 0.1:
                 self._goals[robot] = goal
                 cost = inflated_cost(clearance_map(world.arena.obstacles, world.arena.side))
                 self._paths[robot] = shortest_path(cost, tuple(pose[:2]), goal, world.arena.side)
-            points = [self._points[robot], from_robot(seen_points(senses.ranges[robot]), here)]
+            points = [self._points[robot], from_robot(seen_points(senses.ranges[robot]), scanned)]
             self._follow(robot, pose, goal, to_robot(np.concatenate(points), pose))
         return self.last.copy()
 
@@ -132,7 +131,7 @@ def seen_points(ranges: np.ndarray) -> np.ndarray:
 
 
 def carrot(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, float]:
-    """Point of a path ``ahead`` [m] after the one nearest to the robot."""
+    """Point of a path ``(K, 2)`` that is ``ahead`` [m] after the one nearest to the robot ``(3,)``."""
     nearest = int(np.hypot(*(path - pose[:2]).T).argmin())
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[nearest:], axis=0).T))])
     index = nearest + int(np.searchsorted(along, ahead).clip(0, len(along) - 1))
@@ -140,7 +139,7 @@ def carrot(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, flo
 
 
 def goal_in_world(pose: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """The goal (distance [m], bearing [rad]) in the pose's frame."""
+    """The goal ``(2,)`` (distance [m], bearing [rad]) in the frame of the pose ``(3,)``."""
     distance, bearing = goal
     return (
         float(pose[0] + distance * np.cos(pose[2] + bearing)),

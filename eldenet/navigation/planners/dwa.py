@@ -83,7 +83,7 @@ class DynamicWindow:
         return _within(0.0, last[0], ACCELERATION), _within(turn, last[1], TURN_ACCELERATION)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
-        """Without a safe arc: turn toward the target first, then keep turning the same way."""
+        """Without a safe arc: turn toward the target, then keep turning; ``gap (K,)`` [m] is clearance."""
         side = np.sign(last[1]) if last[0] == 0 and last[1] != 0 else (1.0 if y >= 0 else -1.0)
         for turn in (0.8 * side, -0.8 * side):
             command = int(np.flatnonzero((self.speed == 0) & (np.abs(self.turn - turn) < 1e-6))[0])

@@ -139,7 +139,7 @@ class OnlineMap:
     def _window(
         self, taken: np.ndarray, start: tuple[float, float], goal: tuple[float, float]
     ) -> tuple[slice, slice]:
-        """Rows and columns with start, goal, all occupied cells and free cells around them.
+        """Rows and columns of ``taken (n, n)`` with start, goal, all occupied cells and free cells around.
 
         No path outside is cheaper: clamped to the window it is no longer, and the border is free.
         """

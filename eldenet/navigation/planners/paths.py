@@ -52,7 +52,7 @@ def shortest_path(
 
 
 def inflated_cost(clearance: np.ndarray) -> np.ndarray:
-    """1 where the robot may be, infinite elsewhere."""
+    """Cost ``(n, n)`` of cells by their clearance [m]: 1 where the robot may be, infinite elsewhere."""
     return np.where(clearance >= INFLATION, 1.0, np.inf)
 
 
@@ -88,7 +88,7 @@ def _graph(free: np.ndarray) -> Any:
 
 
 def _any_angle_length(free: np.ndarray, graph: Any, start: Point, goal: Point, side: float) -> float:
-    """Shortest path in the graph, then every detour between cells that see each other is cut off."""
+    """Shortest path in the graph of ``free (n, n)`` [m], less detours between cells that see each other."""
     from scipy.sparse.csgraph import dijkstra
 
     cells = [

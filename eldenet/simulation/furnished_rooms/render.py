@@ -68,7 +68,7 @@ def render_room(
 
 
 def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float] = KINECT) -> np.ndarray:
-    """Draw a camera with nearly square pixels and fx in a range [widths]."""
+    """Draw intrinsics ``(3, 3)`` [px] of nearly square pixels and fx in a range [widths]."""
     height, width = size
     fx = width * draw.uniform(*focal)
     fy = fx * draw.uniform(0.98, 1.07)
@@ -80,9 +80,10 @@ def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float
 def choose_pose(
     room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the position and rotation of a camera on a robot (0.25-1.0 m) or in a hand (1.2-1.8 m).
+    """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera on a robot or in a hand.
 
-    A robot has three of ten frames, and one of ten with ``by_hand``, where hands are steadier too.
+    A robot's is 0.25 to 1.0 m above the floor, a hand's 1.2 to 1.8 m. A robot has three of ten frames, and
+    one of ten with ``by_hand``, where hands are steadier too.
 
     Each candidate casts a handful of rays; the first that is neither too close to a wall nor faces an empty
     room is taken.

@@ -107,13 +107,13 @@ def contact_shade(hits: Hits, size: tuple[int, int], reach: float = _CONTACT) ->
     for number in range(12):
         turn, away = 2.4 * number, pixel * (1.0, 2.5, 5.0)[number % 3]
         dy, dx = round(away * np.sin(turn)), round(away * np.cos(turn))
-        here, there = _shifted(rows, dy), _shifted(columns, dx)
-        rise = point[:, here[1]][:, :, there[1]] - point[:, here[0]][:, :, there[0]]
+        row, column = _shifted(rows, dy), _shifted(columns, dx)
+        rise = point[:, row[1]][:, :, column[1]] - point[:, row[0]][:, :, column[0]]
         squared = (rise * rise).sum(axis=0)
-        height_above = (rise * normal[:, here[0]][:, :, there[0]]).sum(axis=0)
+        height_above = (rise * normal[:, row[0]][:, :, column[0]]).sum(axis=0)
         share = height_above / (np.sqrt(squared) + np.float32(1e-4)) - np.float32(0.1)
         share = np.maximum(share, 0) / (1 + squared * np.float32(1 / reach**2))
-        taken[here[0], there[0]] += share
+        taken[row[0], column[0]] += share
     open_share = np.clip(1 - taken * np.float32(2.2 / 12), 0.2, 1)
     open_share = cv2.GaussianBlur(open_share, (3, 3), 0.6)
     return cv2.resize(open_share, (width, height), interpolation=cv2.INTER_LINEAR).ravel()

@@ -83,7 +83,7 @@ class RayCamera:
         return Hits(depth, geom, point, normals)
 
     def _split(self, x: np.ndarray, y: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        """Return the pixel numbers of the image's quarters and their windows on the image plane."""
+        """Return the pixel numbers ``(n,)`` of the image's quarters, and their windows ``(4, 4)``."""
         number = np.arange(len(x) * len(y)).reshape(len(y), len(x))
         quarters, windows = [], []
         for top, bottom in _halves(len(y)):

@@ -88,6 +88,7 @@ def develop_photo(
 
 
 def _vignette(height: int, width: int, amount: float) -> np.ndarray:
+    """Brightness ``(H, W, 1)`` that falls toward the corners."""
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     x = np.linspace(-1, 1, width, dtype=np.float32)[None]
     return (1 - np.float32(amount) * (x * x + y * y) / 2)[..., None]

@@ -171,6 +171,7 @@ class CompiledRoom:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Dot product ``(N,)`` of vectors ``(3, N)``."""
     out: np.ndarray = a[0] * b[0]
     out += a[1] * b[1]
     out += a[2] * b[2]
@@ -178,6 +179,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _power(light: tuple[float, ...], position: np.ndarray) -> float:
+    """Power of a light at a position ``(3,)`` [m]."""
     away = sum((a - float(b)) ** 2 for a, b in zip(light[:3], position, strict=True))
     return light[4] * light[6] ** 2 / (0.5 + away)
 

@@ -43,7 +43,7 @@ def noise(rng: np.random.Generator, cells_u: int, cells_v: int, octaves: int = 3
 
 
 def mix(second: np.ndarray, third: np.ndarray | float = 0.0, light: np.ndarray | float = 1.0) -> Weights:
-    """Return the weights of a blend: A where both are 0, B where ``second`` is 1, C where ``third`` is 1."""
+    """Return weights ``(SIDE, SIDE, 3)``: A where both are 0, B by ``second``, C by ``third``."""
     second = np.clip(second, 0, 1)
     third = np.broadcast_to(np.clip(third, 0, 1), second.shape)
     out = np.stack([(1 - second) * (1 - third), second * (1 - third), third], axis=-1)
@@ -165,13 +165,14 @@ def tufted(rng: np.random.Generator) -> Weights:
 
 
 def _rectangle(u: np.ndarray, v: np.ndarray, x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+    """Texels ``(SIDE, SIDE)`` bool inside a rectangle."""
     return (u >= x0) & (u < x1) & (v >= y0) & (v < y1)
 
 
 def _panel(
     light: np.ndarray, u: np.ndarray, v: np.ndarray, box: tuple[float, float, float, float], edge: float
 ) -> None:
-    """Carve a raised panel: dark lower edge, bright upper edge."""
+    """Carve a raised panel into ``(SIDE, SIDE)`` light: dark lower edge, bright upper edge."""
     x0, y0, x1, y1 = box
     light[_rectangle(u, v, x0, y0, x1, y1)] *= 0.72
     light[_rectangle(u, v, x0 + edge, y0 + edge, x1 - edge, y1 - edge)] *= 1.36
