@@ -2,10 +2,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +11,8 @@ import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import natural_order, visible_files
-from eldenet.deploy.predictor import to_millimeters
-from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, resize_image
-from eldenet.system.errors import writing
-from eldenet.system.files import part_file, part_path, read_json, remove_unfinished, write_text
+from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
+from eldenet.system.files import part_file, read_json, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
 
@@ -28,8 +24,7 @@ if TYPE_CHECKING:
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply", "sigma": "_sigma.png"}
 SIGMA_PICTURE = "_sigma_color.png"
 UNFINISHED = ".unfinished.json"  # in the folder of results that are not complete
-LARGEST_SIDE = 8190  # of a video [px]: MPEG-4 has 13 bits for it
-BITS_PER_PIXEL = 4  # of a video: depth's colors stay as they are
+DEEPEST_MILLIMETERS = 65535  # in a 16-bit PNG
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _PLY_NAMES = {"<f4": "float", "|u1": "uchar"}
 
@@ -203,6 +198,16 @@ class Results:
             log.say(f"{self.too_far} pixels are farther than 65.535 m: stored as 0 (unknown)")
 
 
+def to_millimeters(depth: np.ndarray) -> np.ndarray:
+    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) where it is unknown or beyond 65.535 m.
+
+    :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
+    """
+    millimeters = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
+    fits = (millimeters > 0) & (millimeters <= DEEPEST_MILLIMETERS)
+    return np.where(fits, millimeters, 0).astype(np.uint16)
+
+
 def write_ply(path: Path, points: np.ndarray, colors: np.ndarray) -> int:
     """Write colored points as binary PLY, which MeshLab, CloudCompare, Blender and Open3D open.
 
@@ -232,90 +237,6 @@ def write_ply(path: Path, points: np.ndarray, colors: np.ndarray) -> int:
     with part_file(path) as unfinished:
         unfinished.write_bytes(header.encode("ascii") + vertices.tobytes())
     return len(vertices)
-
-
-@contextmanager
-def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
-    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the .mp4 file appears at the end.
-
-    An error or Ctrl-C keeps the video up to there, as what a camera showed does not come again. A video
-    without frames leaves no file. Frames with a side above ``LARGEST_SIDE`` are made smaller.
-
-    Raises:
-        ValueError: a frame has another size than the first one.
-        OSError: the file cannot be written.
-    """
-    import av
-
-    unfinished = part_path(path)
-    container: Any = None
-    stream: Any = None
-    first: tuple[int, ...] = ()
-
-    def add(picture: np.ndarray) -> None:
-        nonlocal container, stream, first
-        height, width = picture.shape[:2]
-        if container is None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            remove_unfinished(path.parent)
-            container = av.open(str(unfinished), "w")
-            most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
-            stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
-            first, scale = picture.shape, LARGEST_SIDE / max(height, width)
-            sides = (round(side * scale / 2) * 2 if scale < 1 else side for side in (width, height))
-            stream.width, stream.height = sides
-            stream.pix_fmt = "yuv420p"
-            stream.bit_rate = round(BITS_PER_PIXEL * stream.width * stream.height * per_second)
-        if picture.shape != first:
-            raise ValueError(
-                f"{path} shows {first[1]} x {first[0]} pixels, the next frame has {width} x {height}"
-            )
-        picture = resize_image(picture, (stream.height, stream.width))
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")))
-
-    def finish() -> None:
-        nonlocal container
-        if container is not None:
-            open_container, container = container, None
-            with open_container:
-                open_container.mux(stream.encode())
-            unfinished.replace(path)
-
-    try:
-        with writing(path.parent, path.name):
-            yield add
-            finish()
-    except BaseException:
-        with suppress(OSError):
-            finish()
-        raise
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[np.ndarray, float], None]:
-    """Give a function that adds a frame at the time when it was taken [s], from any zero.
-
-    A frame stays until the time of the next, so that the video of a camera that dropped frames plays in real
-    time. Of two frames within one of the video's frames the first is shown.
-
-    Args:
-        add: from :func:`open_video`.
-        per_second: frames of the video.
-    """
-    latest: np.ndarray | None = None
-    start, written = 0.0, 0
-
-    def show(picture: np.ndarray, taken: float) -> None:
-        nonlocal latest, start, written
-        if latest is None:
-            latest, start = picture, taken
-        place = round((taken - start) * per_second)
-        for number in range(written, place + 1):
-            add(picture if number == place else latest)
-        latest, written = picture, max(written, place + 1)
-
-    return show
 
 
 def name_results(source: Path, output: Path) -> dict[Path, str]:

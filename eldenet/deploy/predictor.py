@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 MAX_SIDE = 640
 GRID = 16  # sides of frames are multiples of this [px]
-DEEPEST_MILLIMETERS = 65535
 NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
     "the lens of its training only (to change that, train with canonical_focal)"
@@ -285,13 +284,3 @@ def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     import cv2
 
     return cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
-
-
-def to_millimeters(depth: np.ndarray) -> np.ndarray:
-    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) where it is unknown or beyond 65.535 m.
-
-    :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
-    """
-    millimeters = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
-    fits = (millimeters > 0) & (millimeters <= DEEPEST_MILLIMETERS)
-    return np.where(fits, millimeters, 0).astype(np.uint16)

@@ -1,15 +1,20 @@
-"""Video files, read by FFmpeg through PyAV: which files are videos, their frames, whether they are whole."""
+"""Video files, read and written by FFmpeg through PyAV: their frames, times, and whether they are whole."""
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from eldenet.data.array_files import check_pixels
 from eldenet.data.file_checks import FORMATS
 from eldenet.data.io import IMAGE_ENDINGS
+from eldenet.geometry import resize_image
+from eldenet.system.errors import writing
+from eldenet.system.files import part_path, remove_unfinished
 
 if TYPE_CHECKING:
     import av
@@ -21,6 +26,8 @@ VIDEO_ENDINGS = (
 LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordings were joined
 SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
 MATROSKA_SLACK = 0.1  # [s]
+LARGEST_SIDE = 8190  # of a video that is written [px]: MPEG-4 has 13 bits for it
+BITS_PER_PIXEL = 4  # of a video that is written: depth's colors stay as they are
 
 
 def is_video_file(path: Path) -> bool:
@@ -140,3 +147,87 @@ class VideoFile:
         if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
             return ""
         return f"is truncated or damaged: {frames} of {self.announced} frames could be read"
+
+
+@contextmanager
+def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], None]]:
+    """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the .mp4 file appears at the end.
+
+    An error or Ctrl-C keeps the video up to there, as what a camera showed does not come again. A video
+    without frames leaves no file. Frames with a side above ``LARGEST_SIDE`` are made smaller.
+
+    Raises:
+        ValueError: a frame has another size than the first one.
+        OSError: the file cannot be written.
+    """
+    import av
+
+    unfinished = part_path(path)
+    container: Any = None
+    stream: Any = None
+    first: tuple[int, ...] = ()
+
+    def add(picture: np.ndarray) -> None:
+        nonlocal container, stream, first
+        height, width = picture.shape[:2]
+        if container is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(path.parent)
+            container = av.open(str(unfinished), "w")
+            most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
+            stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
+            first, scale = picture.shape, LARGEST_SIDE / max(height, width)
+            sides = (round(side * scale / 2) * 2 if scale < 1 else side for side in (width, height))
+            stream.width, stream.height = sides
+            stream.pix_fmt = "yuv420p"
+            stream.bit_rate = round(BITS_PER_PIXEL * stream.width * stream.height * per_second)
+        if picture.shape != first:
+            raise ValueError(
+                f"{path} shows {first[1]} x {first[0]} pixels, the next frame has {width} x {height}"
+            )
+        picture = resize_image(picture, (stream.height, stream.width))
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")))
+
+    def finish() -> None:
+        nonlocal container
+        if container is not None:
+            open_container, container = container, None
+            with open_container:
+                open_container.mux(stream.encode())
+            unfinished.replace(path)
+
+    try:
+        with writing(path.parent, path.name):
+            yield add
+            finish()
+    except BaseException:
+        with suppress(OSError):
+            finish()
+        raise
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[np.ndarray, float], None]:
+    """Give a function that adds a frame at the time when it was taken [s], from any zero.
+
+    A frame stays until the time of the next, so that the video of a camera that dropped frames plays in real
+    time. Of two frames within one of the video's frames the first is shown.
+
+    Args:
+        add: from :func:`open_video`.
+        per_second: frames of the video.
+    """
+    latest: np.ndarray | None = None
+    start, written = 0.0, 0
+
+    def show(picture: np.ndarray, taken: float) -> None:
+        nonlocal latest, start, written
+        if latest is None:
+            latest, start = picture, taken
+        place = round((taken - start) * per_second)
+        for number in range(written, place + 1):
+            add(picture if number == place else latest)
+        latest, written = picture, max(written, place + 1)
+
+    return show

@@ -275,7 +275,7 @@ def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray
     """Yield a function that adds a frame ``(H, W, 3)`` uint8 RGB to a ``.gif``, ``.webp`` or ``.mp4``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".mp4":
-        from eldenet.deploy.outputs import open_video
+        from eldenet.deploy.video_files import open_video
 
         with open_video(path, per_second) as add:
             yield add

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.deploy.outputs import in_time, open_video
+from eldenet.deploy.video_files import in_time, open_video
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.drawing import bev_reach
 from eldenet.perception.size_check import SizeCheck

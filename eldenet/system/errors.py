@@ -9,8 +9,8 @@ from pathlib import Path
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 """What a command shows in one line; any other error is a bug and shows its traceback."""
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
+FULL = (errno.ENOSPC, errno.EDQUOT)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EFBIG)
 # how torch hands over an error of a worker that loads data: with its traceback inside
 _IN_A_WORKER = re.compile(r"Caught (\w+) in DataLoader worker process \d+\..*\n\1: (.*)", re.DOTALL)
 

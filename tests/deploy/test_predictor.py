@@ -12,8 +12,8 @@ from support.predicting import photo, read_ply
 
 import eldenet
 from eldenet.data.io import read_image
-from eldenet.deploy.outputs import write_ply
-from eldenet.deploy.predictor import DepthPredictor, to_millimeters
+from eldenet.deploy.outputs import to_millimeters, write_ply
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.geometry import resize_image
 from eldenet.model import DepthNet

@@ -13,9 +13,10 @@ from support.films import read_video, write_video
 from support.predicting import exported, listed, photo, run
 
 from eldenet.deploy import runtimes
-from eldenet.deploy.outputs import in_time, open_video
-from eldenet.deploy.predictor import DepthPredictor, to_millimeters
+from eldenet.deploy.outputs import to_millimeters
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.stream import DepthStream, StreamFrame, without_password
+from eldenet.deploy.video_files import in_time, open_video
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.visualization import photo_beside_depth, visible_range
@@ -110,7 +111,7 @@ class SlowCamera(DepthStream):
 def test_the_video_of_a_camera_plays_in_real_time(
     model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    monkeypatch.setattr("eldenet.deploy.videos.DepthStream", SlowCamera)
+    monkeypatch.setattr("eldenet.deploy.prediction.DepthStream", SlowCamera)
     with pytest.raises(OSError, match=r"rtsp://host/street stopped after 8 frames; earlier results"):
         run(model_folder, "rtsp://me:se@cret@host/street", tmp_path / "out", "depth_range=[0.1,10]")
     assert listed(tmp_path / "out") == ["rtsp_host_street_depth.mp4"]

@@ -10,7 +10,7 @@ import eldenet
 from eldenet.boxes import Boxes3D
 from eldenet.data.io import read_depth
 from eldenet.deploy import viewer
-from eldenet.deploy.outputs import open_video
+from eldenet.deploy.video_files import open_video
 from eldenet.deploy.viewer import open_recording
 from eldenet.geometry import PinholeCamera, back_project, pinhole
 from eldenet.uncertainty import DepthEstimate

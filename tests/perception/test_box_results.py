@@ -13,8 +13,8 @@ from support.standing_boxes import BLANK, CAMERA, boxes
 from eldenet.boxes import Detections2D
 from eldenet.compose import compose_config
 from eldenet.config import build_prediction
-from eldenet.deploy.outputs import open_video
 from eldenet.deploy.prediction import predict
+from eldenet.deploy.video_files import open_video
 from eldenet.perception.box_results import box_results
 from eldenet.perception.kitti_object import read_labels
 from eldenet.perception.scene import Scene

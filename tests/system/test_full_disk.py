@@ -13,7 +13,7 @@ from support.networks import small_net
 from eldenet.data.rooms import Rooms
 from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.openvino_export import write_openvino
-from eldenet.deploy.outputs import open_video
+from eldenet.deploy.video_files import open_video
 from eldenet.results.run_log import RunLog
 from eldenet.system.errors import DiskError
 from eldenet.training.checkpoint import save_checkpoint
