@@ -1,34 +1,138 @@
-"""``python -m eldenet.adapt``: weights for your own camera, kept only if held-out frames are better."""
+"""``python -m eldenet.adapt``: tune weights to your own camera, with the data you have.
 
+A few hundred depth frames from any sensor:
+python -m eldenet.adapt data.root=my_frames intrinsics=[525,525,319.5,239.5]
+Or the camera's height above the floor, which must be in view:
+python -m eldenet.adapt source=walk.mp4 camera_height=0.8 intrinsics=[525,525,319.5,239.5]
+"""
+
+import math
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
-from eldenet.config import build_adaptation, build_calibration
+from eldenet.compose import REQUIRED, listed
+from eldenet.data.splits import check_folders
 from eldenet.system.files import sole_writer
+from eldenet.system.resources import choose_resources
+from eldenet.weights import find_checkpoint
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+MIN_HEIGHT, MAX_HEIGHT = 0.05, 5.0  # of the optical center above the floor [m]
 
 
-@entry_point("adapt")
-def main(config: "DictConfig", folder: Path) -> None:
-    """Tune on depth frames, or fit the scale to the camera's height; write the model into ``folder``."""
-    if config.camera_height is None:
+@dataclass(frozen=True)
+class AdaptSettings:
+    """What ``python -m eldenet.adapt`` reads."""
+
+    data: dict[str, Any] = REQUIRED
+    loss: dict[str, Any] = REQUIRED
+    optimizer: dict[str, Any] = REQUIRED
+    scheduler: dict[str, Any] = REQUIRED
+    augmentation: dict[str, Any] = field(default_factory=dict)
+    trainer: dict[str, Any] = REQUIRED
+    runtime: dict[str, Any] = REQUIRED
+    protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
+    weights: str = "eldenet_indoor"  # packaged weights, run folder, saved model or Hub id to start from
+    intrinsics: Any = None  # [fx, fy, cx, cy] of the pictures on disk [px]; camera_height needs it
+    minutes: float = 10  # about how long the command may take
+    # of the optical center above the floor [m]: only fits the scale, without depth frames
+    camera_height: float | None = None
+    # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame
+    camera_pitch: float | None = None
+    source: str | None = None  # with camera_height: a folder of pictures, or a video
+    frames: int = 200  # with camera_height: largest number of frames to use
+    seed: int = 0
+    trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
+    output: str = "runs/adapt-${now:%Y%m%d-%H%M%S}"  # folder for the results
+
+    def __post_init__(self) -> None:
+        height, pitch = self.camera_height, self.camera_pitch
+        if not 0 < self.minutes < math.inf:
+            raise ValueError(f"minutes={self.minutes}: give a number above 0")
+        if self.frames < 1:
+            raise ValueError(f"frames={self.frames}: give a whole number above 0")
+        if pitch is not None and not -90 < pitch < 90:
+            raise ValueError(
+                f"camera_pitch={pitch:g}: give degrees below the horizon, between -90 and 90, or null"
+            )
+        if height is not None and not MIN_HEIGHT <= height <= MAX_HEIGHT:
+            looks = f"; {height:g} looks like centimeters: give {height / 100:g}"
+            raise ValueError(
+                f"camera_height={height:g}: give it in meters, from the floor to the lens, {MIN_HEIGHT} to "
+                f"{MAX_HEIGHT:g}" + looks * (MAX_HEIGHT < height <= 100 * MAX_HEIGHT)
+            )
+
+
+def adapt(s: AdaptSettings) -> bool:
+    """Tune on depth frames, or fit the scale to the camera's height; return whether the result is better.
+
+    ``s.output/model`` holds the weights, whichever are better.
+
+    Raises:
+        ValueError: a setting does not fit, there are too few frames, or the factor of the depth is not
+            plausible; another process writes into the folder.
+        FileNotFoundError: there are no such weights, frames or pictures.
+    """
+    find_checkpoint(s.weights, "weights", trained=True)
+    with sole_writer(Path(s.output)):
+        return _tune(s) if s.camera_height is None else _calibrate(s, s.camera_height)
+
+
+def _tune(s: AdaptSettings) -> bool:
+    if s.data.get("root") is None and s.data["name"] == "folder":
+        raise ValueError(
+            "give data.root=<folder with images/ and depths/>, or camera_height= with source= if you have no "
+            "depth frames"
+        )
+    check_folders(s.data)
+    from eldenet.training.adaptation import tune
+
+    return tune(asdict(s), Path(s.output), choose_resources(**s.runtime))
+
+
+def _calibrate(s: AdaptSettings, height: float) -> bool:
+    from eldenet.deploy.prediction import find_source
+    from eldenet.geometry import intrinsic_matrix
+
+    if s.source is None:
+        raise ValueError(
+            "give source=<folder of pictures, or video>: camera_height needs frames of your camera"
+        )
+    if s.intrinsics is None:
+        raise ValueError(
+            "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
+        )
+    camera = intrinsic_matrix(s.intrinsics)
+    source = find_source(s.source, Path(s.output), None)
+    if source.is_live:
+        raise ValueError(f"source={s.source}: give a folder of pictures or a video file, not a camera")
+    from eldenet.perception.camera_height import calibrate
+
+    return calibrate(
+        s.weights,
+        source,
+        camera,
+        height,
+        None if s.camera_pitch is None else math.radians(s.camera_pitch),
+        Path(s.output),
+        choose_resources(**s.runtime),
+        frames=s.frames,
+        seed=s.seed,
+        trusted_modules=listed(s.trusted_modules),
+        settings=asdict(s),
+    )
+
+
+@entry_point(AdaptSettings)
+def main(s: AdaptSettings) -> None:
+    """Refuse settings that the other kind of adaptation reads, then adapt."""
+    if s.camera_height is None:
         refuse_unread(("source", "frames", "camera_pitch"), "only camera_height= reads it")
-        tuned = build_adaptation(config, folder)
-        from eldenet.training.adaptation import adapt
-
-        with sole_writer(folder):
-            adapt(tuned)
     else:
         unread = ("data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "protocol", "minutes")
         refuse_unread(unread, "camera_height fits the scale alone, from source=")
-        scaled = build_calibration(config, folder)
-        from eldenet.perception.camera_height import calibrate
-
-        with sole_writer(folder):
-            calibrate(scaled)
+    adapt(s)
 
 
 if __name__ == "__main__":

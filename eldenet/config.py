@@ -8,7 +8,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from eldenet.compose import listed, plain
 from eldenet.configurable import check_arguments
@@ -27,11 +27,9 @@ if TYPE_CHECKING:
     from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.navigation.modes import ModeSetup
-    from eldenet.perception.camera_height import CalibrationSetup
     from eldenet.results.comparison import ReportSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
-    from eldenet.training.adaptation import AdaptationSetup
 
 
 def instantiate(config: Any, **arguments: Any) -> Any:
@@ -192,124 +190,6 @@ def _digest_list(config: DictConfig) -> Path | None:
 
 
 # --- train, evaluate, adapt, train_detector -----------------------------------------------------------------
-
-
-def _build_trainer(config: DictConfig, **changes: Any) -> Any:
-    optimizer, scheduler = instantiate(config.optimizer), instantiate(config.scheduler)
-    own = {"optimizer": optimizer, "scheduler": scheduler, "seed": config.seed}
-    return instantiate(config.trainer, **own, loggers=listed(config.get("logger", [])), **changes)
-
-
-def build_adaptation(config: DictConfig, folder: Path) -> "AdaptationSetup":
-    """Return the setup of ``python -m eldenet.adapt`` with depth frames.
-
-    Raises:
-        ValueError: a setting is wrong.
-        FileNotFoundError: there are no such weights or frames.
-    """
-    if config.data.get("root") is None and config.data.name == "folder":
-        raise ValueError(
-            "give data.root=<folder with images/ and depths/>, or camera_height= with source= if you have no "
-            "depth frames"
-        )
-    check_folders(plain(config.data))
-    _check_adaptation(config)
-    from eldenet.training.adaptation import AdaptationSetup
-
-    settings = _settings_in(folder, config)
-    return AdaptationSetup(
-        folder=folder,
-        weights=str(config.weights),
-        minutes=float(config.minutes),
-        seed=config.seed,
-        protocol=build_protocol(config),
-        make_split=functools.partial(_split_for_weights, config),
-        make_loss=functools.partial(instantiate, config.loss),
-        make_trainer=functools.partial(_build_trainer, config),
-        epochs=config.trainer.epochs,
-        resources=settings["runtime"],
-        trusted_modules=settings["trusted_modules"],
-        settings=settings,
-    )
-
-
-def _split_for_weights(
-    config: DictConfig,
-    split: str,
-    protocol: Any,
-    input_size: Sequence[int] | None,
-    canonical_focal: float | None,
-    *,
-    augment: bool = False,
-) -> Any:
-    """Build a split at the ``input_size`` [px] and for the canonical camera of weights."""
-    of_weights = {
-        "data": {"input_size": input_size and list(input_size)},
-        "canonical_focal": canonical_focal,
-    }
-    with open_dict(config):
-        fitted = OmegaConf.merge(config, of_weights)
-    assert isinstance(fitted, DictConfig)
-    return build_split(fitted, split, protocol, augment=augment, seed=config.seed)
-
-
-def build_calibration(config: DictConfig, folder: Path) -> "CalibrationSetup":
-    """Return the setup of ``python -m eldenet.adapt`` with the camera's height.
-
-    Raises:
-        ValueError: a setting is wrong.
-        FileNotFoundError: there are no such weights or pictures.
-    """
-    _check_adaptation(config)
-    if config.source is None:
-        raise ValueError(
-            "give source=<folder of pictures, or video>: camera_height needs frames of your camera"
-        )
-    camera = _camera(config)
-    if camera is None:
-        raise ValueError(
-            "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
-        )
-    height, pitch = config.camera_height, config.camera_pitch
-    if not isinstance(height, int | float):
-        raise ValueError(f"camera_height={height}: give a number of meters")
-    if pitch is not None and not (isinstance(pitch, int | float) and -90 < pitch < 90):
-        raise ValueError(f"camera_pitch={pitch}: give degrees below the horizon, between -90 and 90, or null")
-    if not (isinstance(config.frames, int) and config.frames >= 1):
-        raise ValueError(f"frames={config.frames}: give a whole number above 0")
-    from eldenet.deploy.prediction import find_source
-
-    settings = _settings_in(folder, config)
-    source = find_source(str(config.source), folder, None)
-    if source.is_live:
-        raise ValueError(f"source={config.source}: give a folder of pictures or a video file, not a camera")
-    from eldenet.perception.camera_height import CalibrationSetup
-
-    return CalibrationSetup(
-        folder=folder,
-        weights=str(config.weights),
-        source=source,
-        intrinsics=camera,
-        camera_height=float(height),
-        camera_pitch=None if pitch is None else math.radians(pitch),
-        frames=config.frames,
-        seed=config.seed,
-        resources=settings["runtime"],
-        trusted_modules=settings["trusted_modules"],
-        settings=settings,
-    )
-
-
-def _check_adaptation(config: DictConfig) -> None:
-    """Check what both kinds of adaptation read.
-
-    Raises:
-        ValueError: a setting is wrong, or the weights are not trained.
-        FileNotFoundError: there are no such weights.
-    """
-    find_checkpoint(str(config.weights), "weights", trained=True)
-    if not (isinstance(config.minutes, int | float) and 0 < config.minutes < math.inf):
-        raise ValueError(f"minutes={config.minutes}: give a number above 0")
 
 
 # --- predict, export, demo, benchmark -----------------------------------------------------------------------

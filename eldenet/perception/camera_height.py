@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_
 from eldenet.results.before_after import check_scale, compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
-from eldenet.system.resources import choose_resources
+from eldenet.system.resources import Resources
 from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
 
 FREE_SLOPE = 0.7  # [rad]: of a floor before a camera in a hand, whose pitch is not known
@@ -41,64 +40,48 @@ SHOWN = 3  # frames of the picture
 TITLES = ("image", "before", "after")
 
 
-@dataclass(frozen=True)
-class CalibrationSetup:
-    """What ``python -m eldenet.adapt camera_height=...`` fits; ``config.build_calibration`` makes it.
+def calibrate(
+    weights: str,
+    source: Source,
+    intrinsics: np.ndarray,
+    camera_height: float,
+    camera_pitch: float | None,
+    folder: Path,
+    resources: Resources,
+    *,
+    frames: int = 200,
+    seed: int = 0,
+    trusted_modules: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+) -> bool:
+    """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
 
-    Attributes:
-        folder: of the run.
+    Args:
         weights: to start from.
         source: pictures in the order of time, or a video.
         intrinsics: ``(3, 3)`` of its pictures [px].
         camera_height: of the optical center above the floor [m].
         camera_pitch: below the horizon [rad]; None: fitted in each frame.
+        folder: of the run.
+        resources: device, threads.
         frames: used at most, evenly chosen.
         seed: decides which blocks are held out.
-        resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
         trusted_modules: packages whose classes the weights' ``config.json`` may name.
-        settings: resolved, which ``run.json`` stores.
-
-    Raises:
-        ValueError: ``camera_height`` is not between ``MIN_HEIGHT`` and ``MAX_HEIGHT``.
-    """
-
-    folder: Path
-    weights: str
-    source: Source
-    intrinsics: np.ndarray
-    camera_height: float
-    camera_pitch: float | None
-    frames: int
-    seed: int
-    resources: Mapping[str, Any]
-    trusted_modules: Sequence[str]
-    settings: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        height = self.camera_height
-        if not MIN_HEIGHT <= height <= MAX_HEIGHT:
-            looks = f"; {height:g} looks like centimeters: give {height / 100:g}"
-            raise ValueError(
-                f"camera_height={height:g}: give it in meters, from the floor to the lens, {MIN_HEIGHT} to "
-                f"{MAX_HEIGHT:g}" + looks * (MAX_HEIGHT < height <= 100 * MAX_HEIGHT)
-            )
-
-
-def calibrate(setup: CalibrationSetup) -> bool:
-    """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
+        settings: which ``run.json`` stores.
 
     Raises:
         ValueError: too few frames show a floor, or the factor of its depth is not plausible.
     """
-    resources = choose_resources(**setup.resources)
-    start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
-    log = RunLog(setup.folder)
-    known_pitch = setup.camera_pitch is not None
+    start = eldenet.load(weights, trusted_modules=trusted_modules)
+    log = RunLog(folder)
+    known_pitch = camera_pitch is not None
+    predictor = DepthPredictor(start, device=resources.device, steady=False)
+    camera = level_camera(intrinsics, camera_pitch)
     names, values, shown = measure_floors(
-        setup, DepthPredictor(start, device=resources.device, steady=False), log
+        source, predictor, camera, camera_height, frames, log, known_pitch=known_pitch
     )
     refuse_few(values)
-    held, fitted = hold_out_floors(values, setup.seed)
+    held, fitted = hold_out_floors(values, seed)
     floors = float(np.nanmedian(values[fitted]))
     check_scale(
         float(np.exp(floors)), "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights"
@@ -110,40 +93,44 @@ def calibrate(setup: CalibrationSetup) -> bool:
     log.say(f"{found} of {len(values)} frames show the floor; times {np.exp(floors):.2f} its depth is right")
     few = "this may be an error of the floor alone, so depth stays as it is"
     log.say(few if scale == 1 else f"all depth is multiplied by a part of that: {scale:.2f}")
-    say_changes(log, f"{setup.weights}: floors of {changes['scale_error'].frames} held-out frames", changes)
+    say_changes(log, f"{weights}: floors of {changes['scale_error'].frames} held-out frames", changes)
     model = copy.deepcopy(start)
     model.rescale(scale)
     rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
-    write_rows(setup.folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
-    draw(setup.folder / "before_after.png", shown, scale)
+    write_rows(folder / "held_out.csv", ["name", "scale_error_before", "scale_error_after"], rows)
+    draw(folder / "before_after.png", shown, scale)
     facts = {
         "scale": scale,
         "floor_scale": float(np.exp(floors)),
         "frames": len(values),
         "frames_with_floor": found,
-        "config": dict(setup.settings),
+        "config": dict(settings or {}),
     }
-    return record_change(setup.folder, log, start, model, changes, setup.weights, facts)
+    return record_change(folder, log, start, model, changes, weights, facts)
 
 
 def measure_floors(
-    setup: CalibrationSetup, predictor: DepthPredictor, log: RunLog
+    source: Source,
+    predictor: DepthPredictor,
+    camera: PinholeCamera,
+    camera_height: float,
+    frames: int,
+    log: RunLog,
+    *,
+    known_pitch: bool,
 ) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
     """Return the names of the frames, the log scale of each, and photo and depth [m] of ``SHOWN`` of them."""
-    camera = level_camera(setup.intrinsics, setup.camera_pitch)
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
     values: list[float] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
-    pictures, total = frames_of(setup.source, setup.frames)
+    pictures, total = frames_of(source, frames)
     with log.bar("floors", total) as bar:
         for name, photo in pictures:
             check_intrinsics(camera.intrinsics, photo.shape[:2])
             depth = predict(photo)
             names.append(name)
-            values.append(
-                log_scale(depth, camera, setup.camera_height, known_pitch=setup.camera_pitch is not None)
-            )
+            values.append(log_scale(depth, camera, camera_height, known_pitch=known_pitch))
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))

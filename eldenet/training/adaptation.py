@@ -5,19 +5,23 @@ The frames are cut into blocks of time. Some are held out; a result is only kept
 
 import copy
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 import eldenet
+from eldenet.compose import listed
+from eldenet.configurable import instantiate
+from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import collate
 from eldenet.data.splits import evenly_spaced
 from eldenet.evaluation.calibration import fit_temperature
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_depth
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.model import DepthNet, eval_mode, size_of_frames
 from eldenet.results.before_after import (
@@ -31,15 +35,9 @@ from eldenet.results.before_after import (
 )
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
-from eldenet.system.resources import choose_resources
+from eldenet.system.resources import Resources
 from eldenet.training.trainer import Trainer, TrainingData
 from eldenet.visualization import photo_beside_depths, stack_rows, visible_range, write_picture
-
-if TYPE_CHECKING:
-    from eldenet.data.base import DepthDataset
-    from eldenet.evaluation.protocol import EvalProtocol
-    from eldenet.losses.base import WeightedSum
-    from eldenet.system.resources import Resources
 
 LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
@@ -49,95 +47,78 @@ METRICS = ("abs_rel", "rmse", "delta1")  # of the table
 TITLES = ("image", "truth", "before", "after")
 
 
-@dataclass(frozen=True)
-class AdaptationSetup:
-    """What ``python -m eldenet.adapt`` tunes on depth frames; ``config.build_adaptation`` makes it.
-
-    Attributes:
-        folder: of the run.
-        weights: to start from: packaged weights, run folder, saved model or Hub id.
-        minutes: that the whole command may take, about.
-        seed: of order and augmentation.
-        protocol: by which held-out frames are scored.
-        make_split: ``(split, protocol, input_size, canonical_focal, augment)`` -> frames.
-        make_loss: builds what is minimized.
-        make_trainer: keywords that replace the trainer's own -> the trainer.
-        epochs: passes over the frames where time suffices.
-        resources: arguments of :func:`~eldenet.system.resources.choose_resources`.
-        trusted_modules: packages whose classes the weights' ``config.json`` may name.
-        settings: resolved, which ``run.json`` stores.
-    """
-
-    folder: Path
-    weights: str
-    minutes: float
-    seed: int
-    protocol: "EvalProtocol"
-    make_split: Callable[..., "DepthDataset"]
-    make_loss: Callable[[], "WeightedSum"]
-    make_trainer: Callable[..., Trainer]
-    epochs: int
-    resources: Mapping[str, Any]
-    trusted_modules: Sequence[str]
-    settings: Mapping[str, Any]
-
-
-def adapt(setup: AdaptationSetup) -> bool:
+def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     """Tune, compare with the start on held-out frames, keep the better one; return whether it is the new one.
 
     Two candidates are compared with the start: the scale alone, and all weights trained from there. Writes
     ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
+
+    Args:
+        s: settings of ``eldenet adapt``, which ``run.json`` stores.
+        folder: of the run.
+        resources: device, threads, workers.
 
     Raises:
         ValueError: there are too few frames with depth, the factor of their depth is not
             plausible, or the settings do not fit.
     """
     started = time.monotonic()
-    resources = choose_resources(**setup.resources)
-    log = RunLog(setup.folder)
-    start = eldenet.load(setup.weights, trusted_modules=setup.trusted_modules)
-    size, train_set, plain_set, held_out = make_frames(setup, start)
+    log, trusted = RunLog(folder), listed(s["trusted_modules"])
+    protocol = chosen_protocol(s["data"], s["protocol"])
+    start = eldenet.load(s["weights"], trusted_modules=trusted)
+    size, train_set, plain_set, held_out = make_frames(
+        s["data"], protocol, s["augmentation"], start, seed=s["seed"]
+    )
     known = refuse_few(plain_set, held_out)
     log.say(
-        f"{setup.weights} sees {len(train_set)} frames at {size[0]} x {size[1]}; {len(held_out)} frames in "
+        f"{s['weights']} sees {len(train_set)} frames at {size[0]} x {size[1]}; {len(held_out)} frames in "
         "blocks of time of their own are held out"
     )
     if start.canonical_px is not None and plain_set[0]["intrinsics"][0, 0] <= 0:
         log.say("note: without intrinsics the canonical camera is assumed, now and in each later prediction")
     start.to(resources.device)
-    before = _score(start, held_out, setup, resources)
+    before = _score(start, held_out, protocol, resources)
     model = copy.deepcopy(start)
     scale = fit_scale(model, [plain_set[index] for index in known])
     check_scale(scale, "data.encoding, intrinsics [px] and weights")
     model.rescale(scale)
     scaled = copy.deepcopy(model)
-    loss = setup.make_loss()
-    left = 60 * setup.minutes - (time.monotonic() - started)
-    epochs = affordable_epochs(model, train_set, setup, left)
+    loss = instantiate(s["loss"], "loss")
+    left = 60 * s["minutes"] - (time.monotonic() - started)
+    epochs = affordable_epochs(model, train_set, left, most=s["trainer"]["epochs"], seed=s["seed"])
     log.say(
         f"depth of the start times {scale:.2f}, then {epochs} epochs of training on {len(train_set)} frames"
     )
-    setup.make_trainer(epochs=epochs, evaluate_every=epochs).fit(
+    trainer: Trainer = instantiate(
+        s["trainer"],
+        "trainer",
+        optimizer=instantiate(s["optimizer"], "optimizer"),
+        scheduler=instantiate(s["scheduler"], "scheduler"),
+        seed=s["seed"],
+        loggers=(),
+        epochs=epochs,
+        evaluate_every=epochs,
+    )
+    trainer.fit(
         model,
         loss,
-        TrainingData(train_set, held_out, setup.protocol),
-        setup.folder / "training",
+        TrainingData(train_set, held_out, protocol),
+        folder / "training",
         resources,
         info={"input_size": list(size)},
     )
-    model = DepthNet.from_pretrained(
-        setup.folder / "training" / "model", trusted_modules=setup.trusted_modules
-    ).to(resources.device)
+    model = DepthNet.from_pretrained(folder / "training" / "model", trusted_modules=trusted)
+    model.to(resources.device)
     models = {"all weights": model, "the scale alone": scaled}
-    rows = {name: _score(models[name], held_out, setup, resources) for name in models}
+    rows = {name: _score(models[name], held_out, protocol, resources) for name in models}
     changes = {name: _changes(before, rows[name]) for name in models}
     chosen = best_candidate(changes)
     say_changes(log, f"{len(held_out)} frames held out in blocks of time; tuned: {chosen}", changes[chosen])
-    write_held_out(setup.folder, before, rows[chosen])
-    _draw(setup.folder / "before_after.png", held_out, start, models[chosen])
+    write_held_out(folder, before, rows[chosen])
+    _draw(folder / "before_after.png", held_out, start, models[chosen])
     tuned = models[chosen]
     if tuned.distribution is not None:  # its sigma was right for the start's errors
-        temperature = fit_temperature(tuned, held_out, setup.protocol)
+        temperature = fit_temperature(tuned, held_out, protocol)
         tuned.info |= {"temperature_from": "held-out frames"}
         log.say(f"sigma of the held-out frames, which were not trained on: times {temperature:.2f}")
     facts = {
@@ -147,9 +128,9 @@ def adapt(setup: AdaptationSetup) -> bool:
         "training_frames": len(train_set),
         "input_size": list(size),
         "seconds": time.monotonic() - started,
-        "config": dict(setup.settings),
+        "config": dict(s),
     }
-    return record_change(setup.folder, log, start, tuned, changes[chosen], setup.weights, facts)
+    return record_change(folder, log, start, tuned, changes[chosen], s["weights"], facts)
 
 
 def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
@@ -158,22 +139,31 @@ def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
 
 
 def make_frames(
-    setup: AdaptationSetup, model: DepthNet
-) -> tuple[tuple[int, int], "DepthDataset", "DepthDataset", "DepthDataset"]:
+    data: Mapping[str, Any],
+    protocol: EvalProtocol,
+    augmentation: Mapping[str, Any],
+    model: DepthNet,
+    *,
+    seed: int,
+) -> tuple[tuple[int, int], DepthDataset, DepthDataset, DepthDataset]:
     """Return the size that the network sees [px], training frames, the same as they are, held-out frames."""
-    camera = model.config.get("canonical_focal")
-    first = setup.make_split("val", setup.protocol, None, camera).load_frame(0).image.shape
+    first = open_split(data, "val", protocol, seed=seed).load_frame(0).image.shape
     stretch = float(model.info.get("stretch") or 1.0)
     seen = size_of_frames(model.info)
     aspect = (first[0], first[1] * stretch)
     size = (first[0], first[1]) if seen is None else size_of_aspect((seen[0], seen[1]), aspect)
-    train_set = setup.make_split("train", setup.protocol, size, camera, augment=True)
-    plain_set = setup.make_split("train", setup.protocol, size, camera)
+    if data.get("resize_on_load") is None:  # as training frames of a data set with an input size
+        data = {**data, "train": {**data["train"], "resize_on_load": list(size)}}
+    if "zoom" in augmentation:  # what a zoom changes, for a network of any lens and of one lens
+        of_any_lens = model.config.get("canonical_focal") is not None
+        augmentation = {**augmentation, "zoom": "focal" if of_any_lens else "depth"}
+    train_set = open_split(data, "train", protocol, augmentation=augmentation, seed=seed, input_size=size)
+    plain_set = open_split(data, "train", protocol, seed=seed, input_size=size)
     plain_set.cache = "none"  # each frame is read once
-    return size, train_set, plain_set, setup.make_split("val", setup.protocol, size, camera)
+    return size, train_set, plain_set, open_split(data, "val", protocol, seed=seed, input_size=size)
 
 
-def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
+def refuse_few(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
     """Return the numbers of training frames with enough known depth, of ``COUNTED`` evenly chosen ones.
 
     Raises:
@@ -194,7 +184,7 @@ def refuse_few(frames: "DepthDataset", held_out: "DepthDataset") -> list[int]:
     return known
 
 
-def _known_pixels(frames: "DepthDataset", index: int) -> int:
+def _known_pixels(frames: DepthDataset, index: int) -> int:
     return int((frames.load_frame(index).depth > 0).sum())
 
 
@@ -215,8 +205,8 @@ def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
     return float(np.exp(np.median(ratios)))
 
 
-def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, seconds: float) -> int:
-    """Return how many epochs fit into ``seconds``.
+def affordable_epochs(model: DepthNet, frames: DepthDataset, seconds: float, *, most: int, seed: int) -> int:
+    """Return how many epochs fit into ``seconds``, at most ``most``.
 
     Where not one does, ``frames`` keeps as many frames as fit, at least those of a batch.
     """
@@ -232,8 +222,8 @@ def affordable_epochs(model: DepthNet, frames: "DepthDataset", setup: Adaptation
         took = (time.monotonic() - started) / batch
     draws = max(batch, int(0.8 * seconds / (1.5 * took)))  # loss, optimizer and scores take time
     if draws < len(frames):
-        frames.draw_subset(draws, setup.seed)
-    return max(1, min(setup.epochs, draws // len(frames)))
+        frames.draw_subset(draws, seed)
+    return max(1, min(most, draws // len(frames)))
 
 
 def write_held_out(folder: Path, before: Sequence[Sequence[Any]], after: Sequence[Sequence[Any]]) -> None:
@@ -245,9 +235,9 @@ def write_held_out(folder: Path, before: Sequence[Sequence[Any]], after: Sequenc
 
 
 def _score(
-    model: DepthNet, frames: "DepthDataset", setup: AdaptationSetup, resources: "Resources"
+    model: DepthNet, frames: DepthDataset, protocol: EvalProtocol, resources: Resources
 ) -> list[tuple[Any, ...]]:
-    return evaluate(model, frames, setup.protocol, device=resources.device, workers=resources.workers).rows
+    return evaluate(model, frames, protocol, device=resources.device, workers=resources.workers).rows
 
 
 def _changes(before: list[tuple[Any, ...]], after: list[tuple[Any, ...]]) -> dict[str, Change]:
@@ -259,7 +249,7 @@ def _changes(before: list[tuple[Any, ...]], after: list[tuple[Any, ...]]) -> dic
 
 
 @torch.inference_mode()
-def _draw(path: Path, frames: "DepthDataset", before: DepthNet, after: DepthNet) -> None:
+def _draw(path: Path, frames: DepthDataset, before: DepthNet, after: DepthNet) -> None:
     """Draw three held-out frames: image, truth, before, after, with a scale in meters."""
     device = next(after.parameters()).device
     rows = []

@@ -21,16 +21,15 @@ import torch  # noqa: E402
 from places import CAMERAS, REAL, write_place  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.compose import compose_config  # noqa: E402
-from eldenet.config import build_adaptation, build_calibration  # noqa: E402
+from eldenet.adapt import AdaptSettings, adapt  # noqa: E402
+from eldenet.compose import compose  # noqa: E402
 from eldenet.data.io import read_depth, read_image  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor, for_camera  # noqa: E402
 from eldenet.geometry import PinholeCamera, pinhole  # noqa: E402
-from eldenet.perception.camera_height import FREE_SLOPE, calibrate  # noqa: E402
+from eldenet.perception.camera_height import FREE_SLOPE  # noqa: E402
 from eldenet.perception.ground import fit_ground  # noqa: E402
 from eldenet.results.run_record import RUN_FILE, environment, read_record  # noqa: E402
 from eldenet.system.files import read_table  # noqa: E402
-from eldenet.training.adaptation import adapt  # noqa: E402
 
 HERE = Path(__file__).parent
 WORK = Path(tempfile.gettempdir()) / "eldenet-adapt"  # frames and run folders
@@ -100,7 +99,7 @@ def adapted(weights: str, place: str, block: int, seed: int, epochs: int) -> lis
     settings += ["runtime.threads=1", "runtime.workers=0", "runtime.precision=fp32", "runtime.device=cpu"]
     before = score(weights, source, report, camera).mean(axis=0)
     try:
-        better = adapt(build_adaptation(compose_config("adapt", settings), run))
+        better = adapt(compose(AdaptSettings, [*settings, f"output={run}"]))
         kept = read_record(run / RUN_FILE)["tuned"] if better else "no"
         after = score(run, source, report, camera).mean(axis=0)
     except ValueError as error:
@@ -142,7 +141,7 @@ def calibrated(weights: str, place: str, block: int, *, pitch: bool) -> list[obj
     before = np.median(score(weights, source, report, camera)[:, 2])
     scale = ""
     try:
-        kept = calibrate(build_calibration(compose_config("adapt", settings), run))
+        kept = adapt(compose(AdaptSettings, [*settings, f"output={run}"]))
         outcome = "kept" if kept else "not kept"
         after = np.median(score(run, source, report, camera)[:, 2])
     except ValueError as error:

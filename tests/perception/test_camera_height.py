@@ -10,12 +10,11 @@ import torch
 from torch import nn
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_calibration
+from eldenet.adapt import AdaptSettings, adapt
+from eldenet.compose import compose
 from eldenet.geometry import pinhole
 from eldenet.perception.camera_height import (
     FLOOR_SHARE,
-    calibrate,
     hold_out_floors,
     level_camera,
     log_scale,
@@ -120,7 +119,7 @@ def test_the_scale_is_stored_with_the_weights_and_held_out_frames_decide(walk, c
     for height, kept in ((0.8, True), (0.8 / 1.5, False)):
         given = [f"source={walk / 'walk'}", f"intrinsics={list(CAMERA)}", f"camera_height={height}"]
         given += ["camera_pitch=11.459", "runtime.threads=1"]
-        assert calibrate(build_calibration(compose_config("adapt", given), walk / "run")) is kept
+        assert adapt(compose(AdaptSettings, [*given, f"output={walk / 'run'}"])) is kept
         model, info = saved.pop()
         assert model.head.scale == pytest.approx(
             scale_of_all(np.log(1.5), known_pitch=True) if kept else 1.0, rel=0.1
@@ -138,7 +137,7 @@ def test_a_factor_that_no_camera_needs_is_refused(walk, height):
     given = [f"source={walk / 'walk'}", f"intrinsics={list(CAMERA)}", f"camera_height={height}"]
     given += ["camera_pitch=11.459", "runtime.threads=1"]
     with pytest.raises(ValueError, match=r"multiplied by .* no factor above 3 .*: check camera_height \[m\]"):
-        calibrate(build_calibration(compose_config("adapt", given), walk / "run"))
+        adapt(compose(AdaptSettings, [*given, f"output={walk / 'run'}"]))
     assert not saved
 
 
@@ -162,13 +161,13 @@ def test_wrong_settings_end_in_one_line(tmp_path, overrides, match):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((*SIZE, 3), np.uint8))
     given = [f"source={tmp_path}", f"intrinsics={list(CAMERA)}", *overrides]
     with pytest.raises(ValueError, match=match):
-        build_calibration(compose_config("adapt", given), tmp_path / "run")
+        adapt(compose(AdaptSettings, [*given, f"output={tmp_path / 'run'}"]))
 
 
 def test_a_principal_point_outside_the_pictures_is_refused(walk):
     given = [f"source={walk / 'walk'}", "intrinsics=[50,50,500,20]", "camera_height=0.8"]
     with pytest.raises(ValueError, match="principal point"):
-        calibrate(build_calibration(compose_config("adapt", given), walk / "run"))
+        adapt(compose(AdaptSettings, [*given, f"output={walk / 'run'}"]))
 
 
 def test_the_level_camera_looks_down_by_its_pitch():

@@ -9,11 +9,12 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_adaptation
+from eldenet.adapt import AdaptSettings, adapt
+from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
+from eldenet.evaluation.splits import chosen_protocol
 from eldenet.results.before_after import Change
-from eldenet.training.adaptation import adapt, affordable_epochs, best_candidate, fit_scale, make_frames
+from eldenet.training.adaptation import affordable_epochs, best_candidate, fit_scale, make_frames
 from eldenet.uncertainty import DepthEstimate
 
 SIZE = (24, 32)
@@ -57,10 +58,13 @@ def start(folder: Path, head: str = "linear") -> Path:
 
 def setup(root: Path, *overrides: str):
     given = [f"data.root={root}", f"weights={root / 'start'}", "runtime.threads=1", "runtime.workers=0"]
-    config = compose_config(
-        "adapt", [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=60", *overrides]
-    )
-    return build_adaptation(config, root / "run")
+    words = [*given, "trainer.epochs=1", "optimizer.lr=1e-6", "minutes=60", *overrides]
+    return compose(AdaptSettings, [*words, f"output={root / 'run'}"])
+
+
+def open_frames(s: AdaptSettings, model):
+    protocol = chosen_protocol(s.data, s.protocol)
+    return make_frames(s.data, protocol, s.augmentation, model, seed=s.seed)
 
 
 def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
@@ -86,7 +90,7 @@ def test_sigma_follows_the_errors_of_the_held_out_frames(tmp_path):
     model = eldenet.load(tmp_path / "run")
     assert model.info["temperature_from"] == "held-out frames"
     inside = []
-    for sample in make_frames(made, model)[3]:
+    for sample in open_frames(made, model)[3]:
         with torch.inference_mode():
             depth, sigma, _ = model.predict(sample["image"][None])
         low, high = DepthEstimate(depth, sigma, model.distribution).interval(0.8)
@@ -122,7 +126,7 @@ def test_depth_in_another_unit_is_refused(tmp_path, factor):
 
 def test_no_frame_is_both_learned_and_held_out(tmp_path):
     made = setup(place(tmp_path))
-    train, held = (made.make_split(s, made.protocol, SIZE, None) for s in ("train", "val"))
+    _, train, _, held = open_frames(made, eldenet.load(tmp_path / "start"))
     numbers = sorted(int(name) for name in held.names)
     assert numbers
     assert {int(name) + step for name in train.names for step in (-1, 0, 1)}.isdisjoint(numbers)
@@ -141,13 +145,15 @@ def test_the_scale_alone_is_kept_where_the_training_is_not_surely_better():
 def test_the_time_limits_the_training(tmp_path):
     made = setup(place(tmp_path), "trainer.epochs=40")
     model = eldenet.load(tmp_path / "start")
-    frames = made.make_split("train", made.protocol, SIZE, None)
+    frames = open_frames(made, model)[1]
     whole = len(frames)
-    assert affordable_epochs(model, frames, made, seconds=1e6) == 40
+    assert affordable_epochs(model, frames, seconds=1e6, most=40, seed=0) == 40
     assert len(frames) == whole
-    assert affordable_epochs(model, frames, made, seconds=1e-3) == 1
+    assert affordable_epochs(model, frames, seconds=1e-3, most=40, seed=0) == 1
     assert len(frames) < whole
-    assert affordable_epochs(model, frames, made, seconds=-1) == 1  # reading them took all the time
+    assert (
+        affordable_epochs(model, frames, seconds=-1, most=40, seed=0) == 1
+    )  # reading them took all the time
     assert len(frames) >= 2
 
 
