@@ -139,7 +139,7 @@ def test_an_older_recording_is_not_replaced_and_a_missing_sdk_ends_in_one_line(
     with pytest.raises(ValueError, match="viewer='vlc': give one of rerun"):
         setup(model_folder, picture, tmp_path / "new", "viewer=vlc")
     monkeypatch.setattr(viewer, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"eldenet\[viewer\]"):
+    with pytest.raises(ImportError, match=r"\.\[viewer\]"):
         setup(model_folder, picture, tmp_path / "new", "viewer=rerun")
 
 

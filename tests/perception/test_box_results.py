@@ -168,7 +168,7 @@ def test_a_field_of_view_suffices_for_the_boxes_of_a_video(run, tmp_path):
             r"photo\.png: boxes need the lens, .*: give fov=degrees, focal=pixels or intrinsics=",
         ),
         ("perception.detector.path=null", r"perception\.detector\.path"),
-        ("perception.detector.path='{folder}/odd.onnx'", "cannot load"),
+        ("perception.detector.path='{folder}/odd.onnx'", "not a valid ONNX file"),
         ("perception.lifter.method=magic", "method"),
     ],
 )
