@@ -1,6 +1,5 @@
 """The base classes of all data sets: frames in, samples out, seeded per sample."""
 
-import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TypedDict, Unpack
@@ -13,6 +12,7 @@ from eldenet.data.cache import FrameCache, open_cache
 from eldenet.data.paths import check_files, missing_files
 from eldenet.geometry import resize_image, resize_intrinsics, resize_sparse
 from eldenet.system.checks import one_of
+from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
@@ -170,7 +170,7 @@ class DepthDataset(Dataset[DepthSample]):
     @property
     def split_hash(self) -> str:
         """First 16 hex digits of the SHA-256 over the frame names in order; names the split in reports."""
-        return hashlib.sha256("\n".join(self.names).encode()).hexdigest()[:16]
+        return digest_of("\n".join(self.names))[:16]
 
     def size_group(self, index: int) -> Hashable:
         """Return a key that frames of one size share; by default all frames have one size."""

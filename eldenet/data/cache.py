@@ -4,7 +4,6 @@
 alone. Either is one :class:`~eldenet.data.frame_store.FrameStore` for all worker processes.
 """
 
-import hashlib
 import inspect
 import json
 import logging
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.data.paths import default_cache
+from eldenet.system.digests import digest_of, file_digest
 from eldenet.system.files import write_text
 from eldenet.system.resources import available_memory
 from eldenet.types import Frame
@@ -158,14 +158,14 @@ def _identity(dataset: "DepthDataset") -> dict[str, Any]:
         "resize_depth": dataset.resize_depth,
         "frames": dataset.split_hash,
         "first files": [str(file) for file in dataset.frame_files(0)],
-        "code": [hashlib.sha256(file.read_bytes()).hexdigest() for file in sources],
+        "code": [file_digest(file) for file in sources],
         "opencv": cv2.__version__,
     }
 
 
 def _folder_name(dataset: "DepthDataset", slot: int) -> str:
     identity = json.dumps([_identity(dataset), slot], sort_keys=True)
-    return f"{type(dataset).__name__}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
+    return f"{type(dataset).__name__}-{digest_of(identity)[:16]}"
 
 
 def _gigabytes(size: int) -> str:

@@ -8,7 +8,6 @@ that a killed process, a power cut or two writers left behind is whole, or count
 that it renders. A render process loads this module, so it must not load torch.
 """
 
-import hashlib
 import os
 import struct
 import tempfile
@@ -20,6 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from eldenet.system.digests import digest_of
 from eldenet.types import Frame
 
 # stamp, image and depth (height, width), has intrinsics, intrinsics; then the checksum of all
@@ -30,7 +30,7 @@ PAGE = 4096
 
 def make_stamp(*words: str) -> bytes:
     """Sixteen bytes that identify the content of a slot."""
-    return hashlib.sha256("\n".join(words).encode()).digest()[:16]
+    return bytes.fromhex(digest_of("\n".join(words)))[:16]
 
 
 def slot_size(pixels: int) -> int:

@@ -1,6 +1,5 @@
 """``mix``: several data sets in one training, drawn by weight."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import torch
 
 from eldenet.data.base import DepthDataset, SampleKey, SampleOptions
+from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
 
@@ -123,7 +123,7 @@ class Mix(DepthDataset):
             f"{name} {source.frames.split_hash} {source.weight!r} {source.relative}"
             for name, source in self.sources.items()
         ]
-        return hashlib.sha256("\n".join([*parts, str(self.frames)]).encode()).hexdigest()[:16]
+        return digest_of("\n".join([*parts, str(self.frames)]))[:16]
 
 
 def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Source | None:

@@ -1,6 +1,5 @@
 """What ``rooms``, ``streets`` and ``arenas`` share: frames that are rendered when first used."""
 
-import hashlib
 import os
 from collections.abc import Sequence
 from importlib import import_module
@@ -13,6 +12,7 @@ from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
 from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
 from eldenet.system.checks import one_of
+from eldenet.system.digests import digest_of
 from eldenet.system.errors import DiskError
 from eldenet.types import Frame
 
@@ -124,7 +124,7 @@ class RenderedScenes(DepthDataset):
     def split_hash(self) -> str:
         """Names the split in reports: the frames, their size, depth and the version of their generator."""
         parts = [self.folder.name, *self.names, *(["depth_camera"] if self.artifacts else [])]
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+        return digest_of("\n".join(parts))[:16]
 
     def load_frame(self, index: int) -> Frame:
         """Read one frame."""

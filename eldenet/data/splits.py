@@ -4,7 +4,6 @@ Whole scenes are held out, the same ones on every machine: neighboring frames of
 same, so a frame-by-frame split would validate on what was trained.
 """
 
-import hashlib
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+
+from eldenet.system.digests import digest_of
 
 SPLITS = ("train", "val", "test")
 VAL_SHARE = 0.05
@@ -62,7 +63,7 @@ def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = sce
 
 def _place(scene: str) -> float:
     """A number in [0, 1) that depends on the name alone."""
-    return int.from_bytes(hashlib.sha256(scene.encode()).digest()[:8], "big") / 2**64
+    return int(digest_of(scene)[:16], 16) / 2**64
 
 
 def evenly_spaced(count: int, wanted: int | None) -> list[int]:

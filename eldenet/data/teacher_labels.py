@@ -1,6 +1,5 @@
 """``teacher_labels``: photographs without depth, labeled once by a trained network."""
 
-import hashlib
 import json
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, is_turned, read_depth, read_image
 from eldenet.data.paths import default_cache, visible_files
 from eldenet.geometry import pinhole, resize_image
+from eldenet.system.digests import digest_of
 from eldenet.system.files import part_file, read_json, write_json
 from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
@@ -87,7 +87,7 @@ class TeacherLabels(FileDataset):
             "mirror": mirror,
             "unit": "mm",
         }
-        digest = hashlib.sha256(json.dumps(self.note, sort_keys=True).encode()).hexdigest()[:16]
+        digest = digest_of(json.dumps(self.note, sort_keys=True))[:16]
         self.folder = default_cache() / "labels" / digest
         self._label_missing(teacher, mirror)
 

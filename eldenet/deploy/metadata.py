@@ -110,7 +110,7 @@ def own_metadata(properties: Mapping[str, str]) -> dict[str, str]:
 
 def sealed(content: bytes, weights: bytes = b"") -> bytes:
     """Return a file's content with its digest in place of :data:`BLANK`; ``weights``: of an ``.xml``."""
-    digest = digest_of([content, weights])
+    digest = digest_of(content, weights)
     return content.replace(BLANK.encode(), BLANK.replace(_NO_DIGEST, digest).encode())
 
 
@@ -132,7 +132,7 @@ def check_seal(path: Path) -> bool:
     if found is None and not _SEALED.search(content):
         return False
     blank = content if found is None else content.replace(found[1], _NO_DIGEST.encode())
-    if found is None or found[1].decode() != digest_of([blank, b"" if is_onnx else weights.read_bytes()]):
+    if found is None or found[1].decode() != digest_of(blank, b"" if is_onnx else weights.read_bytes()):
         files = path.name if is_onnx else f"{path.name} or {weights.name}"
         raise ValueError(
             f"{path} does not match its digest: {files} is damaged or was changed after the export; "

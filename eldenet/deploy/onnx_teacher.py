@@ -1,6 +1,5 @@
 """A third-party depth network in an ONNX file, used as a teacher for pictures without depth."""
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 from torch import Tensor, from_numpy
 
 from eldenet.system.checks import one_of
+from eldenet.system.digests import file_digest
 
 NEAREST_INVERSE, FARTHEST_INVERSE = 1.1, 0.1  # [1/m] that a map of disparities is stretched to
 
@@ -46,7 +46,7 @@ class OnnxTeacher:
         self.path, self.output, self.scale = Path(path).expanduser(), output, scale
         self.input_size = (int(input_size[0]), int(input_size[1]))
         self.mean, self.std = (np.array(v, np.float32).reshape(1, 3, 1, 1) for v in (mean, std))
-        self._digest = hashlib.sha256(self.path.read_bytes()).hexdigest()[:16]
+        self._digest = file_digest(self.path)[:16]
         self._runtime = OnnxRuntime(self.path)
 
     def __call__(self, image: Tensor) -> Tensor:

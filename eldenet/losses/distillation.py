@@ -4,7 +4,6 @@ Outputs: the teacher's map is the target (Hinton et al. 2015; for depth Hu et al
 Depth Estimation via Knowledge Distillation"). Features: FitNets' hint (Romero et al. 2015, eq. 3), relative.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
@@ -15,6 +14,7 @@ from torch import Tensor, nn
 
 from eldenet.geometry import in_meters
 from eldenet.losses.base import Autocast, Loss, LossInputs, WeightedTerm
+from eldenet.system.digests import digest_of, weights_of
 
 
 class Teacher:
@@ -74,11 +74,8 @@ class Teacher:
     @property
     def signature(self) -> dict[str, Any]:
         """Facts that distinguish this teacher from others, above all a hash of its weights."""
-        digest = hashlib.sha256()
-        for name, value in sorted(self.network.state_dict().items()):
-            digest.update(name.encode())
-            digest.update(value.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes())
-        return {"source": self.source, "weights": digest.hexdigest()[:16], "input_size": self.input_size}
+        digest = digest_of(*weights_of(self.network.state_dict()))
+        return {"source": self.source, "weights": digest[:16], "input_size": self.input_size}
 
 
 class DistilledTerm(WeightedTerm):

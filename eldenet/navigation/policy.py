@@ -22,7 +22,7 @@ from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
-from eldenet.system.digests import KEY, canonical, digest_of
+from eldenet.system.digests import KEY, canonical, digest_of, weights_of
 from eldenet.system.errors import reading
 from eldenet.system.files import parse_json, write_bytes
 from eldenet.weights import check_packaged
@@ -215,8 +215,7 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
 
 def _digest(notes: dict[str, Any], weights: dict[str, Tensor]) -> str:
     """SHA-256 of a policy's notes and weights."""
-    tensors = (name.encode() + weights[name].numpy().tobytes() for name in sorted(weights))
-    return digest_of([canonical(notes), *tensors])
+    return digest_of(canonical(notes), *weights_of(weights))
 
 
 def export_onnx(navigator: Navigator, path: str | Path) -> None:

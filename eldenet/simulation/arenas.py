@@ -5,7 +5,6 @@ An arena depends on ``(kind, split, density, pedestrians, index)`` alone and is 
 two of them.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from eldenet.simulation.pedestrians import PEDESTRIAN_CLEARANCE, PERSON_HEIGHTS,
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
+from eldenet.system.digests import digest_of
 
 #: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
@@ -234,8 +234,7 @@ def arenas_hash(arenas: Sequence[Arena]) -> str:
     for content in contents:
         if content["kind"] == "open":  # as before there were others
             del content["kind"]
-    text = json.dumps(contents, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return digest_of(json.dumps(contents, sort_keys=True))
 
 
 def triangle_course() -> Arena:

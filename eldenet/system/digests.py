@@ -1,10 +1,13 @@
-"""SHA-256 digests of what is saved, so that a changed bit is noticed when it is loaded."""
+"""SHA-256 digests: they identify data and networks, and show a changed bit when a file is loaded."""
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 KEY = "sha256"
 
@@ -15,12 +18,21 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
-def digest_of(parts: Iterable[bytes]) -> str:
-    """Return the SHA-256 of several pieces, one after the other."""
+def digest_of(*parts: bytes | str) -> str:
+    """Return the SHA-256 of several pieces, one after the other; text is UTF-8."""
     digest = hashlib.sha256()
     for part in parts:
-        digest.update(part)
+        digest.update(part.encode() if isinstance(part, str) else part)
     return digest.hexdigest()
+
+
+def weights_of(state: Mapping[str, "Tensor"]) -> Iterator[bytes]:
+    """Yield names and contents of a state dict, in the order of the names, for :func:`digest_of`."""
+    import torch
+
+    for name, value in sorted(state.items()):
+        yield name.encode()
+        yield value.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes()
 
 
 def canonical(content: Mapping[str, Any]) -> bytes:
@@ -31,7 +43,7 @@ def canonical(content: Mapping[str, Any]) -> bytes:
 def with_digests(config: Mapping[str, Any], weights: bytes) -> dict[str, Any]:
     """Return a config with the digests of its own entries and of the weights beside it."""
     plain = json.loads(json.dumps(config))
-    digests = {"config": digest_of([canonical(plain)]), "weights": digest_of([weights])}
+    digests = {"config": digest_of(canonical(plain)), "weights": digest_of(weights)}
     return {**plain, KEY: digests}
 
 
@@ -49,7 +61,7 @@ def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
             f"{weights} does not match its digest in {path.name}: it is damaged, fetch or save the model "
             f"again; if you replaced it on purpose, remove the entry {KEY!r} of {path.name}"
         )
-    if stored.get("config", None) not in (None, digest_of([canonical(config)])):
+    if stored.get("config", None) not in (None, digest_of(canonical(config))):
         raise ValueError(
             f"{path} does not match its own digest: it is damaged, fetch or save the model again; if you "
             f"changed it on purpose, remove its entry {KEY!r}"

@@ -1,6 +1,5 @@
 """Rows on disk: what was measured, of which weights and on which machine."""
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from eldenet.results.record_checks import (
     figure,
     require,
 )
+from eldenet.system.digests import digest_of, weights_of
 from eldenet.system.files import parse_json
 
 if TYPE_CHECKING:
@@ -38,11 +38,7 @@ PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 def network_digest(model: "DepthNet") -> str:
     """8 hex digits of the SHA-256 of config and weights: identifies a network."""
-    digest = hashlib.sha256(json.dumps(model.config, sort_keys=True).encode())
-    for name, value in sorted(model.state_dict().items()):
-        digest.update(name.encode())
-        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:8]
+    return digest_of(json.dumps(model.config, sort_keys=True), *weights_of(model.state_dict()))[:8]
 
 
 def read_rows(

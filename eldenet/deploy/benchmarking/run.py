@@ -1,6 +1,5 @@
 """Measure models x sizes x batches x runtimes x precisions x threads, and write one table."""
 
-import hashlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from eldenet.deploy.runtimes import TORCH, installed
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
+from eldenet.system.digests import digest_of
 from eldenet.system.errors import missing_extra
 from eldenet.system.files import safe_stem
 from eldenet.weights import find_checkpoint, name_of
@@ -265,7 +265,7 @@ def _make(case: Case, model: "DepthNet", name: str, setup: BenchmarkSetup) -> Pa
     if setup.overwrite or not is_whole(graph):
         write_onnx(model, graph, size, batch=case.batch, metadata=metadata)
     # other calibration pictures make another int8 file
-    pictures = hashlib.sha256(setup.calibrated.encode()).hexdigest()[:8]
+    pictures = digest_of(setup.calibrated)[:8]
     quantized = f"-int8-{pictures}" if case.precision == "int8" else ""
     path = folder / f"{stem}{quantized}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
     if is_whole(path) and not (setup.overwrite and path != graph):
