@@ -15,8 +15,7 @@ from eldenet.navigation.sensors import (
     Drift,
     Observation,
     SensorInstance,
-    as_drift,
-    check_latency,
+    SimulatedSensor,
 )
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
@@ -43,7 +42,7 @@ ARENA_PRIORS = {
 }
 
 
-class Camera:
+class Camera(SimulatedSensor):
     """A rendered RGB frame and a depth network; with a lifter, the near faces of objects too.
 
     Each column's range is the nearest one in the depth map. With a lifter, the near face of the box around a
@@ -85,6 +84,7 @@ class Camera:
         latency: float = 0.0,
         artifacts: StereoArtifacts | None = None,
     ) -> None:
+        super().__init__(drift, latency)
         if not 0 < light <= MAX_LIGHT:
             raise ValueError(
                 f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"
@@ -96,7 +96,6 @@ class Camera:
         self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
         self.wrong_columns = artifacts is not None
         self.size, self.light = (height, width), light
-        self.drift, self.latency = as_drift(drift), check_latency(latency)
         self.sources: dict[str, tuple[str, Any]] = {}
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:

@@ -9,6 +9,7 @@ import functools
 
 import numpy as np
 
+from eldenet.navigation.safety_margins import DRIVER_MARGIN
 from eldenet.simulation.robot import ROBOT, arc
 
 CELL = 0.05  # [m]
@@ -32,7 +33,7 @@ class ArcTable:
     """
 
     def __init__(
-        self, commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04
+        self, commands: tuple[tuple[float, float], ...], horizon: float, margin: float = DRIVER_MARGIN
     ) -> None:
         self.commands = np.array(commands, dtype=np.float64)
         self.horizon, self.count = horizon, round(horizon / STEP)
@@ -76,6 +77,8 @@ def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=8)
-def arc_table(commands: tuple[tuple[float, float], ...], horizon: float, margin: float = 0.04) -> ArcTable:
+def arc_table(
+    commands: tuple[tuple[float, float], ...], horizon: float, margin: float = DRIVER_MARGIN
+) -> ArcTable:
     """Return the table of a set of commands, computed once per process."""
     return ArcTable(commands, horizon, margin)

@@ -11,8 +11,7 @@ from eldenet.navigation.sensors import (
     Observation,
     Ranges,
     SensorInstance,
-    as_drift,
-    check_latency,
+    SimulatedSensor,
 )
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
@@ -27,7 +26,7 @@ def errors_file(name: str) -> Path:
     return PACKAGED_ERRORS if name == "packaged" else Path(name)
 
 
-class NoisyRanges:
+class NoisyRanges(SimulatedSensor):
     """The simulator's ranges with the errors of a depth network.
 
     Relative errors, as depth networks make them: a scale that changes from frame to frame (correlation
@@ -60,6 +59,7 @@ class NoisyRanges:
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
         latency: float = 0.0,
     ) -> None:
+        super().__init__(drift, latency)
         if min(scale, smooth, column) < 0 or not 0 <= memory < 1 or not 0 <= share <= 1:
             raise ValueError(
                 f"scale={scale}, smooth={smooth}, column={column}, memory={memory}, share={share}: give "
@@ -77,7 +77,6 @@ class NoisyRanges:
             e = self.errors
             scale, smooth, column, memory = e.scale, e.smooth, e.column, e.memory
         self.scale, self.smooth, self.column, self.memory = scale, smooth, column, memory
-        self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance with its own error process, or one without errors."""

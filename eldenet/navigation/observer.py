@@ -60,7 +60,7 @@ class Senses(NamedTuple):
         return self.ranges[robot], None if self.cautious is None else self.cautious[robot]
 
     @property
-    def fault(self) -> str | None:
+    def not_finite(self) -> str | None:
         """Which of them are not finite, None if all are finite; do not steer by such senses."""
         known = {name: values for name, values in self._asdict().items() if values is not None}
         wrong = [name for name, values in known.items() if not np.isfinite(values).all()]
@@ -155,8 +155,8 @@ class Observer:
         """
         who = np.arange(self.robots) if robots is None else robots
         ranges, odometry, goal, cautious, scanned_from = seen = senses.of(who)
-        if seen.fault:
-            raise ValueError(f"{seen.fault}: stop the robot until they are")
+        if seen.not_finite:
+            raise ValueError(f"{seen.not_finite}: stop the robot until they are")
         distance, bearing = goal.T
         nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
         cautious = ranges if cautious is None else np.minimum(cautious, ranges)

@@ -68,7 +68,7 @@ class OnRobot:
         latency: float = 0.0,
         max_speed: float = ROBOT.max_speed,
     ) -> tuple[float, float]:
-        """Decide for one robot; call this every 0.2 s, each time with a new depth map.
+        """Decide for a driver of one robot; call this every 0.2 s, each time with a new depth map.
 
         A depth map that comes twice counts as two scans that agree.
 
@@ -97,13 +97,10 @@ class OnRobot:
             nan) read as near, and inf as free.
 
         Raises:
-            ValueError: the driver has several robots, ``depth`` has another shape or is in millimeters,
-                ``sigma`` is not of its shape, a pose, goal or intrinsics have another length, a depth map has
-                no intrinsics, its camera sees less than 25 degrees to each side, or ``latency`` or
-                ``max_speed`` is out of range.
+            ValueError: ``depth`` has another shape or is in millimeters, ``sigma`` is not of its shape, a
+                pose, goal or intrinsics have another length, a depth map has no intrinsics, its camera sees
+                less than 25 degrees to each side, or ``latency`` or ``max_speed`` is out of range.
         """
-        if len(self.observer.last) != 1:
-            raise ValueError(f"step drives one robot, and this driver has robots={len(self.observer.last)}")
         check_latency(latency)
         if not 0 < max_speed < math.inf:
             raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
@@ -124,7 +121,7 @@ class OnRobot:
                 low = as_ranges(depth, intrinsics, camera_height, low=nearest_depth(depth, sigma))
             unseen = np.isnan(ranges)
             ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
-            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).fault
+            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).not_finite
         self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][
             -round(MAX_LATENCY / ROBOT.period) :
         ]

@@ -96,31 +96,30 @@ class Drift(NamedTuple):
 EXACT = Drift(0.0, 0.0)
 
 
-def as_drift(drift: Drift | Mapping[str, float]) -> Drift:
-    """Return a drift from its two values by name, or as it is.
+class SimulatedSensor:
+    """Base of the sensors here: what they have in common.
+
+    Args:
+        drift: of the odometry, or its two values by name.
+        latency: from a scan until its command takes effect [s].
 
     Raises:
-        ValueError: a value is not a standard deviation.
+        ValueError: a value of the drift is not a standard deviation, or the latency is out of range or not a
+            multiple of the step in which commands take effect.
     """
-    drift = drift if isinstance(drift, Drift) else Drift(**drift)
-    for name, value in drift._asdict().items():
-        if not 0 <= value < math.inf:
-            raise ValueError(f"sensor.drift.{name}={value}: give a finite standard deviation of 0 or more")
-    return drift
 
-
-def check_latency(latency: float) -> float:
-    """Return a latency [s].
-
-    Raises:
-        ValueError: it is out of range, or no multiple of the step in which commands take effect.
-    """
-    in_range = 0 <= latency <= MAX_LATENCY
-    if not (in_range and abs(latency / LATENCY_STEP - round(latency / LATENCY_STEP)) < 1e-6):
-        raise ValueError(
-            f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s in steps of {LATENCY_STEP}, as 0.2"
-        )
-    return latency
+    def __init__(self, drift: Drift | Mapping[str, float], latency: float) -> None:
+        self.drift, self.latency = drift if isinstance(drift, Drift) else Drift(**drift), latency
+        for name, value in self.drift._asdict().items():
+            if not 0 <= value < math.inf:
+                raise ValueError(
+                    f"sensor.drift.{name}={value}: give a finite standard deviation of 0 or more"
+                )
+        steps = latency / LATENCY_STEP
+        if not (0 <= latency <= MAX_LATENCY and abs(steps - round(steps)) < 1e-6):
+            raise ValueError(
+                f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s in steps of {LATENCY_STEP}, as 0.2"
+            )
 
 
 class Odometry:
@@ -142,7 +141,7 @@ class Odometry:
         self.pose = (x, y, after[2] + error + self.turn_per_meter * math.hypot(dx, dy))
 
 
-class Ranges:
+class Ranges(SimulatedSensor):
     """The simulator's own ranges and exact odometry; on request with wrong readings, drift and latency.
 
     Args:
@@ -172,6 +171,7 @@ class Ranges:
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
+        super().__init__(drift, latency)
         for name, value, low, high in (
             ("false_near", false_near, 0, 1),
             ("false_far", false_far, 0, 1),
@@ -185,7 +185,6 @@ class Ranges:
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
         self.factor, self.lost, self.view = factor, lost, view
         self.wrong_columns = bool(false_near or false_far or stuck)
-        self.drift, self.latency = as_drift(drift), check_latency(latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""

@@ -157,11 +157,6 @@ def test_a_planner_s_map_is_unknown_beside_a_narrow_view():
     assert (evidence[away & (np.abs(bearing) > 29)] == 0).all()
 
 
-def test_steps_are_of_one_robot():
-    with pytest.raises(ValueError, match="step drives one robot, and this driver has robots=3"):
-        Navigator.load(robots=3).step(np.full(40, 6.0), (5.0, 0.0), (0.0, 0.0, 0.0))
-
-
 @pytest.mark.parametrize(
     "wrong", [{"latency": 2.0}, {"latency": math.nan}, {"max_speed": 0.0}, {"max_speed": math.inf}]
 )

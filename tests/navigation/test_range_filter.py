@@ -152,7 +152,7 @@ def test_any_driver_gets_filtered_ranges_by_a_setting_of_the_episode():
     for on in (False, True):
         episodes = Episodes(1, Blinking(), EpisodeSettings(range_filter=on))
         episodes.start(0, generate_arena("train", 5, 0), (0,))
-        assert (episodes.sense().fault is None) == on
+        assert (episodes.sense().not_finite is None) == on
 
 
 def test_by_default_the_command_filters_where_single_columns_may_be_wrong():

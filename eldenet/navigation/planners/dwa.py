@@ -10,6 +10,7 @@ import numpy as np
 
 from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.observer import SECTORS, Observer, Senses
+from eldenet.navigation.safety_margins import TURNING_GAP, WINDOW_MARGIN, WINDOW_ROOM
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
 
@@ -17,11 +18,8 @@ SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
 COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
-TURNING_GAP = 0.03  # between corners and points while turning on the spot [m]
 STOPPING_TIME = 0.6  # for which an arc must be free; longer at higher speeds [s]
 CLEARANCE = 0.8  # weight of the clearance, relative to progress toward the target [1/m]
-ROOM = 0.10  # least clearance of an arc [m]; the robot can then turn on the spot (its corners stick out)
-MARGIN = 0.05  # added to the footprint on all sides [m]
 ENOUGH = 0.30  # clearance above which more adds no score [m]
 ACCELERATION, TURN_ACCELERATION = 2.5, 6.0  # bounds of the window [m/s2], [rad/s2]
 #: Of what the window chooses; stored episodes of planners name it. 1 braked harder than the window allows.
@@ -32,7 +30,7 @@ class DynamicWindow:
     """Chooses a command toward a target among obstacle points, for one robot."""
 
     def __init__(self) -> None:
-        self.table = arc_table(COMMANDS, HORIZON, MARGIN)
+        self.table = arc_table(COMMANDS, HORIZON, WINDOW_MARGIN)
         speed, turn = self.table.commands.T
         self.speed, self.turn = speed, turn
         self._standing = int(np.flatnonzero((speed == 0) & (turn == 0))[0])
@@ -73,7 +71,7 @@ class DynamicWindow:
         score += 0.15 * self.speed
         safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
         # with less room already, no arc may reduce it
-        room = min(ROOM, float(gap[self._standing]))
+        room = min(WINDOW_ROOM, float(gap[self._standing]))
         allowed = safe & window & (self.speed > 0) & (gap >= room)
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))

@@ -22,6 +22,7 @@ from eldenet.navigation.planners.astar import goal_in_world, to_robot
 from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.policy import Driver, Navigator
+from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, STEER_ROOM
 from eldenet.simulation.robot import ROBOT
 
 REPLAN_EVERY = 5  # control periods
@@ -31,13 +32,9 @@ COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
 WIDE = ((0.40, math.inf), (0.50, 1.5))  # the same where it went round in a circle or could only stand
 AHEAD = 3.0  # greatest distance along the path to the way-point [m]
 LEAST_AHEAD = 0.5  # least distance to it [m]
-BESIDE = 0.35  # free width on both sides of the straight line to it [m]
 DWA_AHEAD = 1.3  # distance to the target of the dynamic window [m]
 FREE = 0.8  # time for which an arc must be free [s]
 HORIZON = 1.8  # duration of an arc, along which it needs room [s]
-ROOM = 0.06  # least clearance of an arc [m]
-FAST_ROOM = 0.12  # least clearance of an arc that is driven faster than the learned driver would [m]
-MARGIN = 0.04  # added to the footprint on all sides [m]
 SIDEWAYS = 0.1  # speed across its heading from which on a robot slides [m/s]; a normal floor stays below 0.04
 SLIDING_FOR = 5.0  # time for which it then drives slower [s]
 SLIDING_SPEED = 0.5  # of it then, relative to the learned driver's
@@ -102,7 +99,7 @@ class PlanAndSteer(OnRobot):
         self.circles = np.zeros(robots, np.intp)
         self._window = DynamicWindow()
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
-        self._table = arc_table((*arcs, BACK), HORIZON, MARGIN)
+        self._table = arc_table((*arcs, BACK), HORIZON, STEER_MARGIN)
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget the map."""
@@ -251,7 +248,7 @@ class PlanAndSteer(OnRobot):
         command = level * observer.actions + action
         standing = observer.actions // 2  # speed 0, straight ahead
         free, gap = _along(self._table, walls, command)
-        if free < FREE or gap < min(ROOM, _along(self._table, walls, standing)[1]):
+        if free < FREE or gap < min(STEER_ROOM, _along(self._table, walls, standing)[1]):
             return False
         return _along(self._table, unseen, command)[0] >= FREE
 
